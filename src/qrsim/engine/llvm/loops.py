@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 
 from qrsim.core.arrays import DType
 from qrsim.engine.llvm.graph import Access, Node, Shape
 from qrsim.engine.llvm.operations import Operations
 from qrsim.engine.llvm.text import scalar_type, stored_bytes, vector
 from qrsim.engine.llvm.writing import Place, Scope, Writer
+
+
+@dataclass(frozen=True)
+class Strip:
+    """A part of a last axis that is being written: its extent, first and end counter, and the group of its steps."""
+
+    extent: int
+    begin: str
+    end: str
+    group: int
 
 
 class Loops(Writer):
@@ -19,7 +30,7 @@ class Loops(Writer):
         places: of every node that is in memory.
         lanes: of a vector.
         side_by_side: the lanes are worlds, not elements.
-        spare: gives memory for a copy of a node that waits, none of which was given out before.
+        spare: gives memory for a copy of a node that waits, none of which was given out before; of a thread in a group.
         spare_bytes: gives the offset of so many bytes of it.
     """
 
@@ -28,7 +39,7 @@ class Loops(Writer):
         places: dict[int, Place],
         lanes: int,
         side_by_side: bool,
-        spare: Callable[[Node, Shape], Place],
+        spare: Callable[[Node, Shape, int], Place],
         spare_bytes: Callable[[int], int],
     ):
         super().__init__(places, lanes, side_by_side)
@@ -36,6 +47,13 @@ class Loops(Writer):
         self.operations = Operations(self.emit, self.declarations)
         # Which worlds take the branches and have not left the loops that are being written; None where all do.
         self.turning: str | None = None
+        # The strip that the steps of a group are written for.
+        self.strip: Strip | None = None
+
+    def along(self, extent: int, step: int = 1) -> AbstractContextManager[str]:
+        """Write a loop over a last axis, or over the present strip of it."""
+        strip = self.strip
+        return self.loop(extent, step, (strip.begin, strip.end) if strip and strip.extent == extent else None)
 
     @contextmanager
     def over(self, axes: Sequence[int], domain: Shape, lane_axis: int | None, together: int = 1) -> Iterator[None]:
@@ -46,7 +64,8 @@ class Loops(Writer):
         axis = axes[0]
         # Only one axis is unrolled; more would need more registers than there are.
         turns = together if axis == shared_axis(axes, lane_axis) else 1
-        with self.loop(domain[axis], self.lanes if axis == lane_axis else turns) as counter:
+        loop = self.along if axis == len(domain) - 1 else self.loop
+        with loop(domain[axis], self.lanes if axis == lane_axis else turns) as counter:
             self.scope.variables[axis] = counter
             with self.over(axes[1:], domain, lane_axis, together):
                 yield
@@ -70,7 +89,7 @@ class Loops(Writer):
 
     def _copied_whole(self, access: Access, shape: Shape, to: Place) -> bool:
         """Copy rows that lie at both places in the same way as one block of bytes, and return whether they do."""
-        if len(shape) < 2 or not access.identical(shape):
+        if len(shape) < 2 or self.strip or not access.identical(shape):
             return False
         source, dtype = self.place(access.node), access.node.dtype
         if source.short or to.short or source.own != to.own or source.strides != to.strides:
@@ -106,7 +125,7 @@ class Loops(Writer):
         for access, shape, to in moves:
             source = None if self._in_register(access.node) else self.place(access.node)
             if source is not None and (source.pointer, source.offset) in targets:
-                place = self.spare(access.node, shape)
+                place = self.spare(access.node, shape, self.strip.group if self.strip else 0)
                 self.copy(access, shape, place)
                 later.append((self._stand_in(access.node, shape, place), shape, to))
             else:

@@ -111,12 +111,12 @@ class Writer:
         self._written.clear()
 
     @contextmanager
-    def loop(self, extent: int, step: int = 1) -> Iterator[str]:
-        """Write a loop over [0, extent) around what is written inside; gives the name of its counter."""
-        if extent <= step:
+    def loop(self, extent: int, step: int = 1, part: tuple[str, str] | None = None) -> Iterator[str]:
+        """Write a loop over [0, extent), or a part of it, around what is written inside; gives its counter's name."""
+        if extent <= step and part is None:
             yield "0"
             return
-        before, head, number = self.block, f"loop{self.count}", self.name("i")
+        before, head, number, (begin, end) = self.block, f"loop{self.count}", self.name("i"), part or ("0", str(extent))
         self.do(f"br label %{head}")
         self.start_block(head)
         place = len(self.lines)
@@ -124,8 +124,8 @@ class Writer:
         self.scope.offsets.clear()
         yield number
         following = self.emit(f"add nuw nsw i64 {number}, {step}")
-        more = self.emit(f"icmp ult i64 {following}, {extent}")
-        self.lines[place] = f"  {number} = phi i64 [0, %{before}], [{following}, %{self.block}]"
+        more = self.emit(f"icmp ult i64 {following}, {end}")
+        self.lines[place] = f"  {number} = phi i64 [{begin}, %{before}], [{following}, %{self.block}]"
         after = f"after{self.count}"
         self.do(f"br i1 {more}, label %{head}, label %{after}")
         self.start_block(after)

@@ -1,0 +1,137 @@
+"""Steps of a tick that several threads share: strips of the groups, and between them what one thread does for all.
+
+Every thread runs the same function. Each computes all scalars, and its part of the strips. The first thread does all
+else. Threads wait for each other where one reads what another one wrote, or overwrites what another one read. No sum is
+cut into strips, so the number of threads changes no bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import groupby
+
+from qrsim.engine.llvm.emit import Emitter
+from qrsim.engine.llvm.loops import Strip
+from qrsim.engine.llvm.schedule import Step
+from qrsim.engine.llvm.strips import Late, strip_pointer
+
+# Parts of threads begin where a vector may.
+_VECTOR = 16
+# Bytes of an element in memory.
+_ELEMENTS = (4, 8)
+
+
+class Sharing:
+    """Writes steps for several threads.
+
+    Args:
+        writer: of the program.
+        strip: elements of a strip.
+        extents: of the last axis that each group cuts.
+        pointers: of all that the threads share, which they may not keep in registers while they wait.
+    """
+
+    def __init__(self, writer: Emitter, strip: int, extents: Mapping[int, int], pointers: Sequence[str]):
+        self.writer, self.do, self.emit = writer, writer.do, writer.emit
+        self._strip, self._extents = strip, extents
+        self._wait = f"call i1 @wait(ptr %seat, i1 false, {', '.join(f'ptr {pointer}' for pointer in pointers)})"
+        # What happened since all threads waited: the first one wrote; strips were written; scalars read memory, and
+        # arrays that strips may overwrite.
+        self._alone = self._cut = self._read = self._read_cut = False
+        self._ranges: dict[int, tuple[str, str]] = {}
+        writer.entry.append("  %leads = icmp eq i64 %thread, 0")
+
+    def steps(self, steps: Sequence[Step], stored: set[int], late: Sequence[Late] = ()) -> None:
+        """Write steps, and copies to the state behind them; at the end all threads have done their part."""
+        after = {each.group: each.moves for each in late}
+        for group, members in groupby(steps, key=lambda step: step.group):
+            if group:
+                with self._strips(group):
+                    self.writer.steps(list(members), stored)
+                    self.writer.move_all(after.pop(group, []))
+                continue
+            for scalar, some in groupby(members, key=lambda step: step.domain == () and step.kind == "loop"):
+                if scalar:
+                    self._scalars(list(some), stored)
+                else:
+                    with self._first_thread():
+                        self.writer.steps(list(some), stored)
+        for group, moves in after.items():
+            with self._strips(group) if group else self._first_thread():
+                self.writer.move_all(moves)
+        self._meet(self._alone or self._cut or self._read)
+
+    def _meet(self, needed: bool) -> None:
+        """Let every thread wait for the others, if needed."""
+        if needed:
+            self.do(self._wait)
+            self._alone = self._cut = self._read = self._read_cut = False
+
+    def _scalars(self, steps: Iterable[Step], stored: set[int]) -> None:
+        for step in steps:
+            read = [access.node for node in step.nodes for access in node.args
+                    if access.node.number not in self.writer.scalars and self._changes(access.node.number)]  # fmt: skip
+            if read:
+                self._meet(self._alone or self._cut)
+                self._read = True
+                self._read_cut |= any(node.shape and node.shape[-1] > self._strip for node in read)
+            self.writer.steps([step], stored)
+
+    def _changes(self, number: int) -> bool:
+        """Return whether a node lies where the program writes."""
+        place = self.writer.places.get(number)
+        return place is not None and (place.tight or place.pointer == "%scratch")
+
+    @contextmanager
+    def _first_thread(self) -> Iterator[None]:
+        """Write what the first thread does while the others go on."""
+        self._meet(self._cut or self._read)
+        self._alone = True
+        writer, label = self.writer, self.writer.name("alone")[1:]
+        self.do(f"br i1 %leads, label %{label}, label %{label}.after")
+        writer.start_block(label)
+        yield
+        self.do(f"br label %{label}.after")
+        writer.start_block(f"{label}.after")
+
+    @contextmanager
+    def _strips(self, group: int) -> Iterator[None]:
+        """Write a loop over the strips of a thread."""
+        self._meet(self._alone or self._cut or self._read_cut)
+        self._cut = True
+        writer, extent = self.writer, self._extents[group]
+        low, high = self._range(extent)
+        before, label, begin, end = writer.block, f"strips{group}", f"%strip{group}.begin", f"%strip{group}.end"
+        self.do(f"br label %{label}")
+        writer.start_block(label)
+        place = len(writer.lines)
+        writer.lines.append("")
+        self.do(f"%{label}.more = icmp ult i64 {begin}, {high}")
+        self.do(f"br i1 %{label}.more, label %{label}.one, label %{label}.after")
+        writer.start_block(f"{label}.one")
+        self.do(f"%{label}.next = add nuw nsw i64 {begin}, {self._strip}")
+        self.do(f"{end} = call i64 @llvm.umin.i64(i64 %{label}.next, i64 {high})")
+        writer.declarations.add("declare i64 @llvm.umin.i64(i64, i64)")
+        for element in _ELEMENTS:
+            back = self.emit(f"mul i64 {begin}, -{element}")
+            self.do(f"{strip_pointer(group, element)} = getelementptr i8, ptr %local, i64 {back}")
+        writer.strip = Strip(extent, begin, end, group)
+        yield
+        writer.strip = None
+        writer.lines[place] = f"  {begin} = phi i64 [{low}, %{before}], [{end}, %{writer.block}]"
+        self.do(f"br label %{label}")
+        writer.start_block(f"{label}.after")
+
+    def _range(self, extent: int) -> tuple[str, str]:
+        """Return the first element of this thread and the one behind its last."""
+        if extent not in self._ranges:
+            vectors, lines = -(-extent // _VECTOR), self.writer.entry
+            low, high = f"%low{extent}", f"%high{extent}"
+            for name, turn in ((low, "%thread"), (high, "%thread.next")):
+                lines.append(f"  {name}.all = mul i64 {turn}, {vectors}")
+                lines.append(f"  {name}.vector = udiv i64 {name}.all, %threads")
+                lines.append(f"  {name}.whole = mul i64 {name}.vector, {_VECTOR}")
+                lines.append(f"  {name} = call i64 @llvm.umin.i64(i64 {name}.whole, i64 {extent})")
+            self._ranges[extent] = low, high
+        return self._ranges[extent]
