@@ -12,6 +12,9 @@ from qrsim.engine.llvm.operations import Operations
 from qrsim.engine.llvm.text import scalar_type, stored_bytes, vector
 from qrsim.engine.llvm.writing import Place, Scope, Writer
 
+# Vectors from the one that is computed in a strip to the one that is fetched.
+_AHEAD = 4
+
 
 @dataclass(frozen=True)
 class Strip:
@@ -69,6 +72,17 @@ class Loops(Writer):
             self.scope.variables[axis] = counter
             with self.over(axes[1:], domain, lane_axis, together):
                 yield
+
+    def vectors_ahead(self, node: Node, place: Place) -> int:
+        """Return how far ahead of its use an array is fetched: of strips, which lie in many rows, all are."""
+        return super().vectors_ahead(node, place) if self.strip is None else 0 if place.local else _AHEAD
+
+    def write(self, place: Place, dtype: DType, value: str, lanes: int, variables: Sequence[str]) -> None:
+        """Store a value of the present loop at its element of a place."""
+        if self.strip is not None and lanes > 1 and not place.local:
+            address = self.address(place, [(v, 0) for v in variables])
+            self.fetch(address, _AHEAD * self.lanes * stored_bytes(dtype) - 1, written=True)
+        super().write(place, dtype, value, lanes, variables)
 
     def copy(self, access: Access, shape: Shape, to: Place, keep: str | None = None) -> None:
         """Write a loop that copies an array to a place, but for the worlds ``keep``."""
