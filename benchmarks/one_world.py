@@ -1,9 +1,10 @@
 """One world of 1 to a million vehicles, on 1 to all threads: vehicle-steps a second, by the wall and per CPU second.
 
-The world has everything that ``throughput.py`` measures (gusts, noise, sensors, receivers, controller, collisions). The
-last rows of each repeat are 512 worlds of 8 on all threads, which the last column compares with. All rows are measured in
-turns, and of each its median counts, because other processes come and go. Each number of threads has a process, since a
-process has one number for good. ``state`` says that the state is the same to the bit for every number of threads.
+The world has all that ``throughput.py`` measures: gusts, noise, sensors, receivers, controller and collisions. The last
+row is of 512 worlds of 8 on all threads, which one column compares with. The rows of a number of vehicles are measured
+in turns, and the median of each counts, because other processes come and go. Each row has its own process, since a
+process has one number of threads. The column "state" has the first digits of a digest of the state after some ticks,
+which must be the same for all numbers of threads.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import math
 import os
 import resource
 import subprocess
@@ -24,7 +26,9 @@ import _common
 
 VEHICLES = (1, 16, 256, 1024, 4096, 65536, 1_000_000)
 MANY_WORLDS = (512, 8)
-TICKS = 100
+# Vehicles that one scenario may have, and ticks before the first measurement.
+LARGEST_PART = 65536
+TICKS = 10
 HEADINGS = {
     "worlds": "worlds",
     "vehicles": "vehicles in each",
@@ -37,6 +41,37 @@ HEADINGS = {
 }
 
 
+def large_world(count: int) -> Any:
+    """Return a world of throughput's last stage; of more vehicles than a scenario may have, from copies of a part."""
+    import dataclasses
+
+    import jax
+    import numpy as np
+
+    from throughput import stage_world
+
+    tiles = math.ceil(math.sqrt(math.ceil(count / LARGEST_PART)))
+    size = count // tiles**2
+    world = stage_world(size, "everything")
+    if tiles == 1:
+        return world
+    fleet = jax.tree.map(
+        lambda leaf: np.tile(leaf, tiles**2) if np.shape(leaf)[-1:] == (size,) else leaf, world.fleets[0]
+    )
+    # Side by side, each in its own square.
+    side = math.ceil(math.sqrt(size)) * _common.SPACING
+    places = np.repeat(np.arange(tiles**2), size)
+    north, east = (((place - (tiles - 1) / 2) * side).astype(np.float32) for place in np.divmod(places, tiles))
+    for part in ("start", "route"):
+        held = getattr(fleet, part)
+        moved = dataclasses.replace(
+            held.position_ned, x=np.asarray(held.position_ned.x) + north, y=np.asarray(held.position_ned.y) + east
+        )
+        fleet = dataclasses.replace(fleet, **{part: dataclasses.replace(held, position_ned=moved)})
+    fleet = dataclasses.replace(fleet, vehicle_names=tuple(map(str, range(size * tiles**2))))
+    return dataclasses.replace(world, fleets=(fleet,))
+
+
 def served(arguments: Sequence[str]) -> None:
     """Fly one world, or many, in this process: a line of JSON for each line that is read, until there is no more."""
     import jax
@@ -47,21 +82,22 @@ def served(arguments: Sequence[str]) -> None:
     from qrsim.simulation.many_worlds import Flight
     from qrsim.simulation.rollout import setup_of
     from qrsim.world.draws import keys_of
-    from throughput import Nothing, stage_world
+    from throughput import Nothing
 
     worlds, count, threads = map(int, arguments[:3])
     seconds = float(arguments[3])
     qrsim.configure(cpu_devices=threads)
-    world = stage_world(count, "everything")
+    world = large_world(count)
+    count = world.fleets[0].size
     setup, fixed, own = setup_of([world], metrics=Nothing())
     keys = keys_of(world, Key.roots(np.zeros(worlds, np.int64), np.arange(worlds)))
     flight = Flight(setup, fixed, own, keys, count, 1)
-    flight.advance(0, TICKS if worlds * count < 10**5 else 10, ((), ()))
-    tick, digest = 100, hashlib.sha256()
+    flight.advance(0, TICKS, ((), ()))
+    tick, digest = TICKS, hashlib.sha256()
     for leaf in jax.tree.leaves(flight.get(lambda carry: carry.state)):
         digest.update(np.asarray(leaf).tobytes())
-    ticks = 10
-    for line in sys.stdin:
+    ticks = TICKS
+    for _ in sys.stdin:
         begin, cpu = time.perf_counter(), time.process_time()
         flight.advance(tick, ticks, ((), ()))
         wall, cpu = time.perf_counter() - begin, time.process_time() - cpu
