@@ -8,13 +8,17 @@ cut into strips, so the number of threads changes no bit.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from itertools import groupby
+
+import numpy as np
 
 from qrsim.engine.llvm.emit import Emitter
 from qrsim.engine.llvm.loops import Strip
+from qrsim.engine.llvm.neighbours import Neighbours
 from qrsim.engine.llvm.schedule import Step
 from qrsim.engine.llvm.strips import Late, strip_pointer
+from qrsim.engine.llvm.text import vector
 
 # Parts of threads begin where a vector may.
 _VECTOR = 16
@@ -51,18 +55,23 @@ class Sharing:
                     self.writer.steps(list(members), stored)
                     self.writer.move_all(after.pop(group, []))
                 continue
-            for scalar, some in groupby(members, key=lambda step: step.domain == () and step.kind == "loop"):
-                if scalar:
+            for kind, some in groupby(members, key=_kind_of):
+                if kind == "scalars":
                     self._scalars(list(some), stored)
+                elif kind == "nearest":
+                    for step in some:
+                        self.meet(self._alone or self._cut or self._read_cut)
+                        SharedNeighbours(self.writer, self).write(step.nodes[0])
+                        self._cut = True
                 else:
-                    with self._first_thread():
+                    with self.first_thread():
                         self.writer.steps(list(some), stored)
         for group, moves in after.items():
-            with self._strips(group) if group else self._first_thread():
+            with self._strips(group) if group else self.first_thread():
                 self.writer.move_all(moves)
-        self._meet(self._alone or self._cut or self._read)
+        self.meet(self._alone or self._cut or self._read)
 
-    def _meet(self, needed: bool) -> None:
+    def meet(self, needed: bool) -> None:
         """Let every thread wait for the others, if needed."""
         if needed:
             self.do(self._wait)
@@ -73,7 +82,7 @@ class Sharing:
             read = [access.node for node in step.nodes for access in node.args
                     if access.node.number not in self.writer.scalars and self._changes(access.node.number)]  # fmt: skip
             if read:
-                self._meet(self._alone or self._cut)
+                self.meet(self._alone or self._cut)
                 self._read = True
                 self._read_cut |= any(node.shape and node.shape[-1] > self._strip for node in read)
             self.writer.steps([step], stored)
@@ -84,9 +93,9 @@ class Sharing:
         return place is not None and (place.tight or place.pointer == "%scratch")
 
     @contextmanager
-    def _first_thread(self) -> Iterator[None]:
-        """Write what the first thread does while the others go on."""
-        self._meet(self._cut or self._read)
+    def first_thread(self, wait: bool = True) -> Iterator[None]:
+        """Write what the first thread does while the others go on, by default once they have come here."""
+        self.meet(wait and (self._cut or self._read))
         self._alone = True
         writer, label = self.writer, self.writer.name("alone")[1:]
         self.do(f"br i1 %leads, label %{label}, label %{label}.after")
@@ -98,7 +107,7 @@ class Sharing:
     @contextmanager
     def _strips(self, group: int) -> Iterator[None]:
         """Write a loop over the strips of a thread."""
-        self._meet(self._alone or self._cut or self._read_cut)
+        self.meet(self._alone or self._cut or self._read_cut)
         self._cut = True
         writer, extent = self.writer, self._extents[group]
         low, high = self._range(extent)
@@ -123,6 +132,18 @@ class Sharing:
         self.do(f"br label %{label}")
         writer.start_block(f"{label}.after")
 
+    @contextmanager
+    def part(self, extent: int) -> Iterator[tuple[str, str]]:
+        """Write what each thread does for its part of an axis, where that has any elements; gives begin and end."""
+        self._cut = True
+        (low, high), label = self._range(extent), self.writer.name("part")[1:]
+        some = self.emit(f"icmp ult i64 {low}, {high}")
+        self.do(f"br i1 {some}, label %{label}, label %{label}.after")
+        self.writer.start_block(label)
+        yield low, high
+        self.do(f"br label %{label}.after")
+        self.writer.start_block(f"{label}.after")
+
     def _range(self, extent: int) -> tuple[str, str]:
         """Return the first element of this thread and the one behind its last."""
         if extent not in self._ranges:
@@ -135,3 +156,63 @@ class Sharing:
                 lines.append(f"  {name} = call i64 @llvm.umin.i64(i64 {name}.whole, i64 {extent})")
             self._ranges[extent] = low, high
         return self._ranges[extent]
+
+
+class SharedNeighbours(Neighbours):
+    """Writes the search of the nearest other point for several threads.
+
+    The order of the list of points that have somebody near differs from run to run. Of distances the least is taken, so
+    that changes no result.
+
+    Args:
+        writer: of the program.
+        sharing: of its threads.
+    """
+
+    def __init__(self, writer: Emitter, sharing: Sharing):
+        super().__init__(writer)
+        self._sharing = sharing
+
+    def _alone(self) -> AbstractContextManager[None]:
+        return self._sharing.first_thread(wait=False)
+
+    def _meet(self) -> None:
+        self._sharing.meet(needed=True)
+
+    def _parted(self, count: int) -> AbstractContextManager[tuple[str, str] | None]:
+        return self._sharing.part(count)
+
+    def _append(self, flags: str, first: str, near: str, number: str) -> None:
+        """Append the numbers of the flagged points to a list that other threads append to as well."""
+        lanes, of, mask = self.writer.lanes, vector("i32", self.writer.lanes), vector("i1", self.writer.lanes)
+        bits = self.emit(f"bitcast {mask} {flags} to i{lanes}")
+        label, some = self.writer.name("near")[1:], self.emit(f"icmp ne i{lanes} {bits}, 0")
+        # Most vectors have none, and to append takes long where threads do so in turn.
+        self.do(f"br i1 {some}, label %{label}, label %{label}.after")
+        self.writer.start_block(label)
+        self.writer.declarations.add(f"declare i{lanes} @llvm.ctpop.i{lanes}(i{lanes})")
+        counted = self.emit(f"call i{lanes} @llvm.ctpop.i{lanes}(i{lanes} {bits})")
+        wide = self.emit(f"zext i{lanes} {counted} to i32")
+        before = self.emit(f"atomicrmw add ptr {number}, i32 {wide} monotonic")
+        place = self.emit(f"getelementptr i32, ptr {near}, i64 {self.emit(f'zext i32 {before} to i64')}")
+        ramp = "<" + ", ".join(f"i32 {lane}" for lane in range(lanes)) + ">"
+        start = self.writer.widened((self.emit(f"trunc i64 {first} to i32"), 1), np.dtype(np.int32), lanes)
+        points = self.emit(f"add {of} {start}, {ramp}")
+        name = f"llvm.masked.compressstore.v{lanes}i32"
+        self.writer.declarations.add(f"declare void @{name}({of}, ptr, {mask})")
+        self.do(f"call void @{name}({of} {points}, ptr {place}, {mask} {flags})")
+        self.do(f"br label %{label}.after")
+        self.writer.start_block(f"{label}.after")
+
+    def _some(self, number: str) -> tuple[str, ...]:
+        wide, bounds = self.emit(f"zext i32 {number} to i64"), []
+        for turn in ("%thread", "%thread.next"):
+            bounds.append(self.emit(f"udiv i64 {self.emit(f'mul i64 {wide}, {turn}')}, %threads"))
+        return self.emit(f"trunc i64 {bounds[1]} to i32"), bounds[0]
+
+
+def _kind_of(step: Step) -> str:
+    """Return who computes a step of no group: every thread ("scalars"), all together ("nearest"), or the first one."""
+    if step.kind == "loop" and step.domain == ():
+        return "scalars"
+    return "nearest" if step.kind == "nearest" else "alone"

@@ -137,8 +137,8 @@ class Writer:
         self.scope.offsets.clear()
 
     @contextmanager
-    def counted(self, extent: str) -> Iterator[str]:
-        """Write a loop over [0, extent) for an extent (i32) that the program computes; gives the counter (i64)."""
+    def counted(self, extent: str, begin: str = "0") -> Iterator[str]:
+        """Write a loop over [begin, extent) for an extent (i32) that the program computes; gives the counter (i64)."""
         label, number = f"some{self.count}", self.name("i")
         wide = self.emit(f"zext i32 {extent} to i64")
         before = self.block
@@ -153,7 +153,7 @@ class Writer:
         yield number
         following = self.emit(f"add nuw nsw i64 {number}, 1")
         self.do(f"br label %{label}")
-        self.lines[place] = f"  {number} = phi i64 [0, %{before}], [{following}, %{self.block}]"
+        self.lines[place] = f"  {number} = phi i64 [{begin}, %{before}], [{following}, %{self.block}]"
         self.start_block(f"{label}.after")
         self.scope.offsets.clear()
 
