@@ -161,8 +161,14 @@ class Neighbours:
 
     def _append(self, flags: str, first: str, near: str, number: str) -> None:
         """Append the numbers of the flagged points to a list."""
-        lanes, of, mask = self.writer.lanes, vector("i32", self.writer.lanes), vector("i1", self.writer.lanes)
         before = self.emit(f"load i32, ptr {number}, align 4")
+        self._put_in_list(flags, first, near, before)
+        after = self.emit(f"add i32 {before}, {self._counted(flags)}")
+        self.do(f"store i32 {after}, ptr {number}, align 4")
+
+    def _put_in_list(self, flags: str, first: str, near: str, before: str) -> None:
+        """Write the numbers of the flagged points to a list, behind those that are there before."""
+        lanes, of, mask = self.writer.lanes, vector("i32", self.writer.lanes), vector("i1", self.writer.lanes)
         place = self.emit(f"getelementptr i32, ptr {near}, i64 {self.emit(f'zext i32 {before} to i64')}")
         ramp = "<" + ", ".join(f"i32 {lane}" for lane in range(lanes)) + ">"
         start = self.writer.widened((self.emit(f"trunc i64 {first} to i32"), 1), np.dtype(np.int32), lanes)
@@ -170,11 +176,14 @@ class Neighbours:
         name = f"llvm.masked.compressstore.v{lanes}i32"
         self.writer.declarations.add(f"declare void @{name}({of}, ptr, {mask})")
         self.do(f"call void @{name}({of} {points}, ptr {place}, {mask} {flags})")
-        bits = self.emit(f"bitcast {mask} {flags} to i{lanes}")
+
+    def _counted(self, flags: str) -> str:
+        """Return how many flags of a vector are set."""
+        lanes = self.writer.lanes
+        bits = self.emit(f"bitcast {vector('i1', lanes)} {flags} to i{lanes}")
         self.writer.declarations.add(f"declare i{lanes} @llvm.ctpop.i{lanes}(i{lanes})")
         counted = self.emit(f"call i{lanes} @llvm.ctpop.i{lanes}(i{lanes} {bits})")
-        after = self.emit(f"add i32 {before}, {self.emit(f'zext i{lanes} {counted} to i32')}")
-        self.do(f"store i32 {after}, ptr {number}, align 4")
+        return self.emit(f"zext i{lanes} {counted} to i32")
 
     @contextmanager
     def _each(self, near: str, number: str, shared: bool = False) -> Iterator[str]:

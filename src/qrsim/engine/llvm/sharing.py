@@ -11,14 +11,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from itertools import groupby
 
-import numpy as np
-
 from qrsim.engine.llvm.emit import Emitter
 from qrsim.engine.llvm.loops import Strip
 from qrsim.engine.llvm.neighbours import Neighbours
 from qrsim.engine.llvm.schedule import Step
 from qrsim.engine.llvm.strips import Late, strip_pointer
-from qrsim.engine.llvm.text import vector
 
 # Parts of threads begin where a vector may.
 _VECTOR = 16
@@ -184,23 +181,12 @@ class SharedNeighbours(Neighbours):
 
     def _append(self, flags: str, first: str, near: str, number: str) -> None:
         """Append the numbers of the flagged points to a list that other threads append to as well."""
-        lanes, of, mask = self.writer.lanes, vector("i32", self.writer.lanes), vector("i1", self.writer.lanes)
-        bits = self.emit(f"bitcast {mask} {flags} to i{lanes}")
-        label, some = self.writer.name("near")[1:], self.emit(f"icmp ne i{lanes} {bits}, 0")
+        label, counted = self.writer.name("near")[1:], self._counted(flags)
         # Most vectors have none, and to append takes long where threads do so in turn.
+        some = self.emit(f"icmp ne i32 {counted}, 0")
         self.do(f"br i1 {some}, label %{label}, label %{label}.after")
         self.writer.start_block(label)
-        self.writer.declarations.add(f"declare i{lanes} @llvm.ctpop.i{lanes}(i{lanes})")
-        counted = self.emit(f"call i{lanes} @llvm.ctpop.i{lanes}(i{lanes} {bits})")
-        wide = self.emit(f"zext i{lanes} {counted} to i32")
-        before = self.emit(f"atomicrmw add ptr {number}, i32 {wide} monotonic")
-        place = self.emit(f"getelementptr i32, ptr {near}, i64 {self.emit(f'zext i32 {before} to i64')}")
-        ramp = "<" + ", ".join(f"i32 {lane}" for lane in range(lanes)) + ">"
-        start = self.writer.widened((self.emit(f"trunc i64 {first} to i32"), 1), np.dtype(np.int32), lanes)
-        points = self.emit(f"add {of} {start}, {ramp}")
-        name = f"llvm.masked.compressstore.v{lanes}i32"
-        self.writer.declarations.add(f"declare void @{name}({of}, ptr, {mask})")
-        self.do(f"call void @{name}({of} {points}, ptr {place}, {mask} {flags})")
+        self._put_in_list(flags, first, near, self.emit(f"atomicrmw add ptr {number}, i32 {counted} monotonic"))
         self.do(f"br label %{label}.after")
         self.writer.start_block(f"{label}.after")
 
