@@ -30,20 +30,23 @@ from qrsim.engine.llvm import (
 )
 from qrsim.engine.llvm.refusal import refusing
 from qrsim.engine.programs import compiled, discard_unused, uncollected
-from qrsim.engine.settings import threads, tier
+from qrsim.engine.settings import available_cores, threads, tier
 
 # What was traced last, because how large a state is, is asked before its start is compiled.
 _TRACED: dict[Any, tuple[Any, Any]] = {}
 _BYTES: dict[Any, int] = {}
 # Bytes of a vector.
 _VECTOR = 64
+# From so many vehicles on a world is computed in strips, of so many each, that stay in the second cache of a core.
+MANY_VEHICLES, STRIP = 1024, 256
 
 
 def mode_of(vehicles: int, dtype: DType) -> Mode:
     """Return how a world on its own is computed: side by side its vehicles, or a single one's draws and satellites."""
     # A few vehicles fill half a vector, which takes no longer than a whole one that is half empty.
     most = _VECTOR // dtype.itemsize
-    return Mode(most // 2 if 1 < vehicles <= most // 2 else most, side_by_side=False)
+    strip = STRIP if vehicles >= MANY_VEHICLES else 0
+    return Mode(most // 2 if 1 < vehicles <= most // 2 else most, side_by_side=False, strip=strip)
 
 
 def mode_of_many(count: int, vehicles: int, dtype: DType) -> Mode:
@@ -198,7 +201,7 @@ class LlvmProgram:
 
     def __init__(self, program: Program, shared: Shared, own: Packer, extent: Extent):
         self.layout, self._own_layout, self._extent = program.inputs[-1].layout, own, extent
-        self._make = partial(LaneProgram, program, shared.buffers, workers=threads())
+        self._make = partial(LaneProgram, program, shared.buffers, workers=min(threads(), available_cores()))
         self._mode = program.mode
         self._program: LaneProgram | None = None
         self._flat: NumpyArray | None = None

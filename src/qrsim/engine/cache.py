@@ -45,7 +45,7 @@ _FOREIGN = "not of this package: "
 # Sources that make a program: the code generator, and all that is traced.
 GENERATOR = ("core", "engine/layout.py", "engine/llvm")
 TRACED = (*GENERATOR, "control", "interface", "models", "simulation", "tasks", "world")
-_HEADER = {"key", "origin", "bytes", "scratch_bytes", "text_bytes", "program", "state", "number"}
+_HEADER = {"key", "origin", "bytes", "scratch_bytes", "local_bytes", "text_bytes", "program", "state", "number"}
 
 
 @dataclass(frozen=True)
@@ -202,12 +202,12 @@ def _parsed_entry(header: Content, code: bytes, key: str, origin: dict[str, str]
         if type(header["program"]) is not str or code:
             return None
         return Known(header["program"], _parsed_state(header["state"]))
-    scratch, text = header["scratch_bytes"], header["text_bytes"]
-    if type(scratch) is not int or not 0 <= scratch < _LARGEST_SCRATCH:
+    scratch, text, local = header["scratch_bytes"], header["text_bytes"], header["local_bytes"]
+    if any(type(size) is not int or not 0 <= size < _LARGEST_SCRATCH for size in (scratch, local)):
         return None
     if type(text) is not int or not 0 <= text < len(code):
         return None
-    return Binary(code[: len(code) - text], scratch, code[len(code) - text :])
+    return Binary(code[: len(code) - text], scratch, code[len(code) - text :], local)
 
 
 def _parsed_state(state: Content | None) -> Packer | None:
@@ -238,6 +238,7 @@ def _write_entry(path: Path, key: str, rooms: tuple[str, ...], value: Kept) -> N
             "bytes": len(body),
             "scratch_bytes": binary.scratch_bytes,
             "text_bytes": len(binary.text),
+            "local_bytes": binary.local_bytes,
             "program": value.program if isinstance(value, Known) else None,
             "state": state,
             "number": value if isinstance(value, int) else None,

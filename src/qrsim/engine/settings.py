@@ -30,7 +30,8 @@ def configure(*, cpu_devices: int | None = None, compiler: str | None = None) ->
     """Fix settings that must be known before anything is computed.
 
     Args:
-        cpu_devices: cores that a rollout spreads its worlds over; None: as it is, at first all that there are.
+        cpu_devices: cores that a rollout spreads its worlds over, and one world of thousands of vehicles its vehicles;
+            None: as it is, at first all that there are.
         compiler: what makes machine code of a tick: "llvm", the package's own generator for processors, or "xla", which
             is also what compiles for other devices and whatever the first one cannot compile; None: as it is. The
             environment variable QRSIM_COMPILER says the same.
@@ -102,7 +103,7 @@ def device_mesh() -> Mesh | None:
 
 
 def threads() -> int:
-    """Return how many threads a rollout uses."""
+    """Return how many threads a rollout, or a large world, uses."""
     return int(_chosen["threads"] or available_cores())
 
 

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import random
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -22,8 +26,8 @@ MODES = (Mode(1, False), Mode(8, False), Mode(16, False), Mode(8, True), Mode(16
 OUTCOMES = ("equal", "within", "ambiguous", "handed over")
 
 
-def fly(program: Program, mode: Mode, ticks: int, tier: str = "quick") -> list[dict[str, Any]]:
-    """Return the states of a program's worlds after some ticks by machine code.
+def fly(program: Program, mode: Mode, ticks: int, tier: str = "quick", threads: int = 1) -> list[dict[str, Any]]:
+    """Return the states of a program's worlds after some ticks by machine code, each world on some threads.
 
     Raises:
         UnsupportedError: it does not take the program.
@@ -37,17 +41,31 @@ def fly(program: Program, mode: Mode, ticks: int, tier: str = "quick") -> list[d
     found = []
     packed = [layouts[1].pack(world) for world in program.worlds]
     for begin in range(0, len(packed), mode.worlds):
-        buffers, scratch = compiled.buffers(1), compiled.scratch()
+        buffers, several = compiled.buffers(1), threads > 1 and compiled.local_bytes > 0
+        seats = compiled.seats(threads) if several else [compiled.scratch()]
         lanes = [packed[(begin + lane) % len(packed)] for lane in range(mode.worlds)]
         for which, mine in enumerate(buffers):
             for lane, values in enumerate(lanes):
                 mine.reshape(-1, mode.worlds)[:, lane] = values[which]
         addresses = [part.ctypes.data for part in (*common, *buffers)]
-        compiled(addresses, scratch.ctypes.data, 0, ticks)
+        if several:
+            compiled.together(partial(on_seats, seats), addresses, 0, ticks)
+        else:
+            compiled(addresses, seats[0].ctypes.data, 0, ticks)
         for lane in range(min(mode.worlds, len(packed) - begin)):
             flat = tuple(np.array(part.reshape(-1, mode.worlds)[:, lane]) for part in buffers)
             found.append(layouts[1].unpack(flat))
     return found
+
+
+def on_seats(seats: list[Any], function: Callable[[int], None]) -> None:
+    """Call a function with the address of each seat, each in a thread."""
+    others = [threading.Thread(target=function, args=(seat.ctypes.data,)) for seat in seats[1:]]
+    for thread in others:
+        thread.start()
+    function(seats[0].ctypes.data)
+    for thread in others:
+        thread.join()
 
 
 def expected(program: Program, ticks: int) -> list[list[Value]]:
@@ -123,7 +141,9 @@ def tried(number: int, featured: Any = None, longest: int = 11) -> tuple[str, Pr
             mine = fly(program, mode, ticks)
         except UnsupportedError as error:
             return ("handed over" if "code generator itself" not in str(error) else str(error)), program
-        better = fly(program, mode, ticks, "better")
+        # One world in strips, on one thread or several, has the same bits too.
+        cut = mode if mode.side_by_side else replace(mode, strip=max(4, mode.lanes))
+        better = fly(program, cut, ticks, "better", 1 if mode.side_by_side else choose.choice((1, 2, 3)))
         # The sign of NaN is none of a number, and compilers choose it.
         if any(not _alike(a, b) for a, b in zip(*map(jax.tree.leaves, (mine, better)), strict=True)):
             return ("ambiguous" if _looks_into_nan(program, ticks) else "quick and better code differ"), program

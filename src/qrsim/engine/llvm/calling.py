@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache, partial
 from time import perf_counter
 
 import numpy as np
@@ -14,6 +16,7 @@ from qrsim.core.arrays import NumpyArray
 from qrsim.engine.layout import Buffers, aligned
 from qrsim.engine.llvm.background import compile_later
 from qrsim.engine.llvm.compiler import Loaded
+from qrsim.engine.llvm.entries import SEAT
 from qrsim.engine.llvm.program import Binary, Input, Mode
 from qrsim.engine.llvm.refusal import UnsupportedError, refusing
 
@@ -21,6 +24,27 @@ from qrsim.engine.llvm.refusal import UnsupportedError, refusing
 PATIENCE_S = 0.3
 TICKS_AT_ONCE = 1000
 _ASKING = threading.Lock()
+# Bytes of a seat before its memory: the words of SEAT, and on lines of the cache for themselves those that all change.
+_ARRIVALS, _GIVEN_UP, _HEADER = 64, 128, 192
+
+
+# Calls a function with the address of each seat, each in a thread.
+OnSeats = Callable[[Callable[[int], None]], None]
+
+
+@cache
+def pause_address() -> int:
+    """Return the address of the system's function that lets other threads run; 0: there is none."""
+    with contextlib.suppress(OSError, AttributeError):
+        posix = os.name == "posix"
+        function = ctypes.CDLL(None).sched_yield if posix else ctypes.CDLL("kernel32").SwitchToThread
+        return ctypes.cast(function, ctypes.c_void_p).value or 0
+    return 0
+
+
+def _at_seat(call: Callable[..., object], addresses: Sequence[int], arguments: Sequence[int], seat: int) -> None:
+    """Call a program from a seat."""
+    call(*addresses, seat, *arguments)
 
 
 class Program:
@@ -36,6 +60,7 @@ class Program:
         self, binary: Binary, inputs: Sequence[Input], mode: Mode, keep: Callable[[Binary], None] | None = None
     ):
         self.inputs, self.mode, self.scratch_bytes = tuple(inputs), mode, binary.scratch_bytes
+        self.local_bytes = binary.local_bytes
         self._keep = keep
         # Text of better code, until that is asked for, and the seconds until then.
         self._text, self._patience_s = binary.text, PATIENCE_S
@@ -68,7 +93,7 @@ class Program:
             self._load_code(code)
             self._quick = False
             if self._keep is not None:
-                self._keep(Binary(code, self.scratch_bytes))
+                self._keep(Binary(code, self.scratch_bytes, local_bytes=self.local_bytes))
 
     def _ran(self, seconds: float) -> None:
         """Ask for better code once the program has run for long enough to pay for it."""
@@ -87,7 +112,33 @@ class Program:
 
     def scratch(self) -> NumpyArray:
         """Return working memory for one thread."""
+        if self.local_bytes:
+            return self.seats(1)[0]
         return aligned(self.scratch_bytes, np.dtype(np.uint8))
+
+    def seats(self, threads: int) -> list[NumpyArray]:
+        """Return working memory for each of some threads that run a world together; the first holds what they share."""
+        sizes = [_HEADER + self.local_bytes + (0 if thread else self.scratch_bytes) for thread in range(threads)]
+        seats = [aligned(size, np.dtype(np.uint8)) for size in sizes]
+        first = seats[0].ctypes.data
+        for thread, seat in enumerate(seats):
+            begin = seat.ctypes.data
+            words = {
+                "scratch": first + _HEADER + self.local_bytes,
+                "local": begin + _HEADER,
+                "thread": thread,
+                "threads": threads,
+                "arrivals": first + _ARRIVALS,
+                "given_up": first + _GIVEN_UP,
+                "pause": pause_address(),
+            }
+            seat[: 8 * len(SEAT)].view(np.uint64)[:] = [words[name] for name in SEAT]
+        return seats
+
+    @staticmethod
+    def give_up(seats: Sequence[NumpyArray]) -> None:
+        """Let threads leave that have not begun, because others never will; the seats must not be used again."""
+        seats[0][_GIVEN_UP : _GIVEN_UP + 8].view(np.uint64)[:] = 1
 
     def buffers(self, which: int) -> Buffers:
         """Return empty buffers of an input: of its floats and of its integers, for all lanes where it is own."""
@@ -104,6 +155,25 @@ class Program:
         """Advance the state by ``count`` ticks, from addresses of the buffers of all inputs in order."""
         for first, ticks in self._portions(count):
             self._call(*addresses, scratch, tick + first, ticks)
+
+    def together(self, run: OnSeats, addresses: Sequence[int], tick: int, count: int) -> None:
+        """Advance the state by several threads.
+
+        Args:
+            run: calls a function with the address of each seat, each in a thread.
+            addresses: of the buffers of all inputs in order.
+            tick: the first one.
+            count: ticks.
+        """
+        for first, ticks in self._portions(count):
+            # One code for all of them: it may be replaced at any time.
+            run(partial(_at_seat, self._call, addresses, (tick + first, ticks)))
+
+    def keeping_together(self, run: OnSeats, addresses: Sequence[int], tick: int, rows: Buffers) -> None:
+        """Do as ``keeping`` does, by several threads; see ``together``."""
+        for first, ticks in self._portions(len(rows[0])):
+            to = (number for part in rows for number in (part[first:].ctypes.data, part.strides[0]))
+            run(partial(_at_seat, self._call_keeping, addresses, (tick + first, ticks, *to)))
 
     def keeping(self, addresses: Sequence[int], scratch: int, tick: int, rows: Buffers) -> None:
         """Advance one world by as many ticks as there are rows, and write its state after each tick to the next row.

@@ -116,7 +116,7 @@ class Emitter(Loops):
         self.open_scope(step.domain)
         # A few vectors in a row are close to each other.
         self.far = vectors and step.domain[0] > 4 * self.lanes
-        with self.loop(step.domain[0], self.lanes if vectors else 1) as counter:
+        with self.along(step.domain[0], self.lanes if vectors else 1) as counter:
             for part in step.parts:
                 last = len(part.domain) - 1
                 kept = [axis for axis in part.kept if axis != last]

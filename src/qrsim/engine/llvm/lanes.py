@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
@@ -13,6 +11,7 @@ import numpy as np
 from qrsim.engine.layout import Buffers, Packer, aligned
 from qrsim.engine.llvm.calling import Program
 from qrsim.engine.llvm.program import Mode
+from qrsim.engine.llvm.team import NUMBERS_OF_A_THREAD, Team, worker_pool
 
 Array = np.ndarray[Any, Any]
 # Fewer ticks than this are done before a thread has woken up.
@@ -147,6 +146,8 @@ class LaneProgram:
         self._addresses: list[list[int]] = []
         self._tables: list[Array] = []
         self._scratch = 0
+        # For a world that is large enough for several threads.
+        self._team: Team | None = None
 
     def advance(self, state: Lanes, tick: int, count: int) -> None:
         """Run ``count`` ticks of all worlds; their state is overwritten."""
@@ -154,14 +155,15 @@ class LaneProgram:
             self._set_addresses(state)
         tiles = len(self._addresses)
         if tiles == 1:
-            self._program(self._addresses[0], self._scratch, tick, count)
+            advance = self._program if self._team is None else self._team.advance
+            advance(self._addresses[0], self._scratch, tick, count)
             return
         if len(self._tables) == 1 or count * tiles < FEW_TICKS:
             for worker in range(len(self._tables)):
                 self._run_worker(worker, tick, count)
             return
         # All others are begun before the first, which is this thread's.
-        pool = _worker_pool(self._workers)
+        pool = worker_pool(self._workers)
         others = [pool.submit(self._run_worker, worker, tick, count) for worker in range(1, len(self._tables))]
         self._run_worker(0, tick, count)
         for done in others:
@@ -171,7 +173,8 @@ class LaneProgram:
         """Run one world for as many ticks as there are rows, and write its state after each to the next row."""
         if self._state is not state:
             self._set_addresses(state)
-        self._program.keeping(self._addresses[0], self._scratch, tick, rows)
+        keep = self._program.keeping if self._team is None else self._team.keep
+        keep(self._addresses[0], self._scratch, tick, rows)
 
     def _set_addresses(self, state: Lanes) -> None:
         """Set the addresses of the buffers that the next call uses."""
@@ -185,6 +188,10 @@ class LaneProgram:
         table, workers = np.array(self._addresses, np.uint64), len(self._scratches)
         self._tables = [np.ascontiguousarray(table[worker::workers]) for worker in range(workers)]
         self._state = state
+        numbers = state.layout.sizes[0]
+        threads = min(self._workers, numbers // NUMBERS_OF_A_THREAD) if self._program.local_bytes else 1
+        if self._team is None and state.tiles == 1 and threads > 1:
+            self._team = Team(self._program, threads, self._workers, numbers)
 
     def _run_worker(self, worker: int, tick: int, count: int) -> None:
         """Advance the worlds of a worker by ``count`` ticks."""
@@ -192,16 +199,3 @@ class LaneProgram:
         rows = max(1, AT_ONCE // count)
         for first in range(0, len(table), rows):
             self._program.each(table[first : first + rows], scratch, tick, count)
-
-
-_POOLS: dict[int, ThreadPoolExecutor] = {}
-if hasattr(os, "register_at_fork"):
-    # A process that is forked off has none of the threads.
-    os.register_at_fork(after_in_child=_POOLS.clear)
-
-
-def _worker_pool(workers: int) -> ThreadPoolExecutor:
-    """Return the thread pool for a number of workers, created once."""
-    if workers not in _POOLS:
-        _POOLS[workers] = ThreadPoolExecutor(workers, thread_name_prefix="qrsim-worlds")
-    return _POOLS[workers]

@@ -3,13 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 
 from qrsim.core.arrays import DType
 from qrsim.engine.llvm.graph import Access, Node, Shape
 from qrsim.engine.llvm.operations import Operations
 from qrsim.engine.llvm.text import scalar_type, stored_bytes, vector
 from qrsim.engine.llvm.writing import Place, Scope, Writer
+
+# Vectors from the one that is computed in a strip to the one that is fetched.
+_AHEAD = 4
+
+
+@dataclass(frozen=True)
+class Strip:
+    """A part of a last axis that is being written: its extent, first and end counter, and the group of its steps."""
+
+    extent: int
+    begin: str
+    end: str
+    group: int
 
 
 class Loops(Writer):
@@ -19,7 +33,7 @@ class Loops(Writer):
         places: of every node that is in memory.
         lanes: of a vector.
         side_by_side: the lanes are worlds, not elements.
-        spare: gives memory for a copy of a node that waits, none of which was given out before.
+        spare: gives memory for a copy of a node that waits, none of which was given out before; of a thread in a group.
         spare_bytes: gives the offset of so many bytes of it.
     """
 
@@ -28,7 +42,7 @@ class Loops(Writer):
         places: dict[int, Place],
         lanes: int,
         side_by_side: bool,
-        spare: Callable[[Node, Shape], Place],
+        spare: Callable[[Node, Shape, int], Place],
         spare_bytes: Callable[[int], int],
     ):
         super().__init__(places, lanes, side_by_side)
@@ -36,6 +50,13 @@ class Loops(Writer):
         self.operations = Operations(self.emit, self.declarations)
         # Which worlds take the branches and have not left the loops that are being written; None where all do.
         self.turning: str | None = None
+        # The strip that the steps of a group are written for.
+        self.strip: Strip | None = None
+
+    def along(self, extent: int, step: int = 1) -> AbstractContextManager[str]:
+        """Write a loop over a last axis, or over the present strip of it."""
+        strip = self.strip
+        return self.loop(extent, step, (strip.begin, strip.end) if strip and strip.extent == extent else None)
 
     @contextmanager
     def over(self, axes: Sequence[int], domain: Shape, lane_axis: int | None, together: int = 1) -> Iterator[None]:
@@ -46,14 +67,26 @@ class Loops(Writer):
         axis = axes[0]
         # Only one axis is unrolled; more would need more registers than there are.
         turns = together if axis == shared_axis(axes, lane_axis) else 1
-        with self.loop(domain[axis], self.lanes if axis == lane_axis else turns) as counter:
+        loop = self.along if axis == len(domain) - 1 else self.loop
+        with loop(domain[axis], self.lanes if axis == lane_axis else turns) as counter:
             self.scope.variables[axis] = counter
             with self.over(axes[1:], domain, lane_axis, together):
                 yield
 
+    def vectors_ahead(self, node: Node, place: Place) -> int:
+        """Return how far ahead of its use an array is fetched: of strips, which lie in many rows, all are."""
+        return super().vectors_ahead(node, place) if self.strip is None else 0 if place.local else _AHEAD
+
+    def write(self, place: Place, dtype: DType, value: str, lanes: int, variables: Sequence[str]) -> None:
+        """Store a value of the present loop at its element of a place."""
+        if self.strip is not None and lanes > 1 and not place.local:
+            address = self.address(place, [(v, 0) for v in variables])
+            self.fetch(address, _AHEAD * self.lanes * stored_bytes(dtype) - 1, written=True)
+        super().write(place, dtype, value, lanes, variables)
+
     @contextmanager
-    def counted(self, extent: str) -> Iterator[str]:
-        """Write a loop over [0, extent) for an extent (i32) that the program computes; gives the counter (i64)."""
+    def counted(self, extent: str, begin: str = "0") -> Iterator[str]:
+        """Write a loop over [begin, extent) for an extent (i32) that the program computes; gives the counter (i64)."""
         label, number = f"some{self.count}", self.name("i")
         wide = self.emit(f"zext i32 {extent} to i64")
         before = self.block
@@ -68,7 +101,7 @@ class Loops(Writer):
         yield number
         following = self.emit(f"add nuw nsw i64 {number}, 1")
         self.do(f"br label %{label}")
-        self.lines[place] = f"  {number} = phi i64 [0, %{before}], [{following}, %{self.block}]"
+        self.lines[place] = f"  {number} = phi i64 [{begin}, %{before}], [{following}, %{self.block}]"
         self.start_block(f"{label}.after")
         self.scope.offsets.clear()
 
@@ -91,7 +124,7 @@ class Loops(Writer):
 
     def _copied_whole(self, access: Access, shape: Shape, to: Place) -> bool:
         """Copy rows that lie at both places in the same way as one block of bytes, and return whether they do."""
-        if len(shape) < 2 or not access.identical(shape):
+        if len(shape) < 2 or self.strip or not access.identical(shape):
             return False
         source, dtype = self.place(access.node), access.node.dtype
         if source.short or to.short or source.own != to.own or source.strides != to.strides:
@@ -127,7 +160,7 @@ class Loops(Writer):
         for access, shape, to in moves:
             source = None if self._in_register(access.node) else self.place(access.node)
             if source is not None and (source.pointer, source.offset) in targets:
-                place = self.spare(access.node, shape)
+                place = self.spare(access.node, shape, self.strip.group if self.strip else 0)
                 self.copy(access, shape, place)
                 later.append((self._stand_in(access.node, shape, place), shape, to))
             else:

@@ -12,7 +12,7 @@ the eight chains around it. That two columns share a bit, or two cubes a chain, 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 import numpy as np
 
@@ -38,6 +38,19 @@ class Neighbours:
     def __init__(self, writer: Loops):
         self.writer, self.emit, self.do = writer, writer.emit, writer.do
 
+    # What threads share is written by SharedNeighbours: here one thread does it all.
+
+    def _alone(self) -> AbstractContextManager[None]:
+        """Write what one thread does."""
+        return nullcontext()
+
+    def _meet(self) -> None:
+        """Let all threads come here before any goes on."""
+
+    def _parted(self, count: int) -> AbstractContextManager[tuple[str, str] | None]:
+        """Write what each thread does for its part of the points; gives the part, None: all of them."""
+        return nullcontext()
+
     def write(self, node: Node) -> None:
         """Write the search of a node: from x, y, z (n,) and the reach, the least squared distance of each point."""
         writer, count = self.writer, node.shape[0]
@@ -48,10 +61,12 @@ class Neighbours:
         self.heads = self._memory(4 * (self.mask + 1))
         self.following = self._memory(4 * count)
         near, number = self._near(node)
-        self._fill(self.heads, -1, 4 * (self.mask + 1))
-        with self._each(near, number) as point:
-            self._put(node, point)
-        with self._each(near, number) as point:
+        with self._alone():
+            self._fill(self.heads, -1, 4 * (self.mask + 1))
+            with self._each(near, number) as point:
+                self._put(node, point)
+        self._meet()
+        with self._each(near, number, shared=True) as point:
             self._search(node, point)
 
     # Who is near anybody
@@ -62,26 +77,31 @@ class Neighbours:
         words = 1 << (_BITS_FOR_A_POINT * count // 32 - 1).bit_length()
         marks, near = self._memory(8 * words), self._memory(4 * (count + lanes))
         columns, number = self._memory(4 * (count + lanes)), self._memory(4)
-        self._fill(marks, 0, 8 * words)
+        with self._alone():
+            self._fill(marks, 0, 8 * words)
         with self._vectors(count) as first:
             cubes = [self._cube(self._coordinate(access, first), lanes)[0] for access in node.args[:2]]
             column = self._column([self._hash(cube, axis, lanes) for axis, cube in enumerate(cubes)], words)
             place = self.emit(f"getelementptr i32, ptr {columns}, i64 {first}")
             self.do(f"store {vector('i32', lanes)} {column}, ptr {place}, align 4")
         writer.open_scope((count,))
-        with writer.loop(count) as point:
-            self._mark(columns, marks, words, point)
-        self.do(f"store i32 0, ptr {number}, align 4")
+        self._meet()
+        with self._alone():
+            with writer.loop(count) as point:
+                self._mark(columns, marks, words, point)
+            self.do(f"store i32 0, ptr {number}, align 4")
+        self._meet()
         with self._vectors(count) as first:
             self._tell(node, first, marks, words, near, number)
         writer.open_scope((count,))
+        self._meet()
         return near, self.emit(f"load i32, ptr {number}, align 4")
 
     @contextmanager
     def _vectors(self, count: int) -> Iterator[str]:
         """Write a loop over all points, a vector of them at a time."""
         self.writer.open_scope((count,), lane_axis=0)
-        with self.writer.loop(count, self.writer.lanes) as first:
+        with self._parted(count) as part, self.writer.loop(count, self.writer.lanes, part) as first:
             yield first
 
     def _column(self, hashes: list[str], words: int) -> str:
@@ -141,8 +161,14 @@ class Neighbours:
 
     def _append(self, flags: str, first: str, near: str, number: str) -> None:
         """Append the numbers of the flagged points to a list."""
-        lanes, of, mask = self.writer.lanes, vector("i32", self.writer.lanes), vector("i1", self.writer.lanes)
         before = self.emit(f"load i32, ptr {number}, align 4")
+        self._put_in_list(flags, first, near, before)
+        after = self.emit(f"add i32 {before}, {self._counted(flags)}")
+        self.do(f"store i32 {after}, ptr {number}, align 4")
+
+    def _put_in_list(self, flags: str, first: str, near: str, before: str) -> None:
+        """Write the numbers of the flagged points to a list, behind those that are there before."""
+        lanes, of, mask = self.writer.lanes, vector("i32", self.writer.lanes), vector("i1", self.writer.lanes)
         place = self.emit(f"getelementptr i32, ptr {near}, i64 {self.emit(f'zext i32 {before} to i64')}")
         ramp = "<" + ", ".join(f"i32 {lane}" for lane in range(lanes)) + ">"
         start = self.writer.widened((self.emit(f"trunc i64 {first} to i32"), 1), np.dtype(np.int32), lanes)
@@ -150,19 +176,26 @@ class Neighbours:
         name = f"llvm.masked.compressstore.v{lanes}i32"
         self.writer.declarations.add(f"declare void @{name}({of}, ptr, {mask})")
         self.do(f"call void @{name}({of} {points}, ptr {place}, {mask} {flags})")
-        bits = self.emit(f"bitcast {mask} {flags} to i{lanes}")
+
+    def _counted(self, flags: str) -> str:
+        """Return how many flags of a vector are set."""
+        lanes = self.writer.lanes
+        bits = self.emit(f"bitcast {vector('i1', lanes)} {flags} to i{lanes}")
         self.writer.declarations.add(f"declare i{lanes} @llvm.ctpop.i{lanes}(i{lanes})")
         counted = self.emit(f"call i{lanes} @llvm.ctpop.i{lanes}(i{lanes} {bits})")
-        after = self.emit(f"add i32 {before}, {self.emit(f'zext i{lanes} {counted} to i32')}")
-        self.do(f"store i32 {after}, ptr {number}, align 4")
+        return self.emit(f"zext i{lanes} {counted} to i32")
 
     @contextmanager
-    def _each(self, near: str, number: str) -> Iterator[str]:
-        """Write a loop over a list of points; gives the number of one."""
+    def _each(self, near: str, number: str, shared: bool = False) -> Iterator[str]:
+        """Write a loop over a list of points, or a thread's part of it; gives the number of one."""
         writer = self.writer
-        with writer.counted(number) as counter:
+        with writer.counted(*(self._some(number) if shared else (number,))) as counter:
             place = self.emit(f"getelementptr i32, ptr {near}, i64 {counter}")
             yield self.emit(f"zext i32 {self.emit(f'load i32, ptr {place}, align 4')} to i64")
+
+    def _some(self, number: str) -> tuple[str, ...]:
+        """Return which of a list of points are a thread's: how many, and the first if not 0."""
+        return (number,)
 
     # Cells of space
 

@@ -14,12 +14,14 @@ from qrsim.engine.llvm import kernels
 from qrsim.engine.llvm.background import packed
 from qrsim.engine.llvm.compiler import machine_code, machine_triple
 from qrsim.engine.llvm.emit import Emitter
-from qrsim.engine.llvm.entries import for_each, keeping
+from qrsim.engine.llvm.entries import for_each, head, keeping, seated
 from qrsim.engine.llvm.graph import Graph, Node, Shape, View, squeezed
 from qrsim.engine.llvm.in_state import InState
 from qrsim.engine.llvm.refusal import UnsupportedError, refusing
 from qrsim.engine.llvm.schedule import Arena, Scheduler, all_nodes, in_place, materialised
+from qrsim.engine.llvm.sharing import Sharing
 from qrsim.engine.llvm.simplify import live_nodes
+from qrsim.engine.llvm.strips import Grouping, Lifetimes, strip_pointer
 from qrsim.engine.llvm.text import stored_bytes
 from qrsim.engine.llvm.tracing import Tracer, trace
 from qrsim.engine.llvm.waiting import ALONE, NESTED
@@ -49,10 +51,13 @@ class Mode:
     Attributes:
         lanes: elements of a vector; 1 for scalars.
         side_by_side: the lanes are worlds; otherwise they are elements of the arrays of one world.
+        strip: elements of the last axis of longer arrays that are computed together (see ``strips``), a multiple of
+            the lanes; 0: all of them.
     """
 
     lanes: int
     side_by_side: bool
+    strip: int = 0
 
     @property
     def worlds(self) -> int:
@@ -68,11 +73,13 @@ class Binary:
         code: machine code.
         scratch_bytes: of working memory.
         text: of better code, by ``background.packed``; empty where there is none, or where ``code`` is it.
+        local_bytes: of working memory that each thread needs in addition; 0: one thread runs the program.
     """
 
     code: bytes
     scratch_bytes: int
     text: bytes = b""
+    local_bytes: int = 0
 
 
 def trace_tick(function: Callable[..., object], inputs: Sequence[Input]) -> ClosedJaxpr:
@@ -109,7 +116,8 @@ def build(
         else:
             code = machine_code(draft.text(), "quick")
             text = packed(draft.text(kernels_inside=True)) if tier == "auto" else b""
-        return Binary(code, draft.arena.size + SPARE * 8, text)
+        local_bytes = draft.local.size + SPARE * 8 if draft.strip else 0
+        return Binary(code, draft.arena.size + SPARE * 8, text, local_bytes)
 
 
 class Draft:
@@ -125,8 +133,10 @@ class Draft:
 
     def __init__(self, closed: ClosedJaxpr, inputs: Sequence[Input], mode: Mode):
         self.inputs, self.lanes, self.side_by_side = tuple(inputs), mode.lanes, mode.side_by_side
+        self.strip = mode.strip
         self.graph = Graph()
-        self.arena = Arena()
+        # Memory that threads share, and of each thread.
+        self.arena, self.local = Arena(), Arena()
         self.places: dict[int, Place] = {}
         self.leaves: list[list[Node]] = []
         self._trace(closed)
@@ -171,38 +181,46 @@ class Draft:
         live = live_nodes(self.graph.region, self.results)
         scheduler = Scheduler(live)
         nodes = self.graph.region.nodes
+        # A start depends on no tick; its loops are cut into strips as those of a tick are.
+        once = self.strip and all(node.invariant or node.op == "input" for node in nodes if node.number in live)
         # The body reads the prologue from memory or registers, and never computes it again.
-        self.prologue = scheduler.steps([node for node in nodes if node.invariant])
-        self.body = scheduler.steps([node for node in nodes if not node.invariant])
+        self.prologue = scheduler.steps([node for node in nodes if node.invariant and not once])
+        self.body = scheduler.steps([node for node in nodes if once or not node.invariant])
+        self.grouping = Grouping(self.strip, {leaf.number for leaf in self.leaves[-1]})
+        if self.strip:
+            self.body = self.grouping.of(self.body)
+            # Where nothing is cut, one thread runs the program as any other.
+            self.strip = self.strip if self.grouping.extents else 0
         # A value that only its own loop reads needs no memory.
         whole, self.short = materialised([*self.prologue, *self.body], self.results)
         every, computed = whole | self.short, all_nodes([*self.prologue, *self.body])
         self.stored = {node.number for node in computed if node.number in every and not _in_register(node)}
         self.in_place = in_place([*self.prologue, *self.body])
-        self._place()
-
-    def _place(self) -> None:
-        """Give each stored value its memory: of the prologue for good, of the body until it is read last."""
         # These live through all ticks, so none of their places is given back.
         for node in all_nodes(self.prologue):
             if node.number in self.stored and node.number not in self.in_place:
                 self.places[node.number] = self._take(node)
         in_state = InState(self.body, self.stored, self.short, self.places, self.side_by_side)
-        self.moves = in_state.place(self.leaves[-1], self.results)
-        last = {number: reads[-1][0] for number, reads in in_state.read.items() if reads}
-        ending: dict[int, list[tuple[int, int]]] = {}
+        self.late = self.grouping.late(in_state.place(self.leaves[-1], self.results), self.body, self.places)
+        self._place(Lifetimes(self.body, in_state.read, self.late))
+        self._place_carries()
+
+    def _place(self, lifetimes: Lifetimes) -> None:
+        """Give each stored value of the body its memory until it is read last."""
+        ending: dict[int, list[tuple[Arena, int, int]]] = {}
         for i, step in enumerate(self.body):
             for node in all_nodes([step]):
                 if node.number in self.stored and node.number not in self.places and node.number not in self.in_place:
-                    place = self._take(node)
-                    self.places[node.number] = place
                     # What a branch makes for itself is not needed after the branching.
                     inner = node not in step.nodes
-                    end = i if inner else max(i, last.get(node.number, 0))
-                    ending.setdefault(end, []).append((place.offset, self._bytes(self._kept_shape(node), node)))
-            for offset, size in ending.pop(i, []):
-                self.arena.give(offset, size)
-        self._place_carries()
+                    group = step.group if inner or node.number in self.short or lifetimes.local(node, i) else 0
+                    place = self._take(node, group=group)
+                    self.places[node.number] = place
+                    end = i if inner else lifetimes.end(node, i, local=group > 0)
+                    size = self._bytes(self._kept_shape(node, group), node)
+                    ending.setdefault(end, []).append((self.local if group else self.arena, place.offset, size))
+            for arena, offset, size in ending.pop(i, []):
+                arena.give(offset, size)
 
     def _place_carries(self) -> None:
         """Place the carries of while loops, and values changed in place, in the memory of their results."""
@@ -224,36 +242,48 @@ class Draft:
         self.arena.free.clear()
         return self.arena.take(size)
 
-    def _spare(self, node: Node, shape: Shape) -> Place:
+    def _spare(self, node: Node, shape: Shape, group: int) -> Place:
         """Return memory for a copy that waits, none of which was given out before."""
-        self.arena.free.clear()
-        return self._take(node, shape)
+        (self.local if group else self.arena).free.clear()
+        return self._take(node, shape, group)
 
-    def _take(self, node: Node, shape: Shape | None = None) -> Place:
+    def _take(self, node: Node, shape: Shape | None = None, group: int = 0) -> Place:
+        """Return memory, of a thread's own where a group is given."""
+        whole = node.shape if shape is None else shape
         """Return a place in scratch memory for a node's value."""
-        shape = self._kept_shape(node) if shape is None else shape
+        shape = self._kept_shape(node, group) if shape is None else self._cut(shape, group)
         own = self.side_by_side and not node.uniform
         element = stored_bytes(node.dtype) * (self.lanes if own else 1)
         rows = (*shape[:-1], _whole(shape[-1], self.lanes)) if shape and not self.side_by_side else shape
-        offset, short = self.arena.take(self._bytes(shape, node)), node.number in self.short
-        return Place("%scratch", offset, _row_major(rows, element), own, short=short)
+        arena, short = self.local if group else self.arena, node.number in self.short
+        offset, pointer = arena.take(self._bytes(shape, node)), "%local" if group else "%scratch"
+        if shape != whole and not short:
+            pointer = strip_pointer(group, element)
+        return Place(pointer, offset, _row_major(rows, element), own, short=short)
 
-    def _kept_shape(self, node: Node) -> Shape:
+    def _kept_shape(self, node: Node, group: int) -> Shape:
         """Return the shape of what is in memory of a node at one time."""
-        return (*node.shape[:-1], 1) if node.number in self.short else node.shape
+        return (*node.shape[:-1], 1) if node.number in self.short else self._cut(node.shape, group)
+
+    def _cut(self, shape: Shape, group: int) -> Shape:
+        """Return the shape of the part of an array that a strip of a group has."""
+        return (*shape[:-1], self.strip) if group and shape[-1:] == (self.grouping.extents[group],) else shape
 
     def text(self, kernels_inside: bool = False) -> str:
         """Return the module, with functions of kernels, or with kernels written out where they are used."""
         writer = Emitter(self.places, self.lanes, self.side_by_side, self._spare, self._spare_bytes)
         writer.kernels_inside = kernels_inside
-        # No two buffers overlap, which lets LLVM keep loads in registers across stores.
-        arguments = [f"ptr noalias %{kind}{i}" for i in range(len(self.inputs)) for kind in ("floats", "integers")]
-        arguments += ["ptr noalias %scratch", "i32 %first", "i32 %count"]
+        shared = [f"%{kind}{i}" for i in range(len(self.inputs)) for kind in ("floats", "integers")]
+        shared.append("%scratch")
+        sharing = Sharing(writer, self.strip, self.grouping.extents, shared) if self.strip else None
         writer.operations.expect(access.node for access in self.results)
         before_all, after_all = flushing(writer)
         for line in before_all:
             writer.do(line)
-        writer.steps(self.prologue, self.stored)
+        if sharing:
+            sharing.steps(self.prologue, self.stored)
+        else:
+            writer.steps(self.prologue, self.stored)
         before = writer.block
         writer.do("br label %tick")
         writer.start_block("tick")
@@ -261,9 +291,13 @@ class Draft:
         writer.lines.append("")
         writer.do("%tick.now = add i32 %first, %done")
         writer.scalars[self.tick.number] = "%tick.now", 1
-        writer.steps(self.body, self.stored)
-        # Last, when nobody reads the old state any more.
-        writer.move_all(self.moves)
+        # Copies to the state are last, when nobody reads the old state any more.
+        if sharing:
+            sharing.steps(self.body, self.stored, self.late)
+        else:
+            writer.steps(self.body, self.stored)
+            for late in self.late:
+                writer.move_all(late.moves)
         writer.do("%done.next = add i32 %done, 1")
         writer.do("%more = icmp ult i32 %done.next, %count")
         writer.lines[place] = f"  %done = phi i32 [0, %{before}], [%done.next, %{writer.block}]"
@@ -279,14 +313,15 @@ class Draft:
                 *writer.constants,
                 *sorted(writer.declarations.union(*(declared for _, declared in functions))),
                 *(line for lines, _ in functions for line in lines),
-                f"define void @advance({', '.join(arguments)}) noinline #0 {{",
+                *(seated(shared, machine_triple()) if self.strip else ()),
+                head(shared, self.strip > 0),
                 "entry:",
                 *writer.entry,
                 *writer.lines,
                 "}",
                 # The stack is aligned for vectors that are spilled to it, and vectors of 512 bits are not cut in two.
                 *for_each(2 * len(self.inputs)),
-                *keeping(2 * len(self.inputs)),
+                *keeping(2 * len(self.inputs), self.strip > 0),
                 'attributes #0 = { nounwind "stackrealign" "prefer-vector-width"="512" '
                 '"denormal-fp-math"="preserve-sign,preserve-sign" }',
             ]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
+from qrsim.core.arrays import DType
 from qrsim.engine.llvm.graph import Node
 from qrsim.engine.llvm.loops import Loops
-from qrsim.engine.llvm.text import scalar_type, stored_bytes, vector
+from qrsim.engine.llvm.text import scalar_type, splat, stored_bytes, vector
+from qrsim.engine.llvm.writing import Moves
 
 
 def write_scatter(writer: Loops, node: Node) -> None:
@@ -44,7 +47,7 @@ def _put(writer: Loops, node: Node, lane: int, parts: list[str]) -> None:
     place, dtype = writer.places[node.number], node.dtype
     number, starts = parts[0], [(text, 1) for text in parts[1:]]
     dtypes = [access.node.dtype for access in node.args[2:]]
-    inside = writer.in_range((*moved, *single), starts, dtypes, 1)
+    inside = _in_range(writer, (*moved, *single), starts, dtypes, 1)
     # Memory is shared by all turns here, so a world that has left must not write any more.
     if writer.turning is not None and _lies_there(writer, node):
         going = writer.emit(f"extractelement {vector('i1', writer.lanes)} {writer.turning}, i32 {lane}")
@@ -60,3 +63,17 @@ def _put(writer: Loops, node: Node, lane: int, parts: list[str]) -> None:
 def _lies_there(writer: Loops, node: Node) -> bool:
     """Return whether the result is in the memory of the first argument, so that no copy is needed."""
     return writer.places.get(node.args[0].node.number) == writer.places[node.number]
+
+
+def _in_range(writer: Loops, moved: Moves, starts: list[tuple[str, int]], dtypes: Sequence[DType], lanes: int) -> str:
+    """Return whether all starts are in range."""
+    inside, mask = splat("true", "i1", lanes), vector("i1", lanes)
+    for move in moved:
+        if move is not None:
+            dtype = dtypes[move[0]]
+            start = writer.widened(starts[move[0]], dtype, lanes)
+            # What is below zero is large where it is taken for unsigned.
+            limit = splat(str(move[1]), scalar_type(dtype), lanes)
+            within = writer.emit(f"icmp ule {vector(scalar_type(dtype), lanes)} {start}, {limit}")
+            inside = writer.emit(f"and {mask} {inside}, {within}")
+    return inside

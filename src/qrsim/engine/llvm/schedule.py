@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect
 from collections import Counter, defaultdict
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -27,6 +27,7 @@ class Step:
         kept, reduced: axes of the domain, outer loops first.
         branches: the steps of each region.
         parts: of rows, the loop nests, each of which is gone through for every element of the last axis.
+        group: number of the steps that run strip by strip together (see ``strips``); 0: of none.
     """
 
     kind: str
@@ -36,6 +37,7 @@ class Step:
     reduced: tuple[int, ...] = ()
     branches: list[list[Step]] = field(default_factory=list)
     parts: list[Step] = field(default_factory=list)
+    group: int = 0
 
     @cached_property
     def accesses(self) -> list[tuple[Node | None, Access]]:
@@ -181,7 +183,7 @@ def branch_results(step: Step) -> list[Access]:
     return [region.results[place] for region in step.nodes[0].regions for place in places]
 
 
-def all_nodes(steps: list[Step]) -> list[Node]:
+def all_nodes(steps: Sequence[Step]) -> list[Node]:
     """Return the nodes of steps, branches included."""
     found = []
     for step in steps:

@@ -41,6 +41,11 @@ class Place:
     tight: bool = False
     short: bool = False
 
+    @property
+    def local(self) -> bool:
+        """Whether it lies in a thread's own memory."""
+        return self.pointer.startswith("%local")
+
 
 @dataclass
 class Scope:
@@ -112,12 +117,12 @@ class Writer:
         self._written.clear()
 
     @contextmanager
-    def loop(self, extent: int, step: int = 1) -> Iterator[str]:
-        """Write a loop over [0, extent) around what is written inside; gives the name of its counter."""
-        if extent <= step:
+    def loop(self, extent: int, step: int = 1, part: tuple[str, str] | None = None) -> Iterator[str]:
+        """Write a loop over [0, extent), or a part of it, around what is written inside; gives its counter's name."""
+        if extent <= step and part is None:
             yield "0"
             return
-        before, head, number = self.block, f"loop{self.count}", self.name("i")
+        before, head, number, (begin, end) = self.block, f"loop{self.count}", self.name("i"), part or ("0", str(extent))
         self.do(f"br label %{head}")
         self.start_block(head)
         place = len(self.lines)
@@ -125,8 +130,8 @@ class Writer:
         self.scope.offsets.clear()
         yield number
         following = self.emit(f"add nuw nsw i64 {number}, {step}")
-        more = self.emit(f"icmp ult i64 {following}, {extent}")
-        self.lines[place] = f"  {number} = phi i64 [0, %{before}], [{following}, %{self.block}]"
+        more = self.emit(f"icmp ult i64 {following}, {end}")
+        self.lines[place] = f"  {number} = phi i64 [{begin}, %{before}], [{following}, %{self.block}]"
         after = f"after{self.count}"
         self.do(f"br i1 {more}, label %{head}, label %{after}")
         self.start_block(after)
@@ -231,17 +236,21 @@ class Writer:
         # Elements side by side are one load.
         if len(across) == 1 and place.strides[across[0]] == stored_bytes(node.dtype):
             address = self.address(place, index)
-            if self.far and len(node.shape) > 1 and not place.short:
-                self._fetch(address, 2 * self.lanes * stored_bytes(node.dtype) - 1)
+            if self.vectors_ahead(node, place):
+                self.fetch(address, self.vectors_ahead(node, place) * self.lanes * stored_bytes(node.dtype) - 1)
             return self.load(node.dtype, address, self.lanes), self.lanes
         return self._gathered(node, place, index, across), self.lanes
 
-    def _fetch(self, address: str, distance: int) -> None:
-        """Write a prefetch of the memory at a distance [B] after an address."""
+    def vectors_ahead(self, node: Node, place: Place) -> int:
+        """Return how far ahead of its use an array is fetched; 0: the processor does so by itself."""
+        return 2 if self.far and len(node.shape) > 1 and not place.short else 0
+
+    def fetch(self, address: str, distance: int, written: bool = False) -> None:
+        """Let the processor bring what lies a distance [B] after an address, while it works on what lies there."""
         self.declarations.add("declare void @llvm.prefetch.p0(ptr, i32, i32, i32)")
         ahead = self.emit(f"getelementptr i8, ptr {address}, i64 {distance}")
-        # To be read, and kept close; data, not code.
-        self.do(f"call void @llvm.prefetch.p0(ptr {ahead}, i32 0, i32 3, i32 1)")
+        # To be read or written, and kept close; data, not code.
+        self.do(f"call void @llvm.prefetch.p0(ptr {ahead}, i32 {int(written)}, i32 3, i32 1)")
 
     def _pick(self, node: Node, lanes: int) -> str:
         """Return elements of an array that lie where the program computes."""
@@ -304,19 +313,6 @@ class Writer:
         self.declarations.add(f"declare {of} @{name}({places}, i32, {mask}, {of})")
         every = splat("true", "i1", lanes)
         return self.emit(f"call {of} @{name}({places} {pointers}, i32 {align}, {mask} {every}, {of} poison)")
-
-    def in_range(self, moved: Moves, starts: list[tuple[str, int]], dtypes: Sequence[DType], lanes: int) -> str:
-        """Return whether all starts are in range."""
-        inside, mask = splat("true", "i1", lanes), vector("i1", lanes)
-        for move in moved:
-            if move is not None:
-                dtype = dtypes[move[0]]
-                start = self.widened(starts[move[0]], dtype, lanes)
-                # What is below zero is large where it is taken for unsigned.
-                limit = splat(str(move[1]), scalar_type(dtype), lanes)
-                within = self.emit(f"icmp ule {vector(scalar_type(dtype), lanes)} {start}, {limit}")
-                inside = self.emit(f"and {mask} {inside}, {within}")
-        return inside
 
     def _width(self, node: Node) -> int:
         if self.side_by_side:
