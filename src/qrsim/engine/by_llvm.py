@@ -19,6 +19,7 @@ from qrsim.engine.llvm import (
     Input,
     LaneProgram,
     Lanes,
+    Looks,
     Mode,
     Program,
     build,
@@ -66,6 +67,28 @@ def make(function: Function, shared: Shared, own: Packer, state: Packer | None, 
         (function.name, function.of, *layouts, mode), lambda: _loaded(function, shared.layout, own, state, mode)
     )
     return LlvmProgram(program, shared, own, extent)
+
+
+def make_look(function: Function, shared: Shared, state: Packer, found: Packer, extent: Extent) -> Looks:
+    """Return a program that fills arrays of zeros from the states of worlds that ``make`` made a program of.
+
+    Args:
+        function: ``call(shared, state, arrays, tick)`` of one world returns the arrays, in place of zeros.
+        shared: what all worlds have in common.
+        state: layout of the state of one.
+        found: layout of the arrays.
+        extent: how many worlds.
+
+    Raises:
+        UnsupportedError: the code generator does not take the function.
+    """
+    among = mode_of_many(extent.worlds or 1, extent.vehicles, extent.dtype).worlds
+    mode = Mode(_VECTOR // extent.dtype.itemsize, side_by_side=False, among=among)
+    program = compiled(
+        (function.name, function.of, shared.layout, state, found, mode),
+        lambda: _loaded(function, shared.layout, state, found, mode),
+    )
+    return Looks(program, shared.buffers, threads())
 
 
 def form_of(function: Function, shared: Packer, own: Packer, state: Packer | None, extent: Extent, form: str) -> str:

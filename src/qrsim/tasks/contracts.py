@@ -42,6 +42,7 @@ class Task(Protocol):
         axes: the numbers of an action, with unit and range, where they do not depend on the world (see ``acts``).
         asks_for: kind of set-points that its fleet's controller must take; None: its actions are commands.
         hands_in: whether an agent hands in an answer at the end, which has a ``score``.
+        later: names of the parts of an observation, a dict of one fleet, that ``look`` computes by themselves.
         baseline: class of a policy for comparison, as ``qrsim score`` takes it; None: the task has none of its own.
     """
 
@@ -52,6 +53,7 @@ class Task(Protocol):
     axes: ClassVar[tuple[Axis, ...]] = ()
     asks_for: ClassVar[type | None] = None
     hands_in: ClassVar[bool] = False
+    later: ClassVar[tuple[str, ...]] = ()
     baseline: ClassVar[type | None] = None
 
     @property
@@ -99,6 +101,21 @@ class Task(Protocol):
     @abstractmethod
     def sees(self, world: World) -> Any:
         """Describe the O numbers of an observation, with their units; for a dict, those that have names."""
+
+    def shot(self, world: World, state: State) -> Any:
+        """Return all of a state that is an agent's own (n, ...) and that ``look`` needs."""
+        raise NotImplementedError
+
+    def look(self, world: World, state: State, shot: Any, to: dict[str, Array]) -> dict[str, Array]:
+        """Return the parts ``later`` of an observation.
+
+        Args:
+            world: where.
+            state: at any time of the episode since the shot.
+            shot: what ``shot`` returned, of each agent since it stopped that of the step before.
+            to: zeros in their shapes, which a loop may fill.
+        """
+        raise NotImplementedError
 
     def answer_shape(self, world: World) -> tuple[int, ...]:
         """Return the shape of each agent's answer at the end; () without an answer."""

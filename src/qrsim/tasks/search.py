@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 from jax import Array
@@ -26,7 +26,7 @@ from qrsim.tasks.agents import (
 )
 from qrsim.tasks.contracts import Task
 from qrsim.tasks.perceived import sensed, sensed_axes, senses
-from qrsim.world.episode import picture
+from qrsim.world.episode import film, picture, surroundings
 from qrsim.world.state import Action, State, World
 
 
@@ -54,6 +54,7 @@ class Search(Task):
 
     axes: ClassVar[tuple[Axis, ...]] = velocity_axes(3.0, "ned")
     asks_for: ClassVar[type | None] = VelocitySetpoint
+    later: ClassVar[tuple[str, ...]] = ("ratio",)
 
     def init(self, world: World, state: State, draw: Draw) -> SearchMemory:
         """Return the memory at the start."""
@@ -89,26 +90,33 @@ class Search(Task):
         and the grid are enough to know all windows' corners. ``sensed`` (n, S) is what the sensors of ``senses`` say.
         """
         _, fleet = fleet_of(world, state, self.fleet)
-        seen = self.picture(world, state)
-        vehicle = jnp.arange(seen.rows.shape[0])
-        zero = jnp.zeros_like(seen.rows)
-        places = [(zero, zero), (zero, seen.columns), (seen.rows, seen.columns), (seen.rows, zero)]
-        corners = jnp.stack(
-            [
-                jnp.stack([seen.north[vehicle, row, column], seen.east[vehicle, row, column]], axis=-1)
-                for row, column in places
-            ],
-            axis=1,
+        ratio = self.picture(world, state).ratio
+        world = world.with_drawn(state.drawn)
+        taking, reading, _ = film(world, state, number_of(world, self.fleet), self.camera)
+        grid, corners = taking.frame(
+            reading, surroundings(world, state.contents, jnp.int32(0)), world.contents.persons.size
         )
-        grid = jnp.stack([seen.rows, seen.columns], axis=-1)
         more = {"sensed": sensed(world, state, self.fleet, self.senses)} if self.senses else {}
         # Nothing is seen any more by a vehicle that has stopped.
         return more | {
             "vehicle": believed(fleet),
-            "ratio": jnp.where(jnp.isfinite(seen.ratio), seen.ratio, 0.0),
-            "grid": jnp.where(jnp.isfinite(corners[:, 0, :1]), grid, 0),
+            "ratio": jnp.where(jnp.isfinite(ratio), ratio, 0.0),
+            "grid": grid,
             "corners": jnp.where(jnp.isfinite(corners), corners, 0.0),
         }
+
+    def shot(self, world: World, state: State) -> tuple[Array, ...]:
+        """Return the reading of each vehicle's camera (n,)."""
+        world = world.with_drawn(state.drawn)
+        reading: tuple[Array, ...] = film(world, state, number_of(world, self.fleet), self.camera)[1]
+        return reading
+
+    def look(self, world: World, state: State, shot: Any, to: dict[str, Array]) -> dict[str, Array]:
+        """Return the ratio (n, R, C) of pictures taken as ``shot`` says."""
+        world = world.with_drawn(state.drawn)
+        taking, _, stream = film(world, state, number_of(world, self.fleet), self.camera)
+        around = surroundings(world, state.contents, jnp.int32(0))
+        return {"ratio": taking.ratios(shot, around, stream, world.contents.persons.size, to["ratio"])}
 
     def sees(self, world: World) -> dict[str, tuple[Axis, ...]]:
         """Describe the named numbers of an observation."""

@@ -14,7 +14,7 @@ from qrsim.engine.llvm.graph import Node
 from qrsim.engine.llvm.loops import Loops, shared_axis
 from qrsim.engine.llvm.neighbours import Neighbours
 from qrsim.engine.llvm.refusal import UnsupportedError
-from qrsim.engine.llvm.scattering import write_scatter
+from qrsim.engine.llvm.scattering import write_scatter, write_update
 from qrsim.engine.llvm.schedule import Step
 from qrsim.engine.llvm.text import literal, scalar_type, splat, stored_type, vector
 from qrsim.engine.llvm.writing import Place, Scope
@@ -38,8 +38,8 @@ class Emitter(Loops):
                 self._concatenation(step.nodes[0])
             elif step.kind == "nearest":
                 Neighbours(self).write(step.nodes[0])
-            elif step.kind == "scatter":
-                write_scatter(self, step.nodes[0])
+            elif step.kind in ("scatter", "update"):
+                (write_scatter if step.kind == "scatter" else write_update)(self, step.nodes[0])
             elif step.kind == "rows":
                 self._rows(step, stored)
             # Scalars stay in registers, between loops too.

@@ -57,6 +57,12 @@ class Lanes:
         """Return where the buffers of a tile begin."""
         return [buffer.ctypes.data + tile * buffer.strides[0] for buffer in self._buffers]
 
+    def places(self, worlds: Array) -> Array:
+        """Return the addresses (b, 2) uint64 of the first float and the first integer of some worlds (b,)."""
+        tile, lane = np.divmod(worlds, self._lanes)
+        columns = [part.ctypes.data + tile * part.strides[0] + lane * part.itemsize for part in self._buffers]
+        return np.stack(columns, axis=1).astype(np.uint64)
+
     def fill(self, tree: object) -> None:
         """Take a tree, each leaf (B, ...)."""
         whole = self.tiles * self._lanes
@@ -161,7 +167,7 @@ class LaneProgram:
                 self._run_worker(worker, tick, count)
             return
         # All others are begun before the first, which is this thread's.
-        pool = _worker_pool(self._workers)
+        pool = worker_pool(self._workers)
         others = [pool.submit(self._run_worker, worker, tick, count) for worker in range(1, len(self._tables))]
         self._run_worker(0, tick, count)
         for done in others:
@@ -200,7 +206,7 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_POOLS.clear)
 
 
-def _worker_pool(workers: int) -> ThreadPoolExecutor:
+def worker_pool(workers: int) -> ThreadPoolExecutor:
     """Return the thread pool for a number of workers, created once."""
     if workers not in _POOLS:
         _POOLS[workers] = ThreadPoolExecutor(workers, thread_name_prefix="qrsim-worlds")
