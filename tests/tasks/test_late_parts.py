@@ -18,39 +18,45 @@ SMALL = [
 ]
 
 
-def flown(leave: bool) -> list[Any]:
-    """Return what two agents of three worlds see in six steps; those of the first fall to the ground meanwhile."""
-    batch = Batch("search_and_rescue/2D", 3, [*SMALL, f"task.leave={leave}"])
+def flown() -> tuple[list[Any], list[Any]]:
+    """Return what agents of three worlds see in six steps, and why they stopped; those of the first fall meanwhile."""
+    batch = Batch("search_and_rescue/2D", 3, [*SMALL, "task.leave=true"])
     batch.reset([1, 2, 3])
-    found, count = [batch.seen], len(batch.functional.agents)
+    found, reasons, count = [batch.seen], [batch.truth["reason"].copy()], len(batch.functional.agents)
     for step in range(6):
         action = np.random.default_rng(step).uniform(-1.0, 1.0, (3, count, 3)).astype(np.float32)
         action[0] = (0.0, 0.0, 1.0)
         batch.step(action)
         found.append(batch.seen)
-        assert set(batch.episodes.late) == set(Search.later)
+        reasons.append(batch.truth["reason"].copy())
+    assert set(batch.episodes.late) == set(Search.later)
+    found[-1] = {name: part.copy() for name, part in batch.seen.items()}
     batch.again(np.array([1]))
-    return [*found, batch.seen]
+    return [*found, batch.seen], reasons
 
 
 @pytest.mark.long
 def test_parts_by_themselves_are_to_the_bit_those_with_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    alone = flown(leave=True)
+    alone, reasons = flown()
     monkeypatch.setattr(Search, "later", ())
-    together = flown(leave=True)
+    together, _ = flown()
     assert [list(seen) for seen in alone] == [["corners", "grid", "ratio", "vehicle"]] * 8
     for mine, theirs in zip(alone, together, strict=True):
         for name in theirs:
             np.testing.assert_array_equal(mine[name], theirs[name])
     # An agent that has stopped sees what it saw last.
-    assert alone[-3]["ratio"][0].any()
-    np.testing.assert_array_equal(alone[-3]["ratio"][0], alone[-2]["ratio"][0])
+    stopped = reasons[-1] != 0
+    assert stopped.any()
+    assert not stopped.all()
+    assert alone[-2]["ratio"][stopped].any(axis=(1, 2)).all()
+    before = reasons[-2] != 0
+    np.testing.assert_array_equal(alone[-3]["ratio"][before], alone[-2]["ratio"][before])
 
 
 @pytest.mark.long
 def test_a_user_may_change_what_an_environment_returned() -> None:
     """Two batches of the same seed, of which one has its observations overwritten at once."""
-    both = [VectorTask("search_and_rescue/2B", 3, SMALL, autoreset_mode="disabled") for _ in range(2)]
+    both = [VectorTask("search_and_rescue/2B", 3, SMALL, autoreset_mode="DISABLED") for _ in range(2)]
     action = np.zeros((3, 3), np.float32)
     seen = [env.reset(seed=4)[0] for env in both]
     kept = {name: part.copy() for name, part in seen[0].items()}

@@ -29,6 +29,7 @@ from qrsim.engine.llvm import (
     trace_of,
     trace_tick,
 )
+from qrsim.engine.llvm.compiler import vector_bytes
 from qrsim.engine.llvm.refusal import refusing
 from qrsim.engine.programs import compiled, discard_unused, uncollected
 from qrsim.engine.settings import threads, tier
@@ -36,20 +37,18 @@ from qrsim.engine.settings import threads, tier
 # What was traced last, because how large a state is, is asked before its start is compiled.
 _TRACED: dict[Any, tuple[Any, Any]] = {}
 _BYTES: dict[Any, int] = {}
-# Bytes of a vector.
-_VECTOR = 64
 
 
 def mode_of(vehicles: int, dtype: DType) -> Mode:
     """Return how a world on its own is computed: side by side its vehicles, or a single one's draws and satellites."""
     # A few vehicles fill half a vector, which takes no longer than a whole one that is half empty.
-    most = _VECTOR // dtype.itemsize
+    most = vector_bytes() // dtype.itemsize
     return Mode(most // 2 if 1 < vehicles <= most // 2 else most, side_by_side=False)
 
 
 def mode_of_many(count: int, vehicles: int, dtype: DType) -> Mode:
     """Return how ``count`` worlds are computed: side by side where there are enough, or vehicles too few."""
-    lanes = _VECTOR // dtype.itemsize
+    lanes = vector_bytes() // dtype.itemsize
     # Lanes without a world of their own would be computed for nothing.
     alone = count == 1 or (vehicles > lanes and count < lanes)
     return mode_of(vehicles, dtype) if alone else Mode(lanes, side_by_side=True)
@@ -83,7 +82,7 @@ def make_look(function: Function, shared: Shared, state: Packer, found: Packer, 
         UnsupportedError: the code generator does not take the function.
     """
     among = mode_of_many(extent.worlds or 1, extent.vehicles, extent.dtype).worlds
-    mode = Mode(_VECTOR // extent.dtype.itemsize, side_by_side=False, among=among)
+    mode = Mode(vector_bytes() // extent.dtype.itemsize, side_by_side=False, among=among)
     program = compiled(
         (function.name, function.of, shared.layout, state, found, mode),
         lambda: _loaded(function, shared.layout, state, found, mode),

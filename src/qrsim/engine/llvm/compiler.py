@@ -40,6 +40,14 @@ def _cpu_features() -> llvm.FeatureMap:
 
 
 @lru_cache(maxsize=1)
+def vector_bytes() -> int:
+    """Return the bytes of a vector in a program: 32 on processors with AVX and without AVX-512, else 64."""
+    features = _cpu_features()
+    # A longer vector would take two of the few registers for each value.
+    return 32 if features.get("avx") and not features.get("avx512f") else 64
+
+
+@lru_cache(maxsize=1)
 def machine_name() -> str:
     """Name the processor, its features and the compiler, on which machine code depends beside its text."""
     version = ".".join(map(str, llvm.llvm_version_info))
