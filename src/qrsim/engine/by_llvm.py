@@ -82,7 +82,8 @@ def make_look(function: Function, shared: Shared, state: Packer, found: Packer, 
         UnsupportedError: the code generator does not take the function.
     """
     among = mode_of_many(extent.worlds or 1, extent.vehicles, extent.dtype).worlds
-    mode = Mode(vector_bytes() // extent.dtype.itemsize, side_by_side=False, among=among)
+    # Two vectors at once, because each operation waits for the one before.
+    mode = Mode(2 * vector_bytes() // extent.dtype.itemsize, side_by_side=False, among=among)
     program = compiled(
         (function.name, function.of, shared.layout, state, found, mode),
         lambda: _loaded(function, shared.layout, state, found, mode),
