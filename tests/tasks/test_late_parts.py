@@ -29,7 +29,7 @@ def flown() -> tuple[list[Any], list[Any]]:
         batch.step(action)
         found.append(batch.seen)
         reasons.append(batch.truth["reason"].copy())
-    assert set(batch.episodes.late) == set(Search.later)
+    assert set(batch.episodes.late) == set(Search.later(batch.functional.play.task, batch.functional.play.world))
     found[-1] = {name: part.copy() for name, part in batch.seen.items()}
     batch.again(np.array([1]))
     return [*found, batch.seen], reasons
@@ -38,7 +38,7 @@ def flown() -> tuple[list[Any], list[Any]]:
 @pytest.mark.long
 def test_parts_by_themselves_are_to_the_bit_those_with_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
     alone, reasons = flown()
-    monkeypatch.setattr(Search, "later", ())
+    monkeypatch.setattr(Search, "later", lambda self, world: {})
     together, _ = flown()
     assert [list(seen) for seen in alone] == [["corners", "grid", "ratio", "vehicle"]] * 8
     for mine, theirs in zip(alone, together, strict=True):

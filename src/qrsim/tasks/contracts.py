@@ -42,7 +42,6 @@ class Task(Protocol):
         axes: the numbers of an action, with unit and range, where they do not depend on the world (see ``acts``).
         asks_for: kind of set-points that its fleet's controller must take; None: its actions are commands.
         hands_in: whether an agent hands in an answer at the end, which has a ``score``.
-        later: names of the parts of an observation, a dict of one fleet, that ``look`` computes by themselves.
         baseline: class of a policy for comparison, as ``qrsim score`` takes it; None: the task has none of its own.
     """
 
@@ -53,7 +52,6 @@ class Task(Protocol):
     axes: ClassVar[tuple[Axis, ...]] = ()
     asks_for: ClassVar[type | None] = None
     hands_in: ClassVar[bool] = False
-    later: ClassVar[tuple[str, ...]] = ()
     baseline: ClassVar[type | None] = None
 
     @property
@@ -101,6 +99,17 @@ class Task(Protocol):
     @abstractmethod
     def sees(self, world: World) -> Any:
         """Describe the O numbers of an observation, with their units; for a dict, those that have names."""
+
+    def later(self, world: World) -> dict[str, tuple[int, ...]]:
+        """Return names and shapes (n, ...) of the large parts of an observation that ``look`` computes by itself.
+
+        The observation is then a dict of one fleet, and ``observe_early`` returns the others.
+        """
+        return {}
+
+    def observe_early(self, memory: Any, world: World, state: State) -> dict[str, Array]:
+        """Return ``observe`` without the parts ``later``."""
+        raise NotImplementedError
 
     def shot(self, world: World, state: State) -> Any:
         """Return all of a state that is an agent's own (n, ...) and that ``look`` needs."""

@@ -58,11 +58,6 @@ def _look(play: Play, progress: Progress, to: dict[str, jax.Array], tick: Any) -
     return play.look(progress, to)
 
 
-def _first(keys: Any) -> Any:
-    """Return the first of keys (B, ...)."""
-    return jax.tree.map(lambda leaf: leaf[0], keys)
-
-
 def _merged(seen: Any, late: dict[str, NumpyArray]) -> dict[str, Any]:
     """Return an observation in the order in which JAX puts its parts."""
     return dict(sorted({**seen, **late}.items()))
@@ -88,8 +83,8 @@ class Episodes:
         self._play = jax.tree.map(np.asarray, play)
         self._size, self._dtype = size, dtype
         keys = play.keys(Key.roots(np.zeros(1, np.int64), np.zeros(1, np.int64)))
-        # What only few worlds fill, such as pictures, is computed by a program of its own; XLA computes all at once.
-        late = bool(play.task.later)
+        # Large parts of observations have a program of their own; XLA computes all at once.
+        late = bool(play.task.later(play.world))
         self._worlds = self._made(replace(self._play, late=late), keys)
         if late and not self._worlds.looks:
             self._worlds = self._made(self._play, keys)
@@ -105,8 +100,8 @@ class Episodes:
         look, looked = None, {}
         if play.late:
             look = Function("look of an episode", _look, (task,), text)
-            seen = jax.eval_shape(lambda given: replace(play, late=False).reset(given)[1], _first(keys))
-            looked = {name: seen[name] for name in play.task.later}
+            shapes = play.task.later(play.world)
+            looked = {name: jax.ShapeDtypeStruct(shape, self._dtype) for name, shape in shapes.items()}
         worlds = Worlds(start, step, play, extent, look=look, looked=looked)
         worlds.prepare(keys, np.zeros((1, len(play.agents), play.width + play.message), self._dtype))
         return worlds
@@ -153,12 +148,12 @@ class Episodes:
     @property
     def late(self) -> tuple[str, ...]:
         """Names of the parts of an observation that ``look`` returns; none where they are computed with the others."""
-        return self._play.task.later if self._worlds.looks else ()
+        return tuple(self._play.task.later(self._play.world)) if self._worlds.looks else ()
 
     def look(self, rows: NumpyArray | None = None) -> dict[str, NumpyArray]:
         """Return the parts ``late`` of all observations, or of those of some rows, (b, n, ...).
 
-        Agents that have stopped see what they saw last. The arrays are new ones, and of nobody else.
+        Agents that have stopped see what they saw last. The caller owns the arrays.
         """
         found: dict[str, NumpyArray] = self._worlds.look(rows)
         return found

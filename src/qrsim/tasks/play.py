@@ -225,9 +225,8 @@ class Play:
 
     def observed(self, memory: object, state: State, tick: Array) -> Any:
         """Return what the agents see at a tick () int32 of the episode, with a radio what they have heard too."""
-        seen, fleets = self.task.observe(memory, self.world, state), self.task.fleets
-        if self.late:
-            seen = {name: part for name, part in seen.items() if name not in self.task.later}
+        observe, fleets = self.task.observe_early if self.late else self.task.observe, self.task.fleets
+        seen: Any = observe(memory, self.world, state)
         if not self.message:
             return seen
         if len(fleets) == 1:

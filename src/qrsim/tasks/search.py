@@ -54,7 +54,6 @@ class Search(Task):
 
     axes: ClassVar[tuple[Axis, ...]] = velocity_axes(3.0, "ned")
     asks_for: ClassVar[type | None] = VelocitySetpoint
-    later: ClassVar[tuple[str, ...]] = ("ratio",)
 
     def init(self, world: World, state: State, draw: Draw) -> SearchMemory:
         """Return the memory at the start."""
@@ -89,18 +88,28 @@ class Search(Task):
         north and east [m] of the grid's corners on the ground: upper left, upper right, lower right, lower left. They
         and the grid are enough to know all windows' corners. ``sensed`` (n, S) is what the sensors of ``senses`` say.
         """
-        _, fleet = fleet_of(world, state, self.fleet)
         ratio = self.picture(world, state).ratio
+        # Nothing is seen any more by a vehicle that has stopped.
+        return self.observe_early(memory, world, state) | {"ratio": jnp.where(jnp.isfinite(ratio), ratio, 0.0)}
+
+    def later(self, world: World) -> dict[str, tuple[int, ...]]:
+        """Return the shape (n, R, C) of the ratios; nothing where a class has its own ``observe`` or ``picture``."""
+        if (type(self).observe, type(self).picture) != (Search.observe, Search.picture):
+            return {}
+        lens = self.lens(world)
+        return {"ratio": (world.fleets[number_of(world, self.fleet)].size, lens.most_rows, lens.most_columns)}
+
+    def observe_early(self, memory: SearchMemory, world: World, state: State) -> dict[str, Array]:
+        """Return the observation without the ratios."""
+        _, fleet = fleet_of(world, state, self.fleet)
         world = world.with_drawn(state.drawn)
         taking, reading, _ = film(world, state, number_of(world, self.fleet), self.camera)
         grid, corners = taking.frame(
             reading, surroundings(world, state.contents, jnp.int32(0)), world.contents.persons.size
         )
         more = {"sensed": sensed(world, state, self.fleet, self.senses)} if self.senses else {}
-        # Nothing is seen any more by a vehicle that has stopped.
         return more | {
             "vehicle": believed(fleet),
-            "ratio": jnp.where(jnp.isfinite(ratio), ratio, 0.0),
             "grid": grid,
             "corners": jnp.where(jnp.isfinite(corners), corners, 0.0),
         }
