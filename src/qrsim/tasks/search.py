@@ -114,16 +114,15 @@ class Search(Task):
             "corners": jnp.where(jnp.isfinite(corners), corners, 0.0),
         }
 
-    def shot(self, world: World, state: State) -> tuple[Array, ...]:
+    def shot(self, world: World, state: State) -> Any:
         """Return the reading of each vehicle's camera (n,)."""
-        world = world.with_drawn(state.drawn)
-        reading: tuple[Array, ...] = film(world, state, number_of(world, self.fleet), self.camera)[1]
-        return reading
+        return film(world, state, number_of(world, self.fleet), self.camera)[1]
 
     def look(self, world: World, state: State, shot: Any, to: dict[str, Array]) -> dict[str, Array]:
         """Return the ratio (n, R, C) of pictures taken as ``shot`` says."""
         world = world.with_drawn(state.drawn)
         taking, _, stream = film(world, state, number_of(world, self.fleet), self.camera)
+        # Persons count as they were when the picture was taken, whatever the tick is.
         around = surroundings(world, state.contents, jnp.int32(0))
         return {"ratio": taking.ratios(shot, around, stream, world.contents.persons.size, to["ratio"])}
 
