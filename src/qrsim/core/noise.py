@@ -212,6 +212,10 @@ class Stream:
         """Return two independent standard normals (K, n) for each of the pairs (K,) uint32 that are named."""
         return _box_muller(self._words_of(tick, pairs), dtype)
 
+    def normals_of(self, tick: Array, pairs: Array, dtype: jnp.dtype) -> tuple[Array, Array]:
+        """Return two independent standard normals for each of the pairs (...) uint32, of a stream of one id ()."""
+        return _box_muller(self.words(tick, pairs), dtype)
+
     def uniform_pairs(self, tick: Array, pairs: Array, dtype: jnp.dtype) -> tuple[Array, Array]:
         """Return two independent uniform numbers (K, n) of mean 0 and variance 1, from the words of the same normals.
 

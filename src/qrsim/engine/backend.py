@@ -10,6 +10,7 @@ costs no more than its arithmetic. Those of many worlds are a ``States``, which 
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -22,7 +23,7 @@ from qrsim.engine import by_llvm, by_xla, forked
 from qrsim.engine.by_llvm import state_bytes
 from qrsim.engine.functions import Extent, Function
 from qrsim.engine.layout import Buffers, Packer, Shared, layout_of_each
-from qrsim.engine.llvm import FORMS, UnsupportedError
+from qrsim.engine.llvm import FORMS, Looks, UnsupportedError
 from qrsim.engine.settings import chosen_compiler
 from qrsim.errors import UsageError
 
@@ -225,13 +226,27 @@ class Worlds:
         shared: what all have in common.
         extent: how many.
         constant: what each has for itself, leaves (B, ...).
+        look: fills arrays of zeros from a state, where that is asked for; ``call(shared, state, arrays, tick)``.
+        looked: the arrays of one world, as shapes and types.
 
     Attributes:
+        looks: whether there is a program of ``look``, which XLA makes none of.
         refused: why they are XLA's although machine code was wanted, "" where they are not.
     """
 
-    def __init__(self, start: Function, tick: Function, shared: Tree, extent: Extent, constant: Tree = ()):
+    def __init__(
+        self,
+        start: Function,
+        tick: Function,
+        shared: Tree,
+        extent: Extent,
+        constant: Tree = (),
+        look: Function | None = None,
+        looked: Tree = (),
+    ):
         packed, compiler = Shared.of(shared), chosen_compiler()
+        self._shared, self._look, self._looked = packed, look, looked
+        self._looks: Looks | None = None
         self._start = Specialised(start, packed, extent, compiler, constant)
         self._tick = Specialised(tick, packed, extent, compiler, constant)
         self._extent, self.refused = extent, ""
@@ -252,6 +267,21 @@ class Worlds:
         """Compile both functions for examples (1, ...) of their inputs, so that one compiler has both."""
         self._layout = self._checked_program(self._start, begins).layout
         self._checked_program(self._tick, given, self._layout)
+        if self._look is not None and self.compiler == "llvm" and self._layout is not None:
+            with contextlib.suppress(UnsupportedError):
+                found = Packer(self._looked)
+                self._looks = by_llvm.make_look(self._look, self._shared, self._layout, found, self._extent)
+
+    @property
+    def looks(self) -> bool:
+        """Whether ``look`` can be called."""
+        return self._looks is not None
+
+    def look(self, rows: IntArray | None = None) -> Tree:
+        """Return the arrays that are made only when asked for, of all worlds or of some rows, each leaf (b, ...)."""
+        assert self._looks is not None
+        states: Any = self._states
+        return self._looks(states, rows)
 
     def _checked_program(self, function: Specialised, given: Tree, state: Packer | None = None) -> Program:
         """Return a program; if LLVM refuses it, all programs of these worlds become XLA's."""

@@ -19,6 +19,7 @@ from qrsim.engine.llvm import (
     Input,
     LaneProgram,
     Lanes,
+    Looks,
     Mode,
     Program,
     build,
@@ -28,6 +29,7 @@ from qrsim.engine.llvm import (
     trace_of,
     trace_tick,
 )
+from qrsim.engine.llvm.compiler import vector_bytes
 from qrsim.engine.llvm.refusal import refusing
 from qrsim.engine.programs import compiled, discard_unused, uncollected
 from qrsim.engine.settings import available_cores, threads, tier
@@ -35,8 +37,6 @@ from qrsim.engine.settings import available_cores, threads, tier
 # What was traced last, because how large a state is, is asked before its start is compiled.
 _TRACED: dict[Any, tuple[Any, Any]] = {}
 _BYTES: dict[Any, int] = {}
-# Bytes of a vector.
-_VECTOR = 64
 # From so many vehicles on a world is computed in strips, of so many each, that stay in the second cache of a core.
 MANY_VEHICLES, STRIP = 1024, 256
 
@@ -44,14 +44,14 @@ MANY_VEHICLES, STRIP = 1024, 256
 def mode_of(vehicles: int, dtype: DType) -> Mode:
     """Return how a world on its own is computed: side by side its vehicles, or a single one's draws and satellites."""
     # A few vehicles fill half a vector, which takes no longer than a whole one that is half empty.
-    most = _VECTOR // dtype.itemsize
+    most = vector_bytes() // dtype.itemsize
     strip = STRIP if vehicles >= MANY_VEHICLES else 0
     return Mode(most // 2 if 1 < vehicles <= most // 2 else most, side_by_side=False, strip=strip)
 
 
 def mode_of_many(count: int, vehicles: int, dtype: DType) -> Mode:
     """Return how ``count`` worlds are computed: side by side where there are enough, or vehicles too few."""
-    lanes = _VECTOR // dtype.itemsize
+    lanes = vector_bytes() // dtype.itemsize
     # Lanes without a world of their own would be computed for nothing.
     alone = count == 1 or (vehicles > lanes and count < lanes)
     return mode_of(vehicles, dtype) if alone else Mode(lanes, side_by_side=True)
@@ -69,6 +69,29 @@ def make(function: Function, shared: Shared, own: Packer, state: Packer | None, 
         (function.name, function.of, *layouts, mode), lambda: _loaded(function, shared.layout, own, state, mode)
     )
     return LlvmProgram(program, shared, own, extent)
+
+
+def make_look(function: Function, shared: Shared, state: Packer, found: Packer, extent: Extent) -> Looks:
+    """Return a program that fills arrays of zeros from the states of worlds that ``make`` made a program of.
+
+    Args:
+        function: ``call(shared, state, arrays, tick)`` of one world returns the arrays, in place of zeros.
+        shared: what all worlds have in common.
+        state: layout of the state of one.
+        found: layout of the arrays.
+        extent: how many worlds.
+
+    Raises:
+        UnsupportedError: the code generator does not take the function.
+    """
+    among = mode_of_many(extent.worlds or 1, extent.vehicles, extent.dtype).worlds
+    # Two vectors at once, because each operation waits for the one before.
+    mode = Mode(2 * vector_bytes() // extent.dtype.itemsize, side_by_side=False, among=among)
+    program = compiled(
+        (function.name, function.of, shared.layout, state, found, mode),
+        lambda: _loaded(function, shared.layout, state, found, mode),
+    )
+    return Looks(program, shared.buffers, threads())
 
 
 def form_of(function: Function, shared: Packer, own: Packer, state: Packer | None, extent: Extent, form: str) -> str:

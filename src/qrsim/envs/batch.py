@@ -107,6 +107,8 @@ class Batch:
         self._steps, self._ended = np.zeros(self.size, np.int64), np.zeros(self.size, bool)
         self._answers: Floats | None = None
         self.seen: Any = None
+        # Whether parts of ``seen`` belong to the user, who may change them.
+        self._given_away = False
         self.gone: Floats | None = None
         self.truth: dict[str, Floats] = {}
 
@@ -165,8 +167,18 @@ class Batch:
         refuse_unplaced(self.functional.play.world, begun.placed)
         if self.seen is None:
             self.seen, self.truth = (_zeros_like(part, self.size) for part in (begun.seen, begun.truth))
+        if self._given_away:
+            self.seen, self._given_away = self.seen | self.episodes.look(), False
         for whole, part in ((self.seen, begun.seen), (self.truth, begun.truth)):
             jax.tree.map(lambda old, new: _set_rows(old, rows, new), whole, part)
+
+    def give_away(self) -> Any:
+        """Return what all agents see, (B, n, ...), for a user who may change it: large parts are not copied."""
+        self._given_away = bool(self.episodes.late)
+        if not self._given_away:
+            return jax.tree.map(np.copy, self.seen)
+        late = self.episodes.late
+        return {name: part if name in late else part.copy() for name, part in self.seen.items()}
 
     def step(self, action: object, words: object = None, who: str = "action") -> tuple[Floats, Floats, Floats]:
         """Advance all episodes by actions (B, n, W), and return reward (B, n), terminated (B,) and truncated (B,).
@@ -189,6 +201,7 @@ class Batch:
         with self._precision_context():
             step, self.truth = self.episodes.step(checked)
         before, self.seen, self.gone = self.seen, step.observation, step.gone
+        self._given_away = False
         self._keep_last_seen(before)
         self._steps += 1
         wrong = ~np.isfinite(step.reward) & ~self._ended[:, None]
@@ -201,9 +214,18 @@ class Batch:
     def _keep_last_seen(self, before: Any) -> None:
         """Let agents that have stopped observe what they did before: their sensors report nothing any more."""
         stopped = self.truth["reason"] != 0
-        for side in self.sides if stopped.any() else ():
+        if not stopped.any():
+            return
+        late = self.episodes.late
+        if late:
+            rows = np.flatnonzero(stopped.any(axis=1))
+            for name, part in self.episodes.look(rows).items():
+                self.seen[name][rows] = part
+        for side in self.sides:
             which = np.nonzero(stopped[:, side.rows])
             last, now = (seen if len(self.sides) == 1 else seen[side.fleet] for seen in (before, self.seen))
+            if late:
+                last, now = ({name: part for name, part in seen.items() if name not in late} for seen in (last, now))
             jax.tree.map(lambda new, old, which=which: _set_rows(new, which, old[which]), now, last)
 
     def _place(self, row: int, agent: int) -> str:

@@ -144,8 +144,8 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         self.batch.set_difficulty(difficulty)
 
     def _observations(self) -> object:
-        """Return a copy of the observations (N, ...)."""
-        return jax.tree.map(lambda leaf: leaf[:, 0].copy(), self.batch.seen)
+        """Return the observations (N, ...), which are the user's."""
+        return jax.tree.map(lambda leaf: leaf[:, 0], self.batch.give_away())
 
     def _truth_info(self, truth: dict[str, NumpyArray], there: NumpyArray) -> dict[str, NumpyArray]:
         """Return the truth in Gymnasium's form, with a mask of the rows that have it."""

@@ -100,6 +100,32 @@ class Task(Protocol):
     def sees(self, world: World) -> Any:
         """Describe the O numbers of an observation, with their units; for a dict, those that have names."""
 
+    def later(self, world: World) -> dict[str, tuple[int, ...]]:
+        """Return names and shapes (n, ...) of the large parts of an observation that ``look`` computes by itself.
+
+        The observation is then a dict of one fleet, and ``observe_early`` returns the others.
+        """
+        return {}
+
+    def observe_early(self, memory: Any, world: World, state: State) -> dict[str, Array]:
+        """Return ``observe`` without the parts ``later``."""
+        raise NotImplementedError
+
+    def shot(self, world: World, state: State) -> Any:
+        """Return all of a state that is an agent's own (n, ...) and that ``look`` needs."""
+        raise NotImplementedError
+
+    def look(self, world: World, state: State, shot: Any, to: dict[str, Array]) -> dict[str, Array]:
+        """Return the parts ``later`` of an observation.
+
+        Args:
+            world: where.
+            state: at any time of the episode since the shot.
+            shot: what ``shot`` returned, of each agent since it stopped that of the step before.
+            to: zeros in their shapes, which a loop may fill.
+        """
+        raise NotImplementedError
+
     def answer_shape(self, world: World) -> tuple[int, ...]:
         """Return the shape of each agent's answer at the end; () without an answer."""
         return ()

@@ -12,6 +12,7 @@ import numpy as np
 
 from qrsim.core.arrays import DType, NumpyArray
 from qrsim.core.noise import Key
+from qrsim.core.tree import replace
 from qrsim.engine.backend import Extent, Function, Worlds
 from qrsim.engine.settings import quick_jit
 from qrsim.tasks.play import Episode, Play, Progress, Step
@@ -52,6 +53,16 @@ def _tick_progress(play: Play, own: tuple[Any, Any], progress: Progress, number:
     return play.tick(own[1], progress, number)
 
 
+def _look(play: Play, progress: Progress, to: dict[str, jax.Array], tick: Any) -> dict[str, jax.Array]:
+    """Return the parts of an observation that are computed by themselves."""
+    return play.look(progress, to)
+
+
+def _merged(seen: Any, late: dict[str, NumpyArray]) -> dict[str, Any]:
+    """Return an observation in the order in which JAX puts its parts."""
+    return dict(sorted({**seen, **late}.items()))
+
+
 def _begun_of(progress: Progress) -> Begun:
     """Return whether vehicles were placed, the observation and the truth at the start."""
     return Begun(progress.episode.state.placed, progress.last.observation, progress.truth)
@@ -71,15 +82,29 @@ class Episodes:
     def __init__(self, play: Play, size: int, dtype: DType):
         self._play = jax.tree.map(np.asarray, play)
         self._size, self._dtype = size, dtype
-        extent = Extent(sum(fleet.size for fleet in play.world.fleets), dtype, size)
+        keys = play.keys(Key.roots(np.zeros(1, np.int64), np.zeros(1, np.int64)))
+        # Large parts of observations have a program of their own; XLA computes all at once.
+        late = bool(play.task.later(play.world))
+        self._worlds = self._made(replace(self._play, late=late), keys)
+        if late and not self._worlds.looks:
+            self._worlds = self._made(self._play, keys)
+
+    def _made(self, play: Play, keys: Any) -> Worlds:
+        """Return the worlds of a play, compiled for keys of one."""
+        extent = Extent(sum(fleet.size for fleet in play.world.fleets), self._dtype, self._size)
         task = type(play.task)
         # Of a user's task another process could not tell whether it is still the same.
         text = () if task.__module__.startswith("qrsim.") else None
         start = Function("start of an episode", _start_progress, (task,), text)
         step = Function("step of an episode", _tick_progress, (task,), text)
-        self._worlds = Worlds(start, step, self._play, extent)
-        keys = play.keys(Key.roots(np.zeros(1, np.int64), np.zeros(1, np.int64)))
-        self._worlds.prepare(keys, np.zeros((1, len(play.agents), play.width + play.message), dtype))
+        look, looked = None, {}
+        if play.late:
+            look = Function("look of an episode", _look, (task,), text)
+            shapes = play.task.later(play.world)
+            looked = {name: jax.ShapeDtypeStruct(shape, self._dtype) for name, shape in shapes.items()}
+        worlds = Worlds(start, step, play, extent, look=look, looked=looked)
+        worlds.prepare(keys, np.zeros((1, len(play.agents), play.width + play.message), self._dtype))
+        return worlds
 
     def __getstate__(self) -> dict[str, object]:
         # Programs are in memory of this process, and are loaded or made again in another.
@@ -111,18 +136,39 @@ class Episodes:
     def draw_from(self, play: Play) -> None:
         """Start from here on episodes of a play that differs from this one in its ranges only."""
         self._play = jax.tree.map(np.asarray, play)
-        self._worlds.share_at_starts(self._play)
+        self._worlds.share_at_starts(replace(self._play, late=self._worlds.looks))
 
     def start(self, rows: NumpyArray, keys: object) -> Begun:
         """Start the episodes ``rows`` (b,) by their keys, each leaf (b, ...)."""
         found: Begun = self._worlds.begin_some(rows, keys, _begun_of)
+        if self._worlds.looks:
+            found = found._replace(seen=_merged(found.seen, self.look(rows)))
+        return found
+
+    @property
+    def late(self) -> tuple[str, ...]:
+        """Names of the parts of an observation that ``look`` returns; none where they are computed with the others."""
+        return tuple(self._play.task.later(self._play.world)) if self._worlds.looks else ()
+
+    def look(self, rows: NumpyArray | None = None) -> dict[str, NumpyArray]:
+        """Return the parts ``late`` of all observations, or of those of some rows, (b, n, ...).
+
+        Agents that have stopped see what they saw last. The caller owns the arrays.
+        """
+        found: dict[str, NumpyArray] = self._worlds.look(rows)
         return found
 
     def step(self, action: NumpyArray) -> tuple[Step, dict[str, NumpyArray]]:
         """Advance all by actions (B, n, W), with a radio (B, n, W + D), and return the results and the ground truth."""
         self._worlds.advance(0, self._play.ticks, action)
         found: tuple[Step, dict[str, NumpyArray]] = self._all(lambda progress: (progress.last, progress.truth))
-        return found
+        if not self._worlds.looks:
+            return found
+        (step, truth), late = found, self.look()
+        stopped = truth["reason"] != 0
+        for part in late.values() if stopped.any() else ():
+            part[stopped] = 0
+        return replace(step, observation=_merged(step.observation, late)), truth
 
     def episode(self, row: int) -> Episode:
         """Return one of the episodes."""

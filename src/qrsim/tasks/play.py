@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from qrsim.core.noise import Draw, Key, StreamKeys
-from qrsim.core.tree import quantity, record, replace, setting
+from qrsim.core.tree import quantity, record, replace, select, setting
 from qrsim.tasks.agents import Axis, all_fly, fleet_of
 from qrsim.tasks.contracts import Task
 from qrsim.tasks.speaking import at_first_period, message_size, overheard, spoken
@@ -62,6 +62,7 @@ class Progress:
     commands: tuple[Action, ...] = quantity(doc="held over the ticks of a step")
     last: Step = quantity(doc="result of the last step")
     truth: Any = quantity(doc="after the last step, by name")
+    shot: Any = quantity(default=None, doc="what ``Play.look`` needs of the agents (n,); None: it is not used")
 
 
 @record
@@ -79,6 +80,7 @@ class Play:
     task: Task = quantity(doc="the task")
     world: World = quantity(doc="where")
     steps: int = setting(unit="1", doc="steps of an episode")
+    late: bool = setting(default=False, doc="whether observations lack what ``look`` computes")
 
     @property
     def agents(self) -> tuple[str, ...]:
@@ -176,11 +178,11 @@ class Play:
         def judged() -> Progress:
             """Return the progress at the end of a step, with reward and observation."""
             ended, step = self._judged(after)
-            return Progress(ended, commands, step, self.truth(ended))
+            return Progress(ended, commands, step, self.truth(ended), self._shot(ended.state, progress.shot))
 
         def going() -> Progress:
             """Return the progress within a step."""
-            return Progress(after, commands, progress.last, progress.truth)
+            return Progress(after, commands, progress.last, progress.truth, progress.shot)
 
         return lax.cond(number == self.ticks - 1, judged, going)
 
@@ -192,7 +194,24 @@ class Play:
         commands = jax.eval_shape(self._commands_of, episode, action)
         _, step = jax.eval_shape(self._judged, episode)
         zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), (commands, step))
-        return Progress(episode, zeros[0], replace(zeros[1], observation=seen), self.truth(episode))
+        shot = self.task.shot(self.world, episode.state) if self.late else None
+        return Progress(episode, zeros[0], replace(zeros[1], observation=seen), self.truth(episode), shot)
+
+    def _shot(self, state: State, before: Any) -> Any:
+        """Return what ``look`` needs of the agents; of those that have stopped, what it needed before."""
+        if not self.late:
+            return None
+        _, fleet = fleet_of(self.world, state, self.task.fleet)
+        return select(fleet.violation.code != 0, before, self.task.shot(self.world, state))
+
+    def look(self, progress: Progress, to: dict[str, Array]) -> dict[str, Array]:
+        """Return the parts ``later`` of an observation, that of agents that have stopped as it was before.
+
+        Args:
+            progress: at the end of a step.
+            to: zeros in the shapes of these parts.
+        """
+        return self.task.look(self.world, progress.episode.state, progress.shot, to)
 
     def _commands_of(self, episode: Episode, action: Array) -> tuple[Action, ...]:
         """Return the command of each fleet for an action (n, A)."""
@@ -206,7 +225,8 @@ class Play:
 
     def observed(self, memory: object, state: State, tick: Array) -> Any:
         """Return the observation at a tick () int32 of the episode, with received messages if there is a radio."""
-        seen, fleets = self.task.observe(memory, self.world, state), self.task.fleets
+        observe, fleets = self.task.observe_early if self.late else self.task.observe, self.task.fleets
+        seen: Any = observe(memory, self.world, state)
         if not self.message:
             return seen
         if len(fleets) == 1:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 from jax import Array
@@ -26,7 +26,7 @@ from qrsim.tasks.agents import (
 )
 from qrsim.tasks.contracts import Task
 from qrsim.tasks.perceived import sensed, sensed_axes, senses
-from qrsim.world.episode import picture
+from qrsim.world.episode import film, picture, surroundings
 from qrsim.world.state import Action, State, World
 
 
@@ -88,27 +88,43 @@ class Search(Task):
         north and east [m] of the grid's corners on the ground: upper left, upper right, lower right, lower left. They
         and the grid are enough to know all windows' corners. ``sensed`` (n, S) is what the sensors of ``senses`` say.
         """
-        _, fleet = fleet_of(world, state, self.fleet)
-        seen = self.picture(world, state)
-        vehicle = jnp.arange(seen.rows.shape[0])
-        zero = jnp.zeros_like(seen.rows)
-        places = [(zero, zero), (zero, seen.columns), (seen.rows, seen.columns), (seen.rows, zero)]
-        corners = jnp.stack(
-            [
-                jnp.stack([seen.north[vehicle, row, column], seen.east[vehicle, row, column]], axis=-1)
-                for row, column in places
-            ],
-            axis=1,
-        )
-        grid = jnp.stack([seen.rows, seen.columns], axis=-1)
-        more = {"sensed": sensed(world, state, self.fleet, self.senses)} if self.senses else {}
+        ratio = self.picture(world, state).ratio
         # Nothing is seen any more by a vehicle that has stopped.
+        return self.observe_early(memory, world, state) | {"ratio": jnp.where(jnp.isfinite(ratio), ratio, 0.0)}
+
+    def later(self, world: World) -> dict[str, tuple[int, ...]]:
+        """Return the shape (n, R, C) of the ratios; nothing where a class has its own ``observe`` or ``picture``."""
+        if (type(self).observe, type(self).picture) != (Search.observe, Search.picture):
+            return {}
+        lens = self.lens(world)
+        return {"ratio": (world.fleets[number_of(world, self.fleet)].size, lens.most_rows, lens.most_columns)}
+
+    def observe_early(self, memory: SearchMemory, world: World, state: State) -> dict[str, Array]:
+        """Return the observation without the ratios."""
+        _, fleet = fleet_of(world, state, self.fleet)
+        world = world.with_drawn(state.drawn)
+        taking, reading, _ = film(world, state, number_of(world, self.fleet), self.camera)
+        grid, corners = taking.frame(
+            reading, surroundings(world, state.contents, jnp.int32(0)), world.contents.persons.size
+        )
+        more = {"sensed": sensed(world, state, self.fleet, self.senses)} if self.senses else {}
         return more | {
             "vehicle": believed(fleet),
-            "ratio": jnp.where(jnp.isfinite(seen.ratio), seen.ratio, 0.0),
-            "grid": jnp.where(jnp.isfinite(corners[:, 0, :1]), grid, 0),
+            "grid": grid,
             "corners": jnp.where(jnp.isfinite(corners), corners, 0.0),
         }
+
+    def shot(self, world: World, state: State) -> Any:
+        """Return the reading of each vehicle's camera (n,)."""
+        return film(world, state, number_of(world, self.fleet), self.camera)[1]
+
+    def look(self, world: World, state: State, shot: Any, to: dict[str, Array]) -> dict[str, Array]:
+        """Return the ratio (n, R, C) of pictures taken as ``shot`` says."""
+        world = world.with_drawn(state.drawn)
+        taking, _, stream = film(world, state, number_of(world, self.fleet), self.camera)
+        # Persons count as they were when the picture was taken, whatever the tick is.
+        around = surroundings(world, state.contents, jnp.int32(0))
+        return {"ratio": taking.ratios(shot, around, stream, world.contents.persons.size, to["ratio"])}
 
     def sees(self, world: World) -> dict[str, tuple[Axis, ...]]:
         """Describe the named numbers of an observation."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import cast
+from typing import Any, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -190,12 +190,17 @@ def picture(world: World, state: State, number: int, camera: str) -> Picture:
         number: of the fleet.
         camera: name of the sensor.
     """
-    fleet, fleet_state = world.fleets[number], state.fleets[number]
+    taking, reading, stream = film(world, state, number, camera)
+    return develop(world, state.contents, cast(TakesPictures, taking), reading, stream)
+
+
+def film(world: World, state: State, number: int, camera: str) -> tuple[Any, Any, Stream]:
+    """Return the camera of a fleet, its last reading, and the stream of its noise; arguments as of ``picture``."""
+    fleet = world.fleets[number]
     index = fleet.sensor_names.index(camera)
     ids = jnp.arange(fleet.size, dtype=jnp.uint32)
     stream = state.fleet_keys[number].stream(fleet.stream_names.index(camera), ids)
-    taking = cast(TakesPictures, fleet.sensors[index])
-    return develop(world, state.contents, taking, fleet_state.readings[index], stream)
+    return fleet.sensors[index], state.fleets[number].readings[index], stream
 
 
 def develop(world: World, contents: ContentsState, camera: TakesPictures, reading: Record, stream: Stream) -> Picture:

@@ -115,3 +115,30 @@ def test_a_chain_of_branchings_is_not_copied(mode: Mode, monkeypatch: pytest.Mon
 
     build(function, [Input(Packer(np.zeros((3, 40), np.float32)), own=True)], mode)
     assert copied == []
+
+
+@pytest.mark.parametrize("lanes", [16, pytest.param(8, marks=pytest.mark.long)])
+def test_a_loop_puts_parts_where_the_state_lies(lanes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pieces of rows, at places from below the first row to beyond the last."""
+    mode, copied, copy = Mode(lanes, False), [], Loops.copy
+
+    def counted(self: Loops, access: Any, shape: Any, to: Any, keep: Any = None) -> None:
+        copied.append(shape)
+        copy(self, access, shape, to, keep)
+
+    def function(shared: Any, state: Any, tick: Any) -> Any:
+        rows, turns = state
+
+        def turn(now: Any) -> Any:
+            number, found = now
+            part = jnp.arange(20, dtype=jnp.float32) * 0.5 + number.astype(jnp.float32)
+            place = (number % 2, 2 * number - 3, number * 7 - 10)
+            return number + 1, lax.dynamic_update_slice(found, part[None, None], place)
+
+        return lax.while_loop(lambda now: now[0] < turns, turn, (jnp.int32(0), rows))[1], turns
+
+    monkeypatch.setattr(Loops, "copy", counted)
+    rows = np.random.default_rng(4).normal(size=(3, 2, 5, 37)).astype(np.float32)
+    check(function, (rows, np.array([0, 3, 6], np.int32)), mode, rtol=0.0, atol=0.0, ticks=2)
+    # The part alone, never all rows.
+    assert {shape for shape in copied if shape} == {(20,)}

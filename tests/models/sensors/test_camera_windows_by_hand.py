@@ -141,7 +141,8 @@ def test_pictures_are_numbered_one_by_one() -> None:
 def _grid(height: Any) -> Any:
     zero = 0.0 * height
     reading = CameraReading(Vec3(zero, zero, -height), Euler(zero, zero, zero), zero)
-    view = cast(Camera(), np.float32)._view(reading, jnp.float32(0.5))
+    around = Surroundings(Contents(), ContentsState(), Calm(), AREA, jnp.int32(0), 0.02)
+    view = cast(Camera(), np.float32).view(reading, around, jnp.float32(0.5))
     return jnp.stack([view.rows, view.columns, view.width, view.height, view.left, view.top])
 
 

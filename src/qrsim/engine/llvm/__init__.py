@@ -8,6 +8,7 @@ loops over vectors, written as LLVM's text and compiled by it. What a program do
 from qrsim.engine.llvm.calling import Program
 from qrsim.engine.llvm.digest import digest
 from qrsim.engine.llvm.lanes import LaneProgram, Lanes
+from qrsim.engine.llvm.looking import Looks
 from qrsim.engine.llvm.printing import FORMS, printed
 from qrsim.engine.llvm.program import Binary, Input, Mode, build, trace_tick
 from qrsim.engine.llvm.refusal import UnsupportedError
@@ -19,6 +20,7 @@ __all__ = [
     "Input",
     "LaneProgram",
     "Lanes",
+    "Looks",
     "Mode",
     "Program",
     "UnsupportedError",

@@ -41,8 +41,10 @@ def _cpu_features() -> llvm.FeatureMap:
 
 @lru_cache(maxsize=1)
 def vector_bytes() -> int:
-    """Return the bytes of the widest vector that is one register here."""
-    return 64 if _cpu_features().get("avx512f") else 32
+    """Return the bytes of a vector in a program: 32 on processors with AVX and without AVX-512, else 64."""
+    features = _cpu_features()
+    # A longer vector would take two of the few registers for each value.
+    return 32 if features.get("avx") and not features.get("avx512f") else 64
 
 
 @lru_cache(maxsize=1)

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from qrsim.engine.llvm import kernels
-from qrsim.engine.llvm.compiler import vector_bytes
 from qrsim.engine.llvm.graph import Node
 from qrsim.engine.llvm.halves import HALVES, write_half
 from qrsim.engine.llvm.loops import Loops, shared_axis
 from qrsim.engine.llvm.neighbours import Neighbours
 from qrsim.engine.llvm.refusal import UnsupportedError
-from qrsim.engine.llvm.scattering import write_scatter
+from qrsim.engine.llvm.scattering import write_scatter, write_update
 from qrsim.engine.llvm.schedule import Step
 from qrsim.engine.llvm.text import neutral, scalar_type, splat, stored_type, vector
 from qrsim.engine.llvm.writing import Place, Scope
@@ -38,8 +37,8 @@ class Emitter(Loops):
                 Neighbours(self).write(step.nodes[0])
             elif step.kind in HALVES:
                 write_half(self, step.nodes[0])
-            elif step.kind == "scatter":
-                write_scatter(self, step.nodes[0])
+            elif step.kind in ("scatter", "update"):
+                (write_scatter if step.kind == "scatter" else write_update)(self, step.nodes[0])
             elif step.kind == "rows":
                 self._rows(step, stored)
             # Scalars stay in registers, between loops too.
@@ -381,6 +380,4 @@ def _together(step: Step, axis: int | None) -> int:
     size = sum(node.op != "kernel" for node in step.nodes) + sum(len(kernels.body(name).nodes) for name, _ in called)
     if not 60 <= size <= 200 or (size < 100 and not step.reduced):
         return 1
-    # Where a vector takes two registers, four turns need more than there are.
-    most = (4, 2) if vector_bytes() == 64 else (2,)
-    return next((turns for turns in most if step.domain[axis] % turns == 0), 1)
+    return next((turns for turns in (4, 2) if step.domain[axis] % turns == 0), 1)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from qrsim.engine.llvm.graph import Access, Node, Shape
-from qrsim.engine.llvm.schedule import Reading, Step, readers
+from qrsim.engine.llvm.schedule import Reading, Step, branch_results, readers
 from qrsim.engine.llvm.waiting import ALONE, IN_PLACE
 from qrsim.engine.llvm.writing import Place
 
@@ -102,6 +102,8 @@ class InState:
         at, reader, access = reading
         if at != step:
             return at < step
+        if steps[step].kind == "while" and writer.op == "output":
+            return _turns_into(steps[step], access.node, writer)
         if steps[step].kind != "cond":
             return reader is not None and steps[step].reads_before(reader, access, writer)
         return self._agreed(steps[step])
@@ -169,6 +171,19 @@ class InState:
             for inner in steps:
                 if inner.kind == "cond" and self._agreed(inner):
                     self._within(inner)
+
+
+def _turns_into(step: Step, old: Node, output: Node) -> bool:
+    """Return whether a loop begins an output with an array, and reads that array nowhere else."""
+    loop, place = step.nodes[0], output.attributes[0]
+    begins = [access.node is old for access in loop.args]
+    inside = [access for steps in step.branches for each in steps for _, access in each.accesses]
+    return (
+        begins[place]
+        and begins.count(True) == 1
+        and loop.args[place].identical(old.shape)
+        and not any(access.node is old for access in (*inside, *branch_results(step)))
+    )
 
 
 def _outputs(step: Step) -> Iterator[tuple[Node, list[Access]]]:

@@ -20,6 +20,9 @@ class Indexing(Nodes):
     be out of range, so ranges are checked for every axis of the program's own, and before nodes are read.
     """
 
+    # Whether the program is of one world.
+    alone: bool
+
     def dynamic_slice(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
         """Return a part that begins where the program computes, brought into range."""
         operand, shape = inputs[0], tuple(out.shape)
@@ -27,6 +30,27 @@ class Indexing(Nodes):
         starts = {axis: inputs[1 + axis] for axis, extent in enumerate(operand.shape) if extent != shape[axis]}
         limits = {axis: operand.shape[axis] - shape[axis] for axis in starts}
         return self._pick(operand, starts, limits, {axis: axis for axis in range(len(shape))}, out)
+
+    def dynamic_update_slice(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
+        """Put a part to where the program computes, brought into range."""
+        operand, update, *starts = inputs
+        shape, part = operand.shape, update.shape
+        if 0 in part:
+            return operand
+        if part == shape:
+            return update
+        # Worlds side by side would each put their part elsewhere.
+        if not self.alone:
+            raise UnsupportedError("a part of an array at a computed place, in worlds side by side")
+        kept = [axis for axis, extent in enumerate(shape) if extent != 1]
+        # Where the whole extent is replaced, JAX brings any start to zero.
+        moving = [axis for axis in kept if part[axis] != shape[axis]]
+        moved = tuple((moving.index(a), shape[a] - part[a]) if a in moving else None for a in kept)
+        loop = [axis for axis, extent in enumerate(part) if extent != 1]
+        follows = tuple(kept.index(axis) for axis in loop)
+        accesses = (operand.access(), update.access(), *(starts[axis].access(()) for axis in moving))
+        node = self.graph.node("update", accesses, squeezed(shape), out.dtype, (moved, follows), domain=squeezed(part))
+        return View.whole(node, shape)
 
     def _pick(
         self, operand: View, starts: dict[int, View], limits: dict[int, int], follows: dict[int, int], out: ShapedArray
@@ -131,7 +155,7 @@ class Indexing(Nodes):
         """Return how far along each of some axes, from an array that has them in its last one."""
         found = {}
         for which, axis in enumerate(axes):
-            one = places.shifted([0] * len(shape) + [which], (*shape, 1))
+            one = _joined_part(places.shifted([0] * len(shape) + [which], (*shape, 1)))
             found[int(axis)] = one.moved({i: i for i in range(len(shape))}, shape)
         return found
 
@@ -179,6 +203,28 @@ class Indexing(Nodes):
     def _number(self, value: int, shape: Shape) -> View:
         """Return an integer as a view of a shape."""
         return self.spread(self.graph.constant(np.int32(value)), shape)
+
+
+def _joined_part(view: View) -> View:
+    """Return a view of one array in place of a view of several that were joined, where it shows one of them.
+
+    JAX joins the numbers along each axis to one array of indices; to take that apart costs more than to read it.
+    """
+    node = view.node
+    if node.op != "concatenate":
+        return view
+    where, begins, shapes = node.attributes
+    axis, offset = view.index[where]
+    if axis is not None or offset not in begins[:-1]:
+        return view
+    number = begins.index(offset)
+    # A part of one element has no such axis.
+    if len(shapes[number]) == len(node.shape):
+        return view
+    part = node.args[number]
+    along = [index for i, index in enumerate(view.index) if i != where]
+    index = tuple((None, o) if a is None else (along[a][0], along[a][1] + o) for a, o in part.index)
+    return View(part.node, index, view.shape)
 
 
 def _filling(value: object, dtype: DType) -> object:

@@ -56,6 +56,12 @@ class Lanes:
         """Return where the buffers of a tile begin."""
         return [buffer.ctypes.data + tile * buffer.strides[0] for buffer in self._buffers]
 
+    def places(self, worlds: Array) -> Array:
+        """Return the addresses (b, 2) uint64 of the first float and the first integer of some worlds (b,)."""
+        tile, lane = np.divmod(worlds, self._lanes)
+        columns = [part.ctypes.data + tile * part.strides[0] + lane * part.itemsize for part in self._buffers]
+        return np.stack(columns, axis=1).astype(np.uint64)
+
     def fill(self, tree: object) -> None:
         """Take a tree, each leaf (B, ...)."""
         whole = self.tiles * self._lanes

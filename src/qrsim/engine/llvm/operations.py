@@ -23,7 +23,7 @@ _LIBRARY = {
 _FLOAT_COMPARISONS = {"eq": "oeq", "ne": "une", "lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge"}
 # What hands on one of its arguments, or its bits but for the sign.
 _CHOICES = ("select_n", "min", "max", "clamp")
-_KEEPING = (*_CHOICES, "neg", "abs", "sign", "concatenate", "pick", "scatter", "reduce", "running")
+_KEEPING = (*_CHOICES, "neg", "abs", "sign", "concatenate", "pick", "scatter", "update", "reduce", "running")
 _BITS = {"and": "and", "or": "or", "xor": "xor"}
 _SHIFTS = {"shift_left": "shl", "shift_right_logical": "lshr", "shift_right_arithmetic": "ashr"}
 

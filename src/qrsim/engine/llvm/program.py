@@ -53,11 +53,13 @@ class Mode:
         side_by_side: the lanes are worlds; otherwise they are elements of the arrays of one world.
         strip: elements of the last axis of longer arrays that are computed together (see ``strips``), a multiple of
             the lanes; 0: all of them.
+        among: worlds whose numbers lie side by side where one world reads its own; its result lies by itself.
     """
 
     lanes: int
     side_by_side: bool
     strip: int = 0
+    among: int = 1
 
     @property
     def worlds(self) -> int:
@@ -134,6 +136,7 @@ class Draft:
     def __init__(self, closed: ClosedJaxpr, inputs: Sequence[Input], mode: Mode):
         self.inputs, self.lanes, self.side_by_side = tuple(inputs), mode.lanes, mode.side_by_side
         self.strip = mode.strip
+        self.among = mode.among
         self.graph = Graph()
         # Memory that threads share, and of each thread.
         self.arena, self.local = Arena(), Arena()
@@ -170,7 +173,8 @@ class Draft:
         node = self.graph.node(
             "input", (), squeezed(shape), dtype, (which, part.start, is_float), invariant=not is_state, uniform=not own
         )
-        element = stored_bytes(np.dtype(dtype)) * (self.lanes if own else 1)
+        apart = self.lanes if own else self.among if given.own and not is_state else 1
+        element = stored_bytes(np.dtype(dtype)) * apart
         strides = _row_major(node.shape, element)
         pointer = f"%{'floats' if is_float else 'integers'}{which}"
         self.places[node.number] = Place(pointer, part.start * element, strides, own, tight=is_state)

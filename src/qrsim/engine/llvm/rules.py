@@ -76,6 +76,7 @@ def _rows() -> dict[str, Rule]:
     rows |= {name: Rule("scatter", op, {*_INDEXED, "update_jaxpr", "update_consts"}) for name, op in _SCATTERS.items()}
     rows["gather"] = Rule("gather", "", {*_INDEXED, "slice_sizes", "fill_value"})
     rows["dynamic_slice"] = Rule("dynamic_slice", "", {"slice_sizes"})
+    rows["dynamic_update_slice"] = Rule("dynamic_update_slice", "")
     rows["argmin"] = Rule("place_of", "min", {"axes", "index_dtype"})
     rows["argmax"] = Rule("place_of", "max", {"axes", "index_dtype"})
     rows["broadcast_in_dim"] = Rule("broadcast_in_dim", "", {"shape", "broadcast_dimensions"})

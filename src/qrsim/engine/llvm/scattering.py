@@ -9,7 +9,7 @@ from qrsim.core.arrays import DType
 from qrsim.engine.llvm.graph import Node
 from qrsim.engine.llvm.loops import Loops
 from qrsim.engine.llvm.text import scalar_type, splat, stored_bytes, vector
-from qrsim.engine.llvm.writing import Moves
+from qrsim.engine.llvm.writing import Moves, Place
 
 
 def write_scatter(writer: Loops, node: Node) -> None:
@@ -58,6 +58,24 @@ def _put(writer: Loops, node: Node, lane: int, parts: list[str]) -> None:
     after = number if how == "set" else writer.operations.combine(how, dtype, 1, before, number)
     # Without a branch: what is out of range writes back what it read at the place in range.
     writer.store(dtype, address, writer.emit(f"select i1 {inside}, {of} {after}, {of} {before}"), 1)
+
+
+def write_update(writer: Loops, node: Node) -> None:
+    """Write a copy of an array with one part replaced, at a place that the program computes.
+
+    Args:
+        writer: of the program, which is of one world.
+        node: its arguments are the array, the part, and where that begins along some axes.
+    """
+    place, (moved, follows) = writer.places[node.number], node.attributes
+    if not _lies_there(writer, node):
+        writer.copy(node.args[0], node.shape, place)
+    writer.open_scope(())
+    starts = [writer.value(access) for access in node.args[2:]]
+    begun = writer.begun(place, moved, starts, [access.node.dtype for access in node.args[2:]])
+    strides = tuple(place.strides[axis] for axis in follows)
+    # What lies behind the part is not replaced.
+    writer.copy(node.args[1], node.domain, Place(begun.pointer, begun.offset, strides, place.own, tight=True))
 
 
 def _lies_there(writer: Loops, node: Node) -> bool:

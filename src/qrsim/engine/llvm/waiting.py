@@ -11,7 +11,7 @@ from qrsim.engine.llvm.refusal import UnsupportedError
 
 OUTSIDE = ("input", "constant", "carry")
 # Each of these is a step of its own.
-ALONE = ("concatenate", "nearest", "scatter", "running", "half_times", "half_lowered", "half_transformed")
+ALONE = ("concatenate", "nearest", "scatter", "update", "running", "half_times", "half_lowered", "half_transformed")
 # Those that may write where their first argument lies.
 IN_PLACE = ("half_lowered", "half_transformed")
 # Of these, the steps of regions are parts.
@@ -124,4 +124,4 @@ class Waiting:
 
 def changes_carry(node: Node) -> bool:
     """Return whether a node changes numbers of what a loop hands from turn to turn."""
-    return node.op == "scatter" and node.args[0].node.op == "carry"
+    return node.op in ("scatter", "update") and node.args[0].node.op == "carry"

@@ -1,7 +1,7 @@
 """LLVM's text under construction: blocks, loops, and what lies in memory.
 
-Either 16 worlds lie side by side in the lanes of a vector and every array is walked element by element (``worlds``), or
-there is one world and the last axis of an array is walked 16 elements at a time (``elements``). All sums run in the
+Either worlds lie side by side in the lanes of a vector and every array is walked element by element (``worlds``), or
+there is one world and the last axis of an array is walked a vector at a time (``elements``). All sums run in the
 same order in both, so both give the same numbers to the bit.
 """
 

@@ -6,9 +6,15 @@ from binascii import crc_hqx
 
 # The standard library has the same polynomial with its bits in the other order.
 _TURNED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
-_TURNED_16 = tuple(_TURNED[word & 0xFF] << 8 | _TURNED[word >> 8] for word in range(1 << 16))
+# By its check with the bits in that order, each check as it is sent.
+_SENT = tuple(bytes((_TURNED[word >> 8], _TURNED[word & 0xFF])) for word in range(1 << 16))
+
+
+def check_of(data: bytes) -> bytes:
+    """Return the check of some bytes as it is sent, the low byte first."""
+    return _SENT[crc_hqx(data.translate(_TURNED), 0xFFFF)]
 
 
 def x25(data: bytes) -> int:
     """Return the check of some bytes, 0 to 65535; that of b"123456789" is 0x6F91."""
-    return _TURNED_16[crc_hqx(data.translate(_TURNED), 0xFFFF)]
+    return int.from_bytes(check_of(data), "little")

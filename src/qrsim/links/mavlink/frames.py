@@ -6,15 +6,18 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from qrsim.links.mavlink.checksum import x25
+from qrsim.links.mavlink.checksum import check_of
 from qrsim.links.mavlink.dialect import BY_NUMBER, Layout, Message
 
 VERSION_1, VERSION_2 = 0xFE, 0xFD
 SIGNED = 0x01
 SIGNATURE_SIZE = 13
-_HEAD = struct.Struct("<BBBBBBBHB")
-_CHECK = struct.Struct("<H")
+# From the length of the payload to who sends it; the number of the message follows.
+_HEAD = struct.Struct("<BxxBBB").pack
+_MAGIC = bytes([VERSION_2])
 _EXTRA = {number: bytes([layout.extra]) for number, layout in BY_NUMBER.items()}
+# Of each message its number as it is sent, and what its check is computed with.
+_KINDS = {number: (number.to_bytes(3, "little"), extra) for number, extra in _EXTRA.items()}
 
 
 def frame(number: int, payload: bytes, sequence: int, system: int, component: int = 1) -> bytes:
@@ -27,11 +30,10 @@ def frame(number: int, payload: bytes, sequence: int, system: int, component: in
         system, component: who sends it.
     """
     # One byte is sent, whatever it is.
-    short = payload.rstrip(b"\0") or payload[:1]
-    content = (
-        _HEAD.pack(VERSION_2, len(short), 0, 0, sequence, system, component, number & 0xFFFF, number >> 16) + short
-    )
-    return content + _CHECK.pack(x25(content[1:] + _EXTRA[number]))
+    short = payload if payload[-1:] > b"\0" else payload.rstrip(b"\0") or payload[:1]
+    kind, extra = _KINDS[number]
+    content = _HEAD(len(short), sequence, system, component) + kind + short
+    return _MAGIC + content + check_of(content + extra)
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,6 @@ def _read(data: bytes, at: int, size: int) -> Frame | None:
     if layout is None:
         return None
     inner = data[at + 1 : at + head + length]
-    low, high = data[at + head + length : at + head + length + 2]
-    if x25(inner + _EXTRA[number]) != low | high << 8:
+    if check_of(inner + _EXTRA[number]) != data[at + head + length : at + head + length + 2]:
         return None
     return Frame(layout, data[at + head : at + head + length], sequence, system, component, version)

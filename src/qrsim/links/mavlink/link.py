@@ -43,12 +43,14 @@ class Link:
 
     def put(self, number: int, payload: bytes) -> None:
         """Send a message with the next ``flush``."""
-        part = frame(number, payload, self._sequence, self.system, COMPONENT)
-        self._sequence = (self._sequence + 1) & 0xFF
-        if self._size + len(part) > LARGEST_DATAGRAM:
+        sequence = self._sequence
+        part = frame(number, payload, sequence, self.system, COMPONENT)
+        self._sequence = (sequence + 1) & 0xFF
+        size = len(part)
+        if self._size + size > LARGEST_DATAGRAM:
             self.flush()
         self._parts.append(part)
-        self._size += len(part)
+        self._size += size
 
     def say(self, name: str, **values: object) -> None:
         """Send a message by its name and fields at once."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from heapq import heapify, heappush, heapreplace
 
 from qrsim.links.mavlink.dialect import LAYOUTS
@@ -100,13 +100,15 @@ class Streams:
         interval = self._intervals.get(number)
         return -1 if interval is None else round(1e6 * interval * self._dt)
 
-    def due(self, tick: int, fresh: bool) -> Iterator[int]:
-        """Yield the numbers of the messages that are due at a tick; ``fresh``: a fix has arrived."""
-        waiting = self._due
+    def due(self, tick: int, fresh: bool) -> list[int]:
+        """Return the numbers of the messages that are due at a tick; ``fresh``: a fix has arrived."""
+        waiting, intervals, found = self._due, self._intervals, list[int]()
         while waiting and waiting[0][0] <= tick:
             when, number = waiting[0]
+            when += intervals[number]
             # Late ones are not sent after.
-            heapreplace(waiting, (max(when + self._intervals[number], tick + 1e-9), number))
-            yield number
+            heapreplace(waiting, (when if when > tick + 1e-9 else tick + 1e-9, number))
+            found.append(number)
         if fresh and self._each_fix:
-            yield _FIX
+            found.append(_FIX)
+        return found

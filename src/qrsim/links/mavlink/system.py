@@ -85,13 +85,14 @@ class System:
                 link.streams.restart()
                 link.streams.begin_at(tick)
             if link.ready():
-                for number in link.streams.due(tick, view.fresh):
+                due, put = link.streams.due(tick, view.fresh), link.put
+                for number in due:
                     if number not in payloads:
                         payloads[number] = ENCODERS[number](view)
                     payload = payloads[number]
                     if payload is not None:
-                        link.put(number, payload)
-                        link.owes |= number == _ATTITUDE
+                        put(number, payload)
+                link.owes |= _ATTITUDE in due and payloads[_ATTITUDE] is not None
             link.flush()
         if self.transfers.upload is not None:
             self.transfers.ask_again(wall)

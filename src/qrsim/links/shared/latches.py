@@ -13,6 +13,9 @@ from qrsim.links.contracts import Order
 from qrsim.links.shared.kinds import NAMES, Field, checked, kinds_of, record_of
 from qrsim.world.state import Fleet, Some
 
+# The number of each kind of order.
+_CODES = {name: number for number, name in enumerate(NAMES, 1)}
+
 
 class Latches:
     """The last order of each vehicle, until it is replaced; vehicles without one fly by their scenario's guidance.
@@ -38,6 +41,7 @@ class Latches:
         width = max((len(fields) for own in kinds for fields in own.values()), default=0)
         self.codes = np.zeros(len(self.names), np.int32)
         self.numbers = np.full((len(self.names), width), np.nan)
+        self._none = (np.nan,) * width
         self._rows = {name: row for row, name in enumerate(self.names)}
         self._fleets, first = [], 0
         for fleet, own in zip(fleets, kinds, strict=True):
@@ -61,10 +65,9 @@ class Latches:
 
     def put(self, order: Order) -> None:
         """Make a checked order the one that its vehicle flies by."""
-        row = self.row(order.vehicle)
-        self.codes[row] = NAMES.index(order.kind) + 1
-        self.numbers[row] = np.nan
-        self.numbers[row, : len(order.numbers)] = order.numbers
+        row, numbers = self.row(order.vehicle), order.numbers
+        self.codes[row] = _CODES[order.kind]
+        self.numbers[row] = (*numbers, *self._none[len(numbers) :])
 
     def clear(self, vehicle: str) -> None:
         """Return a vehicle to the guidance of its scenario."""
@@ -85,7 +88,7 @@ class _FleetParts:
         self._parts = []
         for kind, fields in kinds.items():
             which, columns = np.zeros(fleet.size, bool), np.zeros((len(fields), fleet.size), dtype)
-            self._parts.append((NAMES.index(kind) + 1, which, columns))
+            self._parts.append((_CODES[kind], which, columns))
         command = fleet.vehicle.command_type
         parts: list[Any] = [
             (which, record_of(kind, columns, command))

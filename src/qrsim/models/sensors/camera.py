@@ -16,11 +16,12 @@ from jax import Array
 
 from qrsim.core.fastmath import log, sincos
 from qrsim.core.noise import Draw, Noise, Stream
-from qrsim.core.tree import parameter, quantity, record, replace, setting
+from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Rotation, Vec3, rotation
 from qrsim.models.scene.contents import Surroundings
 from qrsim.models.scene.persons import PersonsState
 from qrsim.models.scene.terrain import CLUTTER, OCCLUSION
+from qrsim.models.sensors import camera_windows
 from qrsim.models.sensors.contracts import Sensor
 
 # Corners of a person, in halves of its side.
@@ -60,7 +61,7 @@ class Picture:
 
 
 @record
-class _View:
+class View:
     """View of one camera on the ground, every field ()."""
 
     position: Vec3
@@ -181,10 +182,7 @@ class Camera(Sensor):
             stream: of the camera's noise, of vehicles (n,).
             size: side of a person [m].
         """
-        ticks = max(1, round(self.period / around.time_step))
-        # A vehicle that has stopped has no picture any more, and no number.
-        number = jnp.where(jnp.isfinite(reading.picture), reading.picture, 0.0).astype(jnp.int32)
-        tick = number * ticks
+        tick = self.tick_of(reading, around)
 
         def one(camera: Camera, reading: CameraReading, tick: Array, identity: Array) -> Picture:
             noise = jnp.zeros((self.most_rows * self.most_columns, 1), reading.picture.dtype)
@@ -193,29 +191,62 @@ class Camera(Sensor):
                 noise = draw.normal_rows(self.most_rows * self.most_columns)
             return camera._develop(reading, around, tick, noise.reshape(self.most_rows, self.most_columns), size)
 
-        # A number of a camera may differ from vehicle to vehicle.
-        own = jax.tree.map(lambda leaf: jnp.broadcast_to(jnp.asarray(leaf), number.shape), self)
-        return jax.vmap(one)(own, reading, tick, stream.ids)
+        return jax.vmap(one)(self.for_each(reading), reading, tick, stream.ids)
+
+    def ratios(self, reading: CameraReading, around: Surroundings, stream: Stream, size: Array, to: Array) -> Array:
+        """Return the ratios (n, R, C) of ``develop`` alone, 0 beyond the grid, computed for windows of the grid only.
+
+        Args:
+            reading, around, stream, size: see ``develop``.
+            to: zeros (n, R, C).
+        """
+        return camera_windows.ratios(self, reading, around, stream, size, to)
+
+    def frame(self, reading: CameraReading, around: Surroundings, size: Array) -> tuple[Array, Array]:
+        """Return the grids (n, 2) int32 of the last pictures, and their corners (n, 4, 2).
+
+        The grid is rows and columns. Corners are north and east [m] on the ground: upper left, upper right, lower
+        right, lower left. Those of a vehicle that has stopped are NaN, and its grid is 0.
+
+        Args:
+            reading, around, size: see ``develop``.
+        """
+
+        def one(camera: Camera, reading: CameraReading) -> tuple[Array, Array]:
+            view = camera.view(reading, around, size)
+            zero = jnp.zeros_like(view.rows)
+            row = jnp.stack([zero, zero, view.rows, view.rows])
+            column = jnp.stack([zero, view.columns, view.columns, zero])
+            corner = camera._on_ground(view, view.left + column * view.width, view.top + row * view.height)
+            corners = jnp.stack([corner.x, corner.y], axis=-1)
+            grid = jnp.stack([view.rows, view.columns])
+            return jnp.where(jnp.isfinite(corners[0, :1]), grid, 0.0).astype(jnp.int32), corners
+
+        return jax.vmap(one)(self.for_each(reading), reading)
+
+    def for_each(self, reading: CameraReading) -> Camera:
+        """Return the camera with one of each number for each vehicle (n,), because they may differ."""
+        return jax.tree.map(lambda leaf: jnp.broadcast_to(jnp.asarray(leaf), reading.picture.shape), self)
+
+    def tick_of(self, reading: CameraReading, around: Surroundings) -> Array:
+        """Return the ticks (n,) int32 of the last pictures."""
+        ticks = max(1, round(self.period / around.time_step))
+        # A vehicle that has stopped has no picture any more, and no number.
+        number = jnp.where(jnp.isfinite(reading.picture), reading.picture, 0.0).astype(jnp.int32)
+        return number * ticks
 
     def _develop(self, reading: CameraReading, around: Surroundings, tick: Array, noise: Array, size: Array) -> Picture:
         """Return the picture of one vehicle from the normals (R, C) of its windows."""
-        view = self._view(replace(reading, taken_at_ned=around.over_ground(reading.taken_at_ned)), size)
+        view = self.view(reading, around, size)
         row = jnp.arange(self.most_rows + 1).astype(noise.dtype)[:, None]
         column = jnp.arange(self.most_columns + 1).astype(noise.dtype)[None, :]
         corners = self._on_ground(view, view.left + column * view.width, view.top + row * view.height)
-        middle = self._on_ground(
-            view, view.left + (column[:, :-1] + 0.5) * view.width, view.top + (row[:-1] + 0.5) * view.height
-        )
-        distance, ground = (middle - view.position).norm(), around.ground_class(middle)
         present = jnp.zeros(noise.shape, bool)
         if around.state.persons is not None:
             present = self._present(view, around.state.persons, tick, size)
-        means, stds = zip(self.classifier.person(distance, ground), self.classifier.none(distance, ground), strict=True)
-        score = jnp.where(present, means[0], means[1]) + jnp.where(present, stds[0], stds[1]) * noise
+        ratio = self.ratio(view, around, *self.middle(view, row[:-1], column[:, :-1]), present, noise)
         in_grid = (row[:-1] < view.rows) & (column[:, :-1] < view.columns)
         shown = (row <= view.rows) & (column <= view.columns)
-        # The picture of a vehicle that has stopped is NaN, because its pose is.
-        ratio = self.classifier.ratio(score, distance, ground) + 0.0 * distance
         return Picture(
             jnp.where(in_grid, ratio, jnp.nan),
             jnp.where(shown, corners.x, jnp.nan),
@@ -225,9 +256,30 @@ class Camera(Sensor):
             present & in_grid,
         )
 
-    def _view(self, reading: CameraReading, size: Array) -> _View:
-        """Return the projection of a camera onto the ground, and its grid of windows."""
-        position, direction = reading.taken_at_ned, rotation(reading.taken_attitude)
+    def middle(self, view: View, row: Array, column: Array) -> tuple[Array, Array]:
+        """Return the pixels (x, y) of the middle of windows; rows and columns (...) as floating-point numbers."""
+        return view.left + (column + 0.5) * view.width, view.top + (row + 0.5) * view.height
+
+    def ratio(self, view: View, around: Surroundings, x: Array, y: Array, present: Array, noise: Array) -> Array:
+        """Return the log-likelihood ratios of windows of one picture.
+
+        Args:
+            view: of the camera.
+            around: the world.
+            x, y: pixels of their middle.
+            present: (...) bool, whether a missing person is in each.
+            noise: normals (...).
+        """
+        middle = self._on_ground(view, x, y)
+        distance, ground = (middle - view.position).norm(), around.ground_class(middle)
+        means, stds = zip(self.classifier.person(distance, ground), self.classifier.none(distance, ground), strict=True)
+        score = jnp.where(present, means[0], means[1]) + jnp.where(present, stds[0], stds[1]) * noise
+        # The picture of a vehicle that has stopped is NaN, because its pose is.
+        return self.classifier.ratio(score, distance, ground) + 0.0 * distance
+
+    def view(self, reading: CameraReading, around: Surroundings, size: Array) -> View:
+        """Return the projection of one camera onto the ground, and its grid of windows."""
+        position, direction = around.over_ground(reading.taken_at_ned), rotation(reading.taken_attitude)
         axis = position + direction.down * (-position.z / direction.down.z)
         pixels = [
             self._in_picture(position, direction, axis.x + north * size, axis.y + east * size)
@@ -246,7 +298,7 @@ class Camera(Sensor):
 
         columns, width, left = cut(self.width, self.most_columns)
         rows, height, top = cut(self.height, self.most_rows)
-        return _View(position, direction, rows, columns, width, height, left, top)
+        return View(position, direction, rows, columns, width, height, left, top)
 
     def _in_picture(self, position: Vec3, direction: Rotation, north: Array, east: Array) -> tuple[Array, Array]:
         """Return the pixels of points on the ground."""
@@ -256,7 +308,7 @@ class Camera(Sensor):
             self.principal_y - self.focal_length * seen.x / seen.z,
         )
 
-    def _on_ground(self, view: _View, x: Array, y: Array) -> Vec3:
+    def _on_ground(self, view: View, x: Array, y: Array) -> Vec3:
         """Return the points of the ground that pixels show; x (1, C) or (R, C), y (R, 1) or (R, C)."""
         right = (x - self.principal_x) / self.focal_length + 0.0 * y
         ahead = -(y - self.principal_y) / self.focal_length + 0.0 * x
@@ -264,8 +316,26 @@ class Camera(Sensor):
         reach = -view.position.z / ray.z
         return Vec3(view.position.x + reach * ray.x, view.position.y + reach * ray.y, jnp.zeros_like(reach))
 
-    def _present(self, view: _View, persons: PersonsState, tick: Array, size: Array) -> Array:
-        """Return in which windows (R, C) the nearest person to the middle is one that was still missing."""
+    def shows(self, view: View, persons: PersonsState, tick: Array) -> Array:
+        """Return () whether the middle of a person that was still missing is in the frame."""
+        here = self._in_frame(*self._in_picture(view.position, view.direction, persons.north, persons.east))
+        return jnp.any(here & persons.missing(tick))
+
+    def winners(self, view: View, persons: PersonsState, tick: Array, size: Array) -> tuple[Array, Array, Array]:
+        """Return windows (Q,) by row and column, and whether the nearest person to the middle was still missing.
+
+        A window is named for each of nine points of each person; the nearest of them counts.
+        """
+        row, column, nearness, missing = self._points(view, persons, tick, size)
+        same = (row[:, None] == row[None]) & (column[:, None] == column[None])
+        nearest = jnp.min(jnp.where(same, nearness[None], jnp.inf), axis=1)
+        return row, column, jnp.isfinite(nearness) & (nearness == nearest) & missing
+
+    def _points(self, view: View, persons: PersonsState, tick: Array, size: Array) -> tuple[Array, Array, Array, Array]:
+        """Return of nine points of each person (Q,) row and column int32, the square distance to its middle, missing.
+
+        Points that are in no window are infinitely far, in a row and a column beyond the last.
+        """
         x, y = self._in_picture(view.position, view.direction, persons.north, persons.east)
         here = persons.there & self._in_frame(x, y)
         corners = [
@@ -277,21 +347,28 @@ class Camera(Sensor):
             ((corners[i][0] + corners[i - 1][0] + x) / 3.0, (corners[i][1] + corners[i - 1][1] + y) / 3.0)
             for i in range(4)
         ]
-        xs, ys = jnp.stack([point[0] for point in points]), jnp.stack([point[1] for point in points])
+        xs, ys = (jnp.concatenate([point[axis] for point in points]) for axis in (0, 1))
+        here, middle_x, middle_y, missing = (
+            jnp.concatenate([part] * len(points)) for part in (here, x, y, persons.missing(tick))
+        )
         column, row = jnp.floor((xs - view.left) / view.width), jnp.floor((ys - view.top) / view.height)
         inside = (column >= 0.0) & (column < view.columns) & (row >= 0.0) & (row < view.rows)
-        occupies = here[None] & inside & self._in_frame(xs, ys)
-        across = (x[None] - view.left) / view.width - column - 0.5
-        down = (y[None] - view.top) / view.height - row - 0.5
+        occupies = here & inside & self._in_frame(xs, ys)
+        across = (middle_x - view.left) / view.width - column - 0.5
+        down = (middle_y - view.top) / view.height - row - 0.5
         nearness = jnp.where(occupies, across * across + down * down, jnp.inf)
-        window = (
-            jnp.where(occupies, row, self.most_rows).astype(jnp.int32),
-            jnp.where(occupies, column, self.most_columns).astype(jnp.int32),
-        )
+        row = jnp.where(occupies, row, self.most_rows).astype(jnp.int32)
+        column = jnp.where(occupies, column, self.most_columns).astype(jnp.int32)
+        return row, column, nearness, missing
+
+    def _present(self, view: View, persons: PersonsState, tick: Array, size: Array) -> Array:
+        """Return in which windows (R, C) the nearest person to the middle is one that was still missing."""
+        row, column, nearness, missing = self._points(view, persons, tick, size)
+        window = row, column
         nearest = jnp.full((self.most_rows, self.most_columns), jnp.inf, nearness.dtype)
         nearest = nearest.at[window].min(nearness, mode="drop")
         first = nearness == nearest.at[window].get(mode="fill", fill_value=0.0)
-        wins = occupies & first & persons.missing(tick)[None]
+        wins = jnp.isfinite(nearness) & first & missing
         return jnp.zeros(nearest.shape, bool).at[window].max(wins, mode="drop")
 
     def _in_frame(self, x: Array, y: Array) -> Array:
