@@ -253,7 +253,7 @@ class TestStatistics:
 
     def test_the_moments_would_show_a_fault(self):
         good = study.draw("process", (4, 512, 64))
-        limit = study.judge(study.moments(good))["p_limit"]
+        limit = study.family_summary(study.moments(good))["p_limit"]
         assert min(study.p_values(study.moments(good))) > limit
         for bad in (1.02 * good, good + np.float32(0.02), np.clip(good, -3.0, 3.0), good + 0.03 * (good**2 - 1.0)):
             assert min(study.p_values(study.moments(bad))) < limit
