@@ -107,7 +107,7 @@ class SharedCalls(ABC):
         return sensed_of(self._call(Message(type=Message.COMMAND, command=request), Message.READINGS).readings)
 
     def subscribe(self, *vehicles: str, rate: float | None = None, truth: bool = False, stop: bool = False) -> None:
-        """Have what vehicles sense pushed; ``sensed`` returns it.
+        """Have the readings of vehicles pushed; ``sensed`` returns them.
 
         Args:
             vehicles: names; none: those that one has claimed, at any time.

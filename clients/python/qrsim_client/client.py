@@ -391,7 +391,7 @@ def _vectors(what: str, rows: object, widths: tuple[int, ...] = ()) -> list[pb.A
 
 
 def _answers(answer: object) -> list[pb.Act.Answer]:
-    """Return each agent's answer."""
+    """Return the messages of agents' answers (agents, ...), [] for None."""
     try:
         array = np.zeros((0, 1)) if answer is None else np.asarray(answer, np.float32)
     except (TypeError, ValueError):

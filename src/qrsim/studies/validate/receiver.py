@@ -53,7 +53,8 @@ def recorded_receiver(path: Path) -> Recorded:
     """Read the recording of a stationary receiver."""
     rows = read_table(path, 14)
     latitude, longitude, height = np.radians(rows[:, 3] * 1e-7), np.radians(rows[:, 4] * 1e-7), rows[:, 5] * 1e-3
-    site = Site(*(float(np.median(column)) for column in (latitude, longitude, height)))
+    at = [float(np.median(column)) for column in (latitude, longitude, height)]
+    site = Site(at[0], at[1], at[2])
     used = rows[:, 12].astype(int)
     return Recorded(site.geodetic_to_ned(latitude, longitude, height), 0.4, site, (int(used.min()), int(used.max())))
 
