@@ -11,6 +11,8 @@ import pytest
 
 from qrsim import cli
 
+pytestmark = pytest.mark.long
+
 ID = "keep_spot/fall-v0"
 # Without thrust it falls 10 m, in more than a second.
 OWN = """
@@ -67,7 +69,6 @@ def test_episodes_are_read_back(capsys: pytest.CaptureFixture[str]) -> None:
     np.testing.assert_allclose(leaf, episodes[1].infos[name][10], rtol=1e-4, atol=1e-4)
 
 
-@pytest.mark.long
 def test_what_is_handed_in_is_in_the_last_reward(capsys: pytest.CaptureFixture[str]) -> None:
     reader = minari()
     more = ["--policy", "hover", "--seeds", "1", "--set", "duration=2"]

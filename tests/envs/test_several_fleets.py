@@ -19,6 +19,8 @@ from qrsim.envs import ANY_TASK, Functional, parallel_env, vector_parallel_env
 from qrsim.envs.parallel import ParallelTask
 from qrsim.errors import QrsimError, UsageError
 
+pytestmark = pytest.mark.long
+
 EXAMPLES = Path(__file__).parents[2] / "examples" / "meeting"
 MEETING = str(EXAMPLES / "meeting.yaml")
 FLIES, DRIVES = ("quadrotors_0", "quadrotors_1"), "rover_0"
@@ -35,7 +37,6 @@ def still() -> dict[str, Any]:
     return dict.fromkeys(FLIES, np.zeros(2, np.float32)) | {DRIVES: AHEAD}
 
 
-@pytest.mark.long
 def test_each_has_spaces_of_its_own() -> None:
     env = team()
     assert env.possible_agents == [*FLIES, DRIVES]
@@ -44,7 +45,6 @@ def test_each_has_spaces_of_its_own() -> None:
     assert sorted(env.observation_axes) == ["quadrotors", "rover"]
 
 
-@pytest.mark.long
 def test_each_does_what_it_is_told() -> None:
     env = team()
     env.reset(seed=3)
@@ -62,13 +62,11 @@ def test_each_does_what_it_is_told() -> None:
     assert rewards[DRIVES] == pytest.approx(0.5 * (rewards[FLIES[0]] + rewards[FLIES[1]]), rel=1e-5)
 
 
-@pytest.mark.long
 def test_pettingzoo_takes_it_in_both_forms() -> None:
     parallel_api_test(team(), num_cycles=20)
     api_test(parallel_to_aec(team()), num_cycles=20)
 
 
-@pytest.mark.long
 def test_all_forms_are_the_same() -> None:
     env, pure, many = team(), Functional.of(MEETING, SHORT), vector_parallel_env(MEETING, 2, overrides=SHORT)
     seen, _ = env.reset(seed=5)
@@ -85,7 +83,6 @@ def test_all_forms_are_the_same() -> None:
     assert [rewarded[agent][1] for agent in rewards] == pytest.approx(list(rewards.values()), rel=1e-5)
 
 
-@pytest.mark.long
 def test_all_that_speak_are_heard_by_the_others() -> None:
     pure = Functional.of(MEETING, [*SHORT, "world.radio={preset: sik_915, size: 3}"])
     episode, seen = jax.eval_shape(pure.reset, np.uint32(1))
@@ -98,7 +95,6 @@ def test_all_that_speak_are_heard_by_the_others() -> None:
         pure.step(episode, said | {"rover": {"act": jnp.zeros((1, 2)), "say": jnp.ones((1, 2))}})
 
 
-@pytest.mark.long
 def test_who_stops_leaves_and_without_a_fleet_it_ends(tmp_path: Path) -> None:
     code = (EXAMPLES / "meeting.py").read_text()
     leaves = code.replace(

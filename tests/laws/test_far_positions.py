@@ -92,6 +92,7 @@ def exactly(velocity: tuple[float, ...], seconds: float) -> Any:
     return way(Simulation(far_world("float64")), list(velocity), seconds)
 
 
+@pytest.mark.long
 def test_a_flight_is_the_same_everywhere(compiler: str) -> None:
     """Asked for 0.02 m/s along, across, up and aslant, and for 1.3 m/s across the borders of single precision."""
     # XLA takes a second for each type, and does with all of them what it does with one.

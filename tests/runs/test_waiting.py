@@ -17,6 +17,7 @@ def test_in_somebody_elses_program_it_is_now():
     assert before <= waiting_since() <= time.perf_counter()
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="only Linux says when a process was started")
 def test_from_a_shell_it_is_the_start_of_the_process():
     """Half a second is slept before the question is asked."""

@@ -16,6 +16,8 @@ from qrsim.simulation.block_parts import _finite
 from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Some
 
+pytestmark = pytest.mark.long
+
 PLACES = [[0.0, 10.0 * i, -20.0] for i in range(3)]
 WIND = {"type": "log_shear", "speed_20ft": 3.0, "wind_from_deg": 270}
 TILTED = [0.0, 0.1, 0.59, 0.0, 12.0]
@@ -71,7 +73,6 @@ def test_kinds_differ_from_vehicle_to_vehicle(world: Any, guided: Any) -> None:
     np.testing.assert_array_equal(setpoint[2], np.float32([5.0, 0.0, -22.0]))
 
 
-@pytest.mark.long
 def test_a_multirotor_is_flown_by_its_motors_beside_one_by_tilt(multirotors: Any) -> None:
     motors, tilt = MotorCommand.of(np.full((1, 4), 0.55)), AttitudeCommand(*np.array([[0.0], [0.1], [0.4], [0.0]]))
     everybody_tilts = AttitudeCommand(*np.tile([[0.0], [0.1], [0.4], [0.0]], 3))
@@ -96,7 +97,6 @@ def multirotors() -> Any:
     )
 
 
-@pytest.mark.long
 def test_a_policy_may_command_some(world: Any) -> None:
     def one(reading: Any) -> Any:
         east = 0.01 * reading.gnss.position_ned[2, 1]

@@ -17,6 +17,8 @@ from qrsim.models.scene.plume import DispersionPlume, PuffPlume, PuffState, Sour
 from qrsim.tasks import PlumeMapping
 from qrsim.tasks.plume_mapping import PlumeMemory, divergence
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize(("mean", "spread"), [(0.0, 1.0), (1.0, 1.0), (0.5, 2.0)])
 def test_two_gaussians_have_the_divergence_of_the_closed_form(mean: float, spread: float) -> None:
@@ -40,7 +42,6 @@ def test_two_gaussians_have_the_divergence_of_the_closed_form(mean: float, sprea
     assert abs(np.mean(found) - expected) < 4.0 * np.std(found) / np.sqrt(20.0) + 0.03
 
 
-@pytest.mark.long
 def test_reference_samples_have_the_mean_of_the_steady_plume() -> None:
     """Of 400 samples, 60 s apart: within four standard errors of the plume of the mean amount in the mean gap."""
     plume = cast(PuffPlume(puffs=64), np.float32)

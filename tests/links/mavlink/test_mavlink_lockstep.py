@@ -18,6 +18,8 @@ from qrsim.links.mavlink.stack.flight_stack import FlightStack
 from qrsim.links.mavlink.world import FlownWorld
 from qrsim.scenarios.scenario import load_scenario
 
+pytestmark = pytest.mark.long
+
 CONTENT = {
     "name": "two",
     "duration": 60.0,
@@ -108,7 +110,6 @@ def begun(seed: int = 3) -> FlownWorld:
     return FlownWorld(prepared(load_scenario(CONTENT)), FlightStack, seed=seed, factor=1000.0)
 
 
-@pytest.mark.long
 def test_two_runs_are_equal_to_the_bit_however_long_clients_take():
     ends = []
     for slowness_s in (0.0, 0.002):

@@ -14,6 +14,8 @@ from qrsim.links.mavlink.telemetry import ENCODERS
 from qrsim.links.mavlink.world import FlownWorld
 from qrsim.scenarios.scenario import load_scenario
 
+pytestmark = pytest.mark.long
+
 STILL = (
     "ATTITUDE",
     "ATTITUDE_QUATERNION",

@@ -6,7 +6,10 @@ import time
 from functools import partial
 
 import numpy as np
+import pytest
 from shared_worlds import SEED, A, B, goal, together
+
+pytestmark = pytest.mark.long
 
 
 def test_a_wreck_lies_still_answers_its_client_and_changes_no_bit_of_the_others(barrier):

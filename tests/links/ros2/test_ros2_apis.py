@@ -136,6 +136,7 @@ def engage(air):
     assert command(air, 400, 1.0) == (400, ACCEPTED)
 
 
+@pytest.mark.long
 def test_an_offboard_node_of_px4_takes_off_flies_and_lands(px4):
     """The order of px4_ros_com's offboard_control: set-points begin once the vehicle is in OFFBOARD."""
     engage(px4)
@@ -270,6 +271,7 @@ def place(air, x, y, z, yaw=math.pi / 2):
     air.send("/pair_0/mavros/setpoint_position/local", **position, **turn)
 
 
+@pytest.mark.long
 def test_an_offboard_node_of_mavros_takes_off_flies_and_lands(mavros):
     """The order of PX4's tutorial for mavros: OFFBOARD is refused without a stream of set-points."""
     mavros.run(1.2)

@@ -294,6 +294,7 @@ class TestRangeErrors:
 
     N, STEPS, STD, TAU = 8192, 2000, 12.35, 2000.0
 
+    @pytest.mark.long
     def test_stationary_from_the_first_epoch(self, path):
         low, high = chi_squared_band(self.N, 3)
         for epoch in (0, 1, self.STEPS):

@@ -65,6 +65,7 @@ def errors() -> Array:
     return np.stack(angles, axis=1) / STD - np.array(TRUTH, np.float32).astype(float)[None, :, None] / STD
 
 
+@pytest.mark.long
 def test_stationary_from_the_first_reading(errors):
     low, high = chi_squared_band(VEHICLES, 12)
     for step in (0, 1, 50, STEPS):

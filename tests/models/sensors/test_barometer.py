@@ -73,6 +73,7 @@ def still() -> tuple[Array, Array]:
 
 
 class TestDrift:
+    @pytest.mark.long
     def test_stationary_from_the_first_reading(self, still):
         low, high = chi_squared_band(VEHICLES, 4)
         for step in (0, 1, 50, STEPS):

@@ -55,6 +55,7 @@ def test_the_table_is_what_a_receiver_at_rest_reports_over_a_day() -> None:
         assert sky.hdop[row, 0] == pytest.approx(fix.hdop[0], rel=0.01)
 
 
+@pytest.mark.long
 def test_a_courtyard_that_leaves_4_satellites_is_a_no_go() -> None:
     """Walls of 30 m, 12 m away on all sides; the receiver of the test above tracks 4 satellites directly here."""
     sides = [(-17, 17, 12, 17), (-17, 17, -17, -12), (12, 17, -12, 12), (-17, -12, -12, 12)]

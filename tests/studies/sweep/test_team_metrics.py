@@ -14,8 +14,9 @@ from qrsim.studies.sweep.prepare import plan_of
 from qrsim.studies.sweep.study import load_study
 from qrsim.studies.sweep.team_metrics import STEPS, TeamErrors, missed_share
 
+pytestmark = pytest.mark.long
 
-@pytest.mark.long
+
 def test_what_a_line_passes_by() -> None:
     """Three 10 m apart see 5.5 m to either side: of 20 m, 1 m is missed where one is 2 m off to the side."""
     start = (jnp.zeros((1, 3)), jnp.array([[0.0, 10.0, 20.0]]))
@@ -51,7 +52,6 @@ def state(true: Any, known: Any, flying: Any) -> Any:
     )
 
 
-@pytest.mark.long
 def test_errors_are_of_neighbours_and_begin_after_ten_seconds() -> None:
     """Of four in a square, one 3 m north of its place: it is 3 m off both its neighbours, they are off one of two."""
     square = np.array([[0.0, 0.0], [0.0, 5.0], [5.0, 0.0], [5.0, 5.0]])
@@ -82,7 +82,6 @@ def test_who_has_stopped_is_nobody_s_neighbour() -> None:
     assert metrics.finish(memory, world, None)["relative_error_rms_m"] == pytest.approx([0.0] * 4)
 
 
-@pytest.mark.long
 def test_the_study_has_the_conditions_that_its_page_names() -> None:
     """Three teams, two airs, three receivers, three spacings, 200 seeds; 18 programs."""
     plan = plan_of(load_study("team_errors"))
