@@ -47,6 +47,15 @@ NUMBERS = {
     "light": {"runs", "cpu_s", "over_import_jax"},
     "looking": {"median_us", "step_us", "over_first"},
     "mavlink": {"vehicles", "ticks", "core", "frames_per_second"},
+    "one_world": {
+        "worlds",
+        "vehicles",
+        "threads",
+        "per_wall_second",
+        "per_cpu_second",
+        "megabytes",
+        "over_many_worlds",
+    },
     "outdoor": {"worlds", "ns", "tick_us", "compile_seconds"},
     "pace": {"controllers", "ticks", "latency_median_ms", "latency_p99_ms"},
     "peers": {"vehicles", "processes"},
@@ -100,6 +109,7 @@ def test_every_benchmark_is_tested():
     assert set(NUMBERS) == set(NAMES)
 
 
+@pytest.mark.nightly
 def test_startup():
     results = rows("startup")
     assert [row["target_s"] for row in results] == [None, None, 10.0, None, 3.0, None]
@@ -144,6 +154,7 @@ def test_radio():
     assert 15.0 < row["heard"] < 24.0
 
 
+@pytest.mark.nightly
 def test_zones():
     box, zones = rows("zones")
     assert (box["area"], zones["area"]) == ("box", "zones")
@@ -182,6 +193,14 @@ def test_outdoor():
     whole, other = rows("outdoor")
     assert (whole["stage"], whole["share"], other["stage"]) == ("whole", 1.0, "without filter")
     assert other["share"] < 1.0
+
+
+@pytest.mark.nightly
+def test_one_world():
+    one, many = rows("one_world")
+    assert [(row["worlds"], row["vehicles"]) for row in (one, many)] == [(1, 1), (2, 2)]
+    assert many["over_many_worlds"] == 1.0
+    assert one["megabytes"] < 1000
 
 
 @pytest.mark.nightly

@@ -120,7 +120,7 @@ def test_scenario_flies(name: str, text: str, tmp_path: Path, monkeypatch: pytes
     assert stopped("example.yaml", 20) == set()
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.nightly if name in VARIANTS else ()) for name in WITHOUT_A_TASK]
 )

@@ -12,6 +12,7 @@ from qrsim.core.tree import replace
 pytestmark = pytest.mark.long
 
 
+@pytest.mark.nightly
 def test_coloured_errors_of_fixes_are_not_what_the_filter_states():
     """White ones, on time and late, are; 15 errors and 60 vehicles: 99.9 % of means are within 2.4 of 15."""
     truth = study.flown(300, 60, np.random.default_rng(1))

@@ -13,7 +13,7 @@ from evidence import field as study
 @pytest.mark.long
 def test_gusts_at_two_points_have_the_closed_forms() -> None:
     """Each of 17 means over 100 worlds at 99.9 % over all, with half the pairs of places of the whole small form."""
-    found = study.judge(study.two_points(100, 10))
+    found = study.family_summary(study.two_points(100, 10))
     assert found["statistics"] == 17
     assert found["smallest_p"] > found["p_limit"]
 

@@ -17,7 +17,7 @@ def small() -> dict[str, Any]:
     return study.run(full=False)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_fixes_are_alike_in_size_and_differ_in_colour(small: dict[str, Any]) -> None:
     """Wider bounds than those of the full study, for a sixth of its flights and of their length."""
     white, coloured = (small["gnss"]["fixes"][noise] for noise in ("white", "coloured"))

@@ -23,7 +23,7 @@ def test_rows_become_numbers_by_problem():
     json.dumps(found, allow_nan=False)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_small_form():
     found = study.run(full=False)
     for name in ("linear", "poses"):

@@ -15,7 +15,7 @@ from evidence import sweep as study
 REPORT = Path(__file__).parents[1] / "docs" / "evidence" / "sweep.json"
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_small_form_measures_what_the_full_form_does() -> None:
     found = study.run(full=False)
     assert found["throughput"]["episodes"] == 60

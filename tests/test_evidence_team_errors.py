@@ -65,7 +65,7 @@ def test_shares_and_effects_are_seed_by_seed(tmp_path: Path) -> None:
     assert (tmp_path / "picture.png").stat().st_size > 20_000
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_receivers_that_share_nothing_make_most_of_the_difference(tmp_path: Path) -> None:
     """A line of six, 3 seeds, 25 s: errors of their own are twice and more those of the budget, and leave gaps."""
     found = study.summary(study.flown(False, tmp_path))["line"]["field"]

@@ -39,6 +39,7 @@ def test_the_small_form_learns_from_its_episodes() -> None:
     assert found["hover"]["mean"] < -100.0
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["keep_spot", "cats_and_mouse"])
 def test_stable_baselines_learns_in_its_small_form(name: str) -> None:
     pytest.importorskip("stable_baselines3", reason=learners.INSTALL)

@@ -96,7 +96,7 @@ def test_a_good_operation_is_a_go_and_a_stopped_brief_goes_on(
     assert "wind.speed: 5.0 here, 4.0 there" in capsys.readouterr().err
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_window_spreads_the_starts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, found = brief(write(tmp_path / "window", window="30 min"))
     assert (code, found["runs"], found["complete"]) == (0, 72, True)
@@ -152,7 +152,7 @@ def write_hill(file: Path, north: float, height: float) -> None:
     write_projection(file)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_hill_on_a_leg_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = write(tmp_path / "hill", fence=NEAR, site={"terrain": ["hill.asc"]})
     # 3 m above the leg at 12 m.

@@ -72,7 +72,7 @@ def test_a_live_page_becomes_a_replay_with_what_was_chosen(tmp_path: Path):
             time.sleep(0.01)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_run_waits_for_its_browser_and_stays_while_it_looks(tmp_path: Path):
     """Without a terminal: the flight begins with the first browser, the page ends with the last one."""
     words = ["patrol_plain", "--duration", "1", "--no-figure", "--view", "wait", "--view-port", "0"]

@@ -429,7 +429,7 @@ class TestTwoKeys:
             cache._origin.cache_clear()
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_all_that_is_traced_lies_in_the_rooms_that_the_first_key_digests() -> None:
     root = Path(qrsim.__file__).parent
     seen = set()

@@ -69,6 +69,7 @@ def same(some: list[Any], others: list[Any]) -> bool:
     )
 
 
+@pytest.mark.nightly
 @every([*SINGLE, *SEVERAL])
 @pytest.mark.parametrize(
     "copied", [lambda item: cloudpickle.loads(cloudpickle.dumps(item)), copy.deepcopy], ids=["cloudpickle", "deepcopy"]

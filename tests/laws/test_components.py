@@ -73,7 +73,7 @@ def option_cases(
             long = options_are_long and (bool(settings) or group in dear or (bool(dear) and not_first))
             marks = (pytest.mark.long,) if long else ()
             # All programs take minutes to compile: of each group, one component in four is compiled before the night.
-            if (one_in_four and not_first) or (settings and (group, name) in options_nightly):
+            if (one_in_four and not_first) or (settings and dear) or (settings and (group, name) in options_nightly):
                 marks = (pytest.mark.nightly,)
             cases.append(pytest.param(group, name, settings, id="-".join([group, name, *chosen]), marks=marks))
     return cases

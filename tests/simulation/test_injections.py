@@ -160,7 +160,7 @@ def charges(simulation: Any, ticks: int) -> np.ndarray:
     return np.asarray(begun - simulation.state.fleets[0].battery.charge)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_weak_battery_has_less_capacity_and_voltage() -> None:
     from qrsim.runs.streams import columns, values
 

@@ -73,6 +73,7 @@ def test_kinds_differ_from_vehicle_to_vehicle(world: Any, guided: Any) -> None:
     np.testing.assert_array_equal(setpoint[2], np.float32([5.0, 0.0, -22.0]))
 
 
+@pytest.mark.nightly
 def test_a_multirotor_is_flown_by_its_motors_beside_one_by_tilt(multirotors: Any) -> None:
     motors, tilt = MotorCommand.of(np.full((1, 4), 0.55)), AttitudeCommand(*np.array([[0.0], [0.1], [0.4], [0.0]]))
     everybody_tilts = AttitudeCommand(*np.tile([[0.0], [0.1], [0.4], [0.0]], 3))

@@ -31,7 +31,7 @@ def test_a_task_takes_multirotors(name: str) -> None:
     assert [type(fleet.vehicle) for fleet in world.fleets] == [Multirotor] * len(TASKS[name])
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", [name for name in TASKS if name != "keep_spot"])
 def test_its_baseline_flies_them(name: str, tmp_path: Path) -> None:
     file = tmp_path / "x.yaml"

@@ -213,6 +213,7 @@ def test_a_small_screen_is_usable(show: Callable[..., Shown], browser: Browser):
     assert "Layers" in browser.evaluate("document.body.innerText")
 
 
+@pytest.mark.nightly
 def test_dark_and_light(show: Callable[..., Shown], browser: Browser):
     """The whole page, and the choice outlives a reload."""
     shown = show(1)
@@ -231,6 +232,7 @@ def test_dark_and_light(show: Callable[..., Shown], browser: Browser):
     assert browser.evaluate("window.qrsim.state.theme") == "light"
 
 
+@pytest.mark.nightly
 def test_each_browser_has_its_own_camera_choice_and_follows(show: Callable[..., Shown], browser: Browser):
     shown = show(5)
     eye = "JSON.stringify(window.__viserMutable.camera.position.toArray())"

@@ -125,7 +125,7 @@ def test_a_firmware_that_dies_in_flight_is_named_and_the_others_fly_on_if_asked(
 
 
 @needs_betaflight
-@pytest.mark.long
+@pytest.mark.nightly
 def test_four_of_the_patrol_fly_at_once_and_the_same_twice(eeprom: bytes):
     scenario, fleets = made("outdoor_patrol")
     content = scenario.spec.model_dump(mode="json")

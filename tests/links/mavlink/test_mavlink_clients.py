@@ -94,6 +94,7 @@ def test_mavsdk_3_in_other_modes():
     assert said == ["Armed by external command", "Landing detected", "Disarmed by landing"]
 
 
+@pytest.mark.nightly
 def test_mavsdk_4(field):
     python = environment("mavsdk4")
     assert fly(python, "mavsdk4_flight.py", f"udpin://127.0.0.1:{field.port}") == list(STEPS)

@@ -34,7 +34,7 @@ fleets: {{uav: {{controller: {{type: cascade, feed: truth}}, vehicles: [{PLACES}
 """
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_hundred_thousand_samples_arrive(tmp_path, monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", ALONE)
     (tmp_path / "many.yaml").write_text(SCENARIO)

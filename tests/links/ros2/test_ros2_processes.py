@@ -110,6 +110,7 @@ def barrier_flight(file, domain, pause):
         process.wait(20.0)
 
 
+@pytest.mark.nightly
 def test_at_a_barrier_each_tick_waits_for_who_is_flown(tmp_path, monkeypatch):
     """Three vehicles, twice: they fly the same to the last bit, however long the node takes."""
     monkeypatch.setenv("CYCLONEDDS_URI", ALONE)

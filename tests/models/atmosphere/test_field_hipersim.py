@@ -73,7 +73,7 @@ def test_boxes_have_the_products_that_are_written_down() -> None:
     np.testing.assert_allclose(found, OF_BOXES, rtol=1e-4, atol=1e-4)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_both_have_the_same_shape_along_and_across() -> None:
     """f and g over f(8 m): a box without what is smaller than its step, and the set of waves, have other variances.
 

@@ -187,7 +187,7 @@ def test_slots_do_not_collide_and_carry_what_they_can():
     assert counts(same)["heard"] == [0] * 20
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize("load", [0.1, 0.5])
 def test_pure_aloha_is_heard_as_the_law_says(load):
     """Success exp(-2 G) of Abramson 1970, for packets from 24 others to a receiver that is not one of them.

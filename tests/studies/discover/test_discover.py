@@ -155,6 +155,7 @@ def test_long_flights_choose_the_smaller_law_and_find_trims(log_file: Path) -> N
     assert choice.trims == pytest.approx({"roll": 0.01, "pitch": 0.0, "yaw_rate": 0.02}, abs=2e-3)
 
 
+@pytest.mark.nightly
 def test_the_command_finds_laws_that_scenarios_fly(
     log_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -180,7 +180,7 @@ def cost_by_hand(joint: JointGraph, x: Any, landmarks: Any) -> float:
     return 0.5 * float(total)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "share", [pytest.param(0.0, marks=pytest.mark.long), 0.5, pytest.param(1.0, marks=pytest.mark.long)]
 )

@@ -109,6 +109,7 @@ def test_where_a_receiver_goes_on_without_satellites_there_is_no_fix(tmp_path: P
     assert len(without)
 
 
+@pytest.mark.nightly
 def test_coloured_flights_with_a_receiver_of_another_kind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--gnss", "m8n", "--graph", "paper", "--seeds", "2", "--duration", "20", "--states", "poses", "--json"]
     assert cli.main(["slam", *words]) == 0

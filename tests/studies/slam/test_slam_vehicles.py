@@ -30,7 +30,7 @@ def test_what_does_not_go_together_is_one_line(words: list[str], reason: str, ca
     assert capsys.readouterr().err.strip() == f"error: {reason}"
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_team_is_flown_solved_and_drawn(tmp_path: Path, capsys: Any) -> None:
     out = tmp_path / "out"
     words = ["--vehicles", "2", "--seeds", "2", "--duration", "10", "--states", "poses", "--out", str(out)]
