@@ -1,9 +1,9 @@
 """Where the tick of the default scenario goes: ``outdoor_patrol`` whole, and with one stage replaced by its ideal.
 
 Stages: the Kalman filter (its controller then flies on the truth), the field of gusts, the GNSS receivers, and the IMU.
-Each row is a program of its own in one process; rows are measured in turns, so that all see the same machine. Columns:
-CPU time a vehicle-step in 512 worlds and in one world, the share of the whole that the stage takes, and the time to
-compile.
+Each row has its own program. All run in one process and are measured in turns, so that all see the same machine.
+Columns: CPU time a vehicle-step in 512 worlds and in one world, the share of the whole that the stage takes, and the
+time to compile.
 """
 
 from __future__ import annotations

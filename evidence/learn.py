@@ -1,7 +1,7 @@
 """What ``qrsim train`` learns with its defaults on the simple tasks: ten seeds of each, tried in the same new episodes.
 
 Each policy then flies 200 episodes that nothing was learned from and that no policy was chosen by; so do hovering and
-the baseline. The waypoint is reached by whoever is within ``NEAR`` of it at the end. Times are of one process with one
+the baseline. A vehicle within ``NEAR`` of the waypoint at the end has reached it. Times are of one process with one
 thread, programs loaded; the processor's time does not depend on what else the machine does.
 """
 
@@ -33,7 +33,7 @@ Values = np.ndarray[Any, Any]
 
 
 def run(full: bool, parts: tuple[str, ...] = PARTS) -> dict[str, Any]:
-    """Return what each part finds; the small form trains for a moment in short episodes."""
+    """Return the results of each part; the small form trains briefly in short episodes."""
     if not full:
         plan = Plan("keep_spot", ("duration=2",), envs=64, steps=4096, tries=SMALL_TRIALS)
         return {"keep_spot_seed_0": trained(plan, SMALL_TRIALS)}

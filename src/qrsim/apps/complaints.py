@@ -38,7 +38,7 @@ def in_a_sentence(program: str, options: Sequence[str], again: Callable[[], obje
 
 
 def _box(parse: Callable[[], object]) -> str:
-    """Return what tyro prints on standard error while it parses, in lines wide enough not to break."""
+    """Return the text that tyro prints on standard error while it parses, without broken lines."""
     columns, said = os.environ.get("COLUMNS"), io.StringIO()
     os.environ["COLUMNS"] = _WIDE
     try:

@@ -140,7 +140,7 @@ class Identify:
             raise UsageError(f"--from {self.begin:g} is not before --to {self.end:g}")
 
     def _question(self) -> Question:
-        """Return what is to be fitted, from the options: start values, priors, constants and logs."""
+        """Return the problem to fit, from the options: start values, priors, constants and logs."""
         from qrsim.scenarios.vehicle_checks import grams_hint
         from qrsim.studies.identify.constants import CHANNELS, CONSTANTS, PITCH, check_names
         from qrsim.studies.identify.fit import Prior, Question

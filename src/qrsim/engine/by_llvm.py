@@ -37,7 +37,7 @@ from qrsim.engine.settings import available_cores, threads, tier
 # What was traced last, because how large a state is, is asked before its start is compiled.
 _TRACED: dict[Any, tuple[Any, Any]] = {}
 _BYTES: dict[Any, int] = {}
-# From so many vehicles on a world is computed in strips, of so many each, that stay in the second cache of a core.
+# A world of at least this many vehicles is computed in strips of this many, which stay in the second cache of a core.
 MANY_VEHICLES, STRIP = 1024, 256
 
 

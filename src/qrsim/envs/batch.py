@@ -173,7 +173,10 @@ class Batch:
             jax.tree.map(lambda old, new: _set_rows(old, rows, new), whole, part)
 
     def give_away(self) -> Any:
-        """Return what all agents see, (B, n, ...), for a user who may change it: large parts are not copied."""
+        """Return the observations of all agents, (B, n, ...), for a user who may change them.
+
+        Parts that are computed late are handed over, the others copied.
+        """
         self._given_away = bool(self.episodes.late)
         if not self._given_away:
             return jax.tree.map(np.copy, self.seen)

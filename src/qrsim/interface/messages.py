@@ -104,7 +104,7 @@ def outboxes(say: Say, world: World, names: Sequence[Sequence[str]], dtype: obje
 
 
 def _owned(part: Array, traced: bool) -> Array:
-    """Return an array in memory of its own; a traced one unchanged."""
+    """Return an array as contiguous memory; a traced array unchanged."""
     return part if traced else cast(Array, np.ascontiguousarray(part))
 
 

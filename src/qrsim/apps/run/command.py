@@ -162,7 +162,11 @@ class Run:
     @property
     def _of_task(self) -> bool:
         """True for a policy of the scenario's task: its baseline, or a learned one."""
-        return self.policy is not None and (self.policy == BASELINE or self.policy.endswith(".npz"))
+        if self.policy is None or self.policy == BASELINE:
+            return self.policy is not None
+        from qrsim.tasks.learned import is_policy_file
+
+        return is_policy_file(self.policy)
 
     def _fly(
         self,

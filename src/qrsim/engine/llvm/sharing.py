@@ -198,7 +198,7 @@ class SharedNeighbours(Neighbours):
 
 
 def _kind_of(step: Step) -> str:
-    """Return who computes a step of no group: every thread ("scalars"), all together ("nearest"), or the first one."""
+    """Return who computes a step outside groups: every thread ("scalars"), all together ("nearest"), or the first."""
     if step.kind == "loop" and step.domain == ():
         return "scalars"
     return "nearest" if step.kind == "nearest" else "alone"

@@ -16,7 +16,7 @@ from qrsim.engine.llvm.in_state import Move
 from qrsim.engine.llvm.schedule import Reading, Step, all_nodes
 from qrsim.engine.llvm.writing import Place
 
-# A sum over all elements takes a loop of its own where so many operations come before it.
+# A sum over all elements has its own loop if at least this many operations come before it.
 _WORTH_A_STRIP = 8
 # What is as small as this is computed again for every strip.
 _SMALL = 1024

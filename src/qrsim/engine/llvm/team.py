@@ -11,9 +11,9 @@ from time import perf_counter
 from qrsim.engine.layout import Buffers
 from qrsim.engine.llvm.calling import Program
 
-# Numbers of a state that a thread has at least, and of all ticks of a call that several threads share.
+# Least numbers of a state for each thread, and least numbers of all ticks of a call, for several threads.
 NUMBERS_OF_A_THREAD, NUMBERS_OF_A_CALL = 1 << 16, 1 << 18
-# Ticks are run for so long before it is asked again which way is faster; of so many times the slower one is tried once.
+# Time between two choices of the faster way [s], and how many choices there are for each trial of the slower way.
 _STRETCH_S, _TRIED_AGAIN = 0.03, 32
 _POOLS: dict[int, ThreadPoolExecutor] = {}
 # Held while threads run one world together: two worlds at once could each wait for threads that the other one has.

@@ -194,7 +194,7 @@ def systems_of(world: World, first: int) -> list[tuple[int, Facts]]:
 
 
 def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
-    """Return what a stack has to know about a vehicle: limits, area, kinds of order, battery, speeds."""
+    """Return the facts that a stack needs about a vehicle: limits, area, kinds of order, battery, speeds."""
     area: Any = world.area
     limited, zones = area.is_box or isinstance(area, PolygonArea | ZonesArea), _zones(area)
     ceiling, floor = (float(area.z_min), float(area.z_max)) if limited else (-np.inf, np.inf)
