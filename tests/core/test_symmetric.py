@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from qrsim.control.covariance import variance_of
 from qrsim.core.symmetric import Term, lowered, place_of, places, size_of, times, transformed
 
 SIZE, COUNT = 5, 3
@@ -69,3 +70,12 @@ def test_operations_are_batched_and_differentiated(whole: np.ndarray):
 
     slopes = jax.vmap(jax.grad(form))(jnp.array([1.0, 0.5]))
     np.testing.assert_allclose(slopes, [-150.0, -75.0], rtol=1e-5)
+
+
+def test_variance_of_a_measurement_is_that_of_the_whole_matrix(whole: np.ndarray) -> None:
+    """H P H' with one, two and three sensitivities."""
+    for sensitivity in ({2: 1.5}, {0: 1.0, 3: -0.5}, {1: 2.0, 2: -1.0, 4: 0.25}):
+        row = np.zeros(SIZE)
+        row[list(sensitivity)] = list(sensitivity.values())
+        given = {i: jnp.full(COUNT, value, jnp.float32) for i, value in sensitivity.items()}
+        np.testing.assert_allclose(variance_of(half_of(whole), given), row @ whole @ row, rtol=1e-5)
