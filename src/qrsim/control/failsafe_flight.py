@@ -265,9 +265,16 @@ class Failsafes:
         phase = jnp.where(state.action == HOLD, STAY, jnp.where(state.action == RETURN, CLIMB, DOWN))
         zero = jnp.zeros_like(state.since)
         return replace(
-            state, place_ned=here, speed_ned=going, goal_ned=goal, yaw=estimate.attitude.yaw,
-            phase=phase.astype(jnp.int32), since=zero, waited=zero, rally_ned=safe if self.rally else None,
-        )  # fmt: skip
+            state,
+            place_ned=here,
+            speed_ned=going,
+            goal_ned=goal,
+            yaw=estimate.attitude.yaw,
+            phase=phase.astype(jnp.int32),
+            since=zero,
+            waited=zero,
+            rally_ned=safe if self.rally else None,
+        )
 
     def _nearest(self, home: Vec3, here: Vec3) -> tuple[Vec3, Array]:
         """Return where a return lands (n,), on the ground, and the largest down coordinate of the way there [m]."""

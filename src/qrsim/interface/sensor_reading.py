@@ -58,9 +58,10 @@ class SensorReading(Tabled):
         """Names of the sensor's fields."""
         said = vars(self._reading)
         own = tuple(
-            field.name for field in dataclasses.fields(self._reading)
+            field.name
+            for field in dataclasses.fields(self._reading)
             if field.name not in _UNASKED or jax.tree.leaves(said[field.name])
-        )  # fmt: skip
+        )
         if isinstance(self._reading, GnssReading):
             more = ["latitude_deg", "longitude_deg", "height", "fix_type"]
             if isinstance(self._reading, GnssFix) and self._timed:
@@ -222,6 +223,13 @@ PICTURE_FIELDS = ("ratio", "corners_ned", "grid")
 _GEODETIC = ("latitude_deg", "longitude_deg", "height")
 # Of fields that no model declares.
 _UNITS = {
-    "latitude_deg": "deg", "longitude_deg": "deg", "height": "m", "fix_type": "1", "time_of_fix": "s",
-    "quaternion": "1", "ratio": "1", "corners_ned": "m", "grid": "1",
-}  # fmt: skip
+    "latitude_deg": "deg",
+    "longitude_deg": "deg",
+    "height": "m",
+    "fix_type": "1",
+    "time_of_fix": "s",
+    "quaternion": "1",
+    "ratio": "1",
+    "corners_ned": "m",
+    "grid": "1",
+}

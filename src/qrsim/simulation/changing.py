@@ -198,8 +198,10 @@ def _with_leg(course: Course, to: float, when: tuple[int, int, int], turns: bool
     """Return a course with one more leg: to a value, or bearing [rad] by the shorter turn, over some ticks."""
     tick, ticks, now = when
     room, dtype = len(course.start_tick), np.asarray(course.after).dtype
-    rows = zip(*(np.asarray(part).tolist() for part in (course.start_tick, course.ticks, course.before, course.after)),
-               strict=True)  # fmt: skip
+    rows = zip(
+        *(np.asarray(part).tolist() for part in (course.start_tick, course.ticks, course.before, course.after)),
+        strict=True,
+    )
     known = [leg for leg in map(_Leg._make, rows) if leg.start < LAST_TICK]
     legs = [leg for leg in known if leg.start < tick]
     for leg in [_Leg(tick, ticks, 0.0, to), *(leg for leg in known if leg.start > tick)]:

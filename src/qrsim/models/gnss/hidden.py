@@ -129,9 +129,18 @@ def _as_seen(receiver: ReceiverParameters, slots: Slots, whole: Geometry, tracki
 
 
 def _looked(
-    receiver: ReceiverParameters, skyline: Skyline, slots: Slots, whole: Geometry, before: Tracking | None,
-    same: Array | None, position_ned: Vec3, fast: Array, slow: Array, passed: Array, effect: Effect | None,
-) -> Tracking:  # fmt: skip
+    receiver: ReceiverParameters,
+    skyline: Skyline,
+    slots: Slots,
+    whole: Geometry,
+    before: Tracking | None,
+    same: Array | None,
+    position_ned: Vec3,
+    fast: Array,
+    slow: Array,
+    passed: Array,
+    effect: Effect | None,
+) -> Tracking:
     """Return solutions that are new, ``passed`` () [s] after the last ones."""
     hides, detour = skyline.look(position_ned, slots.sight)
     there = jnp.broadcast_to(whole.age > 0.0, hides.shape)

@@ -111,8 +111,8 @@ class GridGround(Ground):
             parts.append(place - number)
             numbers.append(number.astype(jnp.int32))
         i, j = numbers
-        south, north = (tuple(grid[i + di, j + dj] for dj in (0, 1)) for di in (0, 1))
-        return (parts[0], parts[1]), (south, north)  # type: ignore[return-value]
+        south, north = ((grid[i + di, j], grid[i + di, j + 1]) for di in (0, 1))
+        return (parts[0], parts[1]), (south, north)
 
     def horizon_sine(self, position_ned: Vec3, line_of_sight: Vec3) -> Array:
         """Return the sine (S, n) of the elevation of the horizon below lines of sight (S, n) from positions (n,).

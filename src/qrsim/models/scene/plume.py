@@ -313,6 +313,6 @@ class PuffPlume(Plume):
         return inside | (tail <= 0.0)
 
 
-def trail(factor: Array | float, exponent: Array | float, flown: Array) -> Array:
+def trail(factor: Array | float, exponent: Array | float, flown: Array | float) -> Array:
     """Return the distance [m] behind its centre within which a puff matters, after a distance flown [m]."""
     return jnp.sqrt(-2.0 * math.log(NEGLIGIBLE) * factor * exp(exponent * log(jnp.maximum(flown, 1e-3))))

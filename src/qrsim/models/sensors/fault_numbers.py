@@ -44,10 +44,16 @@ OF_FIELDS = ("bias", "scale", "rate", "std", "times", "range")
 # Smallest and largest value. What has no other is a number that single precision holds.
 _ANY = 1e15
 _BOUNDS = {
-    "limit": (0.0, _ANY), "std": (0.0, _ANY), "times": (1.0, 1e6),
-    "range": (0.0, _ANY), "every": (1, 1_000_000), "by": (0.0, 600.0),
-    "share": (0.0, 1.0), "on": (0.0, 1e6), "off": (0.0, 1e6),
-}  # fmt: skip
+    "limit": (0.0, _ANY),
+    "std": (0.0, _ANY),
+    "times": (1.0, 1e6),
+    "range": (0.0, _ANY),
+    "every": (1, 1_000_000),
+    "by": (0.0, 600.0),
+    "share": (0.0, 1.0),
+    "on": (0.0, 1e6),
+    "off": (0.0, 1e6),
+}
 
 
 def kind_of(word: str) -> Kind:

@@ -25,10 +25,19 @@ _WALK = math.sqrt(3.0 / 500.0)
 
 
 def _chip(
-    gyroscope_density_deg: float, accelerometer_density_ug: float, zero_rate_deg: float, zero_g_mg: float,
-    floor_deg_per_hour: float, floor_ug: float, scale: tuple[float, float], misalignment: tuple[float, float],
-    g_sensitivity_deg: float, ranges: tuple[float, float], steps: tuple[float, float], sample_rate: float = 1000.0,
-) -> dict[str, object]:  # fmt: skip
+    gyroscope_density_deg: float,
+    accelerometer_density_ug: float,
+    zero_rate_deg: float,
+    zero_g_mg: float,
+    floor_deg_per_hour: float,
+    floor_ug: float,
+    scale: tuple[float, float],
+    misalignment: tuple[float, float],
+    g_sensitivity_deg: float,
+    ranges: tuple[float, float],
+    steps: tuple[float, float],
+    sample_rate: float = 1000.0,
+) -> dict[str, object]:
     """Return the parameters of a chip.
 
     Args:

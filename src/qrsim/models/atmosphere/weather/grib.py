@@ -184,8 +184,9 @@ def _decoded(eccodes: Any, file: str, path: str, chosen: dict[int, Key], values:
             continue
         if turns[key] != turns[other]:
             raise UsageError(f"{file}: u and v at {key.level:g} {key.kind} are along different axes")
-        along, across = (checked_speed(file, f"{each.name} at {each.level:g} {each.kind}", found[each])
-                         for each in (key, other))  # fmt: skip
+        along, across = (
+            checked_speed(file, f"{each.name} at {each.level:g} {each.kind}", found[each]) for each in (key, other)
+        )
         sine, cosine = math.sin(turns[key]), math.cos(turns[key])
         found[key], found[other] = along * cosine + across * sine, across * cosine - along * sine
     values.found = {key: value for key, value in found.items() if math.isfinite(value)}

@@ -121,11 +121,11 @@ def grid_of(file: str, shape: tuple[int, int], transform: list[float], crs: Crs)
     rows, columns = shape
     if rows < 2 or columns < 2:
         raise UsageError(f"{file}: has {rows} x {columns} heights; expected at least 2 x 2")
-    a, b, _, d, e, _ = transform
+    a, b, c, d, e, f = transform
     # NaN fails this comparison too.
     if not (abs(a * e - b * d) > 0.0 and all(map(math.isfinite, transform))):
         raise UsageError(f"{file}: its geotransform {tuple(transform)} has no inverse")
-    grid = Grid(rows, columns, (*transform,), crs)  # type: ignore[arg-type]
+    grid = Grid(rows, columns, (a, b, c, d, e, f), crs)
     if crs.geographic:
         x, y = grid.place(np.array([0.0, 0.0, rows - 1, rows - 1]), np.array([0.0, columns - 1, 0.0, columns - 1]))
         if max(abs(y)) > 90.0 + grid.spacing[0] or max(abs(x)) > 360.0 + grid.spacing[1]:

@@ -101,8 +101,10 @@ def effects(rotor: Rotor, torque_ratio: Number) -> tuple[Number, Number, Number,
     (x, y, z), (a, b, c) = rotor.position, rotor.axis
     turning = [rotor.direction * component for component in rotor.axis]
     lever = (y * c - z * b, z * a - x * c, x * b - y * a)
-    torque = [own if factor == 0.0 else own + factor * torque_ratio for own, factor in zip(lever, turning, strict=True)]
-    return -c, *torque  # type: ignore[return-value]
+    roll, pitch, yaw = (
+        own if factor == 0.0 else own + factor * torque_ratio for own, factor in zip(lever, turning, strict=True)
+    )
+    return -c, roll, pitch, yaw
 
 
 def allocation(
