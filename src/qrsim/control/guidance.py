@@ -21,10 +21,10 @@ from qrsim.core.vectors import Vec3
 
 @record
 class Route:
-    """Waypoints of each vehicle, padded to the longest route: W waypoints, n vehicles."""
+    """Waypoints of each vehicle, padded to the longest route: P waypoints, n vehicles."""
 
-    position_ned: Vec3 = quantity(unit="m", doc="(W, n) waypoints")
-    yaw: Array = quantity(unit="rad", doc="(W, n) heading towards and at each waypoint")
+    position_ned: Vec3 = quantity(unit="m", doc="(P, n) waypoints")
+    yaw: Array = quantity(unit="rad", doc="(P, n) heading towards and at each waypoint")
     count: Array = quantity(doc="(n,) int32 number of waypoints")
 
 

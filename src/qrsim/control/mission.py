@@ -29,7 +29,7 @@ LIFTED = 0.5
 
 @record
 class Orbits:
-    """Circles among the legs, (W, n)."""
+    """Circles among the legs, (L, n)."""
 
     flown: Array = quantity(doc="bool: the leg is a circle")
     arm_north: Array = quantity(unit="m", doc="from the centre to where the circle begins")
@@ -40,7 +40,7 @@ class Orbits:
 
 @record
 class Facing:
-    """Legs during which a vehicle's heading points at a place, (W, n)."""
+    """Legs during which a vehicle's heading points at a place, (L, n)."""
 
     faced: Array = quantity(doc="bool: the leg has one")
     north: Array = quantity(unit="m", doc="of the place")
@@ -49,38 +49,38 @@ class Facing:
 
 @record
 class Mission:
-    """Legs of each vehicle as planned (paths.py), padded to the longest mission: W legs, n vehicles."""
+    """Legs of each vehicle as planned (paths.py), padded to the longest mission: L legs, n vehicles."""
 
-    position_ned: Vec3 = quantity(unit="m", doc="(W, n) where each leg ends")
-    yaw: Array = quantity(unit="rad", doc="(W, n) heading")
+    position_ned: Vec3 = quantity(unit="m", doc="(L, n) where each leg ends")
+    yaw: Array = quantity(unit="rad", doc="(L, n) heading")
     count: Array = quantity(doc="(n,) int32 number of legs")
     following: Array = quantity(doc="(n,) int32 leg that follows the last; itself: none does")
-    begin_ned: Vec3 = quantity(unit="m", doc="(W, n) where the straight line begins")
-    direction: Vec3 = quantity(unit="1", doc="(W, n) of the line")
-    onward: Vec3 = quantity(unit="1", doc="(W, n) direction after the turn at its end")
-    enter: Array = quantity(unit="m/s", doc="(W, n) speed at the begin")
-    peak: Array = quantity(unit="m/s", doc="(W, n) largest speed; of a polynomial the mean")
-    leave: Array = quantity(unit="m/s", doc="(W, n) speed at the end")
-    rise_s: Array = quantity(unit="s", doc="(W, n) time of the ramp to the largest speed")
-    cruise_s: Array = quantity(unit="s", doc="(W, n) time at this speed")
-    fall_s: Array = quantity(unit="s", doc="(W, n) time of the ramp from it")
-    turn_s: Array = quantity(unit="s", doc="(W, n) time of the turn into the next leg")
-    accept_radius: Array = quantity(unit="m", doc="(W, n) distance at which the end counts as reached")
-    hold_s: Array = quantity(unit="s", doc="(W, n) time to stay there")
-    limit_s: Array = quantity(unit="s", doc="(W, n) time after which a leg is reported as not reached")
-    stops: Array = quantity(doc="(W, n) bool: the leg ends at rest")
-    lands: Array = quantity(doc="(W, n) bool: the leg ends on the ground")
-    number: Array = quantity(doc="(W, n) int32 number of the leg as its author counts")
-    last: Array = quantity(doc="(W, n) bool: the last part of what its author wrote as one leg")
+    begin_ned: Vec3 = quantity(unit="m", doc="(L, n) where the straight line begins")
+    direction: Vec3 = quantity(unit="1", doc="(L, n) of the line")
+    onward: Vec3 = quantity(unit="1", doc="(L, n) direction after the turn at its end")
+    enter: Array = quantity(unit="m/s", doc="(L, n) speed at the begin")
+    peak: Array = quantity(unit="m/s", doc="(L, n) largest speed; of a polynomial the mean")
+    leave: Array = quantity(unit="m/s", doc="(L, n) speed at the end")
+    rise_s: Array = quantity(unit="s", doc="(L, n) time of the ramp to the largest speed")
+    cruise_s: Array = quantity(unit="s", doc="(L, n) time at this speed")
+    fall_s: Array = quantity(unit="s", doc="(L, n) time of the ramp from it")
+    turn_s: Array = quantity(unit="s", doc="(L, n) time of the turn into the next leg")
+    accept_radius: Array = quantity(unit="m", doc="(L, n) distance at which the end counts as reached")
+    hold_s: Array = quantity(unit="s", doc="(L, n) time to stay there")
+    limit_s: Array = quantity(unit="s", doc="(L, n) time after which a leg is reported as not reached")
+    stops: Array = quantity(doc="(L, n) bool: the leg ends at rest")
+    lands: Array = quantity(doc="(L, n) bool: the leg ends on the ground")
+    number: Array = quantity(doc="(L, n) int32 number of the leg as its author counts")
+    last: Array = quantity(doc="(L, n) bool: the last part of what its author wrote as one leg")
     polynomial: Array | None = quantity(
-        default=None, doc="(W, n) bool: a polynomial of fifth degree, from rest to rest"
+        default=None, doc="(L, n) bool: a polynomial of fifth degree, from rest to rest"
     )
     circle: Orbits | None = quantity(default=None, doc="circles, None without any")
     facing: Facing | None = quantity(default=None, doc="points that the heading follows, None without any")
 
     @property
     def rises(self) -> Array:
-        """Which legs go straight up, as a take-off does, (W, n) bool."""
+        """Which legs go straight up, as a take-off does, (L, n) bool."""
         return self.direction.z < -0.9999
 
 

@@ -338,7 +338,7 @@ def mission_of(plans: Sequence[Sequence[_Part]], again: Sequence[int | None], li
 
 
 def _headings(rows: list[list[_Part]]) -> NumpyArray:
-    """Return the heading (W, n) [rad] along each leg; where it has none, that before it."""
+    """Return the heading (L, n) [rad] along each leg; where it has none, that before it."""
     columns = []
     for row in rows:
         ways = [math.atan2(p.direction[1], p.direction[0]) if _is_level(p) else None for p in row]

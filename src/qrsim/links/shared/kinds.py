@@ -94,7 +94,7 @@ def record_of(kind: str, columns: NumpyArray, command: type) -> Any:
 
     Args:
         kind: one of NAMES.
-        columns: (W, n) its numbers; the record holds views of them.
+        columns: (V, n) its numbers; the record holds views of them.
         command: the fleet's own record, for "control".
     """
     if kind == CONTROL:

@@ -105,7 +105,7 @@ def _persons(own: Any, view: Any, around: Surroundings, tick: Array, size: Array
 
 
 def _present(shown: _Shown, row: Array, column: Array) -> Array:
-    """Return in which windows (W,) of a row () a missing person is nearest."""
+    """Return in which windows (C,) of a row () a missing person is nearest."""
 
     def compare() -> Array:
         """Compare all windows with those of persons."""
