@@ -51,9 +51,7 @@ class Request:
 
 
 def wind(speed: float, from_deg: float, over: float = 0.0) -> Request:
-    """Return the request for a mean wind: speed [m/s] at 20 ft, from ``from_deg`` [degrees], reached after ``over``
-    [s].
-    """
+    """Return the request for a mean wind: speed [m/s] at 20 ft from ``from_deg`` [deg], reached after ``over`` [s]."""
     later = {"over": over} if over else {}
     return Request(WORLD, WIND, numbers=dict(zip(WIND_NUMBERS, (speed, from_deg), strict=True)) | later)
 

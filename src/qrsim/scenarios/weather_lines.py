@@ -21,7 +21,7 @@ GUST_SIGMAS = 3.0
 
 
 def profile_lines(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the wind of a profile at the start of the run in words, with the source of each height."""
+    """Yield printable lines about a profile's wind at the start, with the source of each height."""
     wind = scenario.world.wind
     if wind.type != PROFILE:
         return

@@ -144,10 +144,10 @@ class System:
             self.told.add(line)
             self._note(line)
 
-    def tell_once(self, what: str, text: Text) -> None:
+    def tell_once(self, key: str, text: Text) -> None:
         """Send a text on all links unless one with the same ``key`` was sent since the last restart."""
-        if what not in self.told:
-            self.told.add(what)
+        if key not in self.told:
+            self.told.add(key)
             self.text(text)
 
     def _broadcast(self, name: str, payload: bytes) -> None:

@@ -178,6 +178,7 @@ def _said(item: int, speed: float | None, climb: float | None, sink: float | Non
 
 
 def _legs_at(waypoint: Waypoint, place: Place, here: Place) -> list[Content]:
+    """Return the legs of a waypoint's own command (fly, loiter, take off, land) at its place NED [m]."""
     name, hold = waypoint.command, waypoint.hold
     fly: Content = {"type": "fly", "to_ned": place, "hold": hold, "stop": True}
     waits: list[Content] = [{"type": "loiter", "time": hold}] if hold > 0.0 else []
@@ -201,13 +202,13 @@ def _legs_at(waypoint: Waypoint, place: Place, here: Place) -> list[Content]:
 
 
 def _course(begin: Place, end: Place, otherwise: float) -> float:
-    """Return the direction from one place to another [deg], ``otherwise`` where they are above each other."""
+    """Return the course [deg] from one place to another; ``otherwise`` if they are above each other."""
     north, east = end[0] - begin[0], end[1] - begin[1]
     return math.degrees(math.atan2(east, north)) if math.hypot(north, east) > SHORTEST else otherwise
 
 
 def _met(until: Condition, place: Place, gate: Place | None) -> Callable[[Place], bool]:
-    """Return whether a condition is met at a place on the way to another."""
+    """Return a function that tells whether a place NED [m] meets a condition on the way to ``place``."""
     if gate is None:
         return lambda here: math.dist(here[:2], place[:2]) <= (until.distance or 0.0)
     north, east = place[0] - gate[0], place[1] - gate[1]
@@ -215,7 +216,7 @@ def _met(until: Condition, place: Place, gate: Place | None) -> Callable[[Place]
 
 
 def _cut(way: list[Place], met: Callable[[Place], bool]) -> int | None:
-    """Insert the place at which a condition is met into a way; return its index, None where it is met at the begin.
+    """Insert the first point that meets a condition into a way, in place; return its index, None if that is the begin.
 
     Where it is not met before the end, the end is that place.
     """
@@ -235,4 +236,5 @@ def _cut(way: list[Place], met: Callable[[Place], bool]) -> int | None:
 
 
 def _at(begin: Place, end: Place, share: float) -> Place:
+    """Return the point at a share, 0 to 1, of the line between two places."""
     return [a + share * (b - a) for a, b in zip(begin, end, strict=True)]

@@ -53,7 +53,7 @@ class Report:
 
 
 def find(path: Path, metric: str | None, pair: list[str]) -> Report:
-    """Return the analysis of a store: responses, boundary, sensitivity and worst episodes.
+    """Return the analysis of a store as a ``Report``: responses, boundary, sensitivity and worst episodes.
 
     Args:
         path: of the store.
@@ -131,7 +131,7 @@ def replay(results: Results, episode: int, folder: Path) -> str:
 
 
 def _scenario_name(values: Mapping[str, object]) -> tuple[str, Content]:
-    """Return the file of the scenario of an episode, and the numbers of vehicles that are its own there."""
+    """Return the file name of an episode's scenario, and the values that only this file holds."""
     counts = {path: value for path, value in values.items() if path.endswith(COUNT)}
     return "_".join(["scenario", *map(str, counts.values())]) + ".yaml", counts
 
@@ -151,7 +151,7 @@ def _write_scenarios(report: Report, folder: Path) -> list[str]:
 
 
 def write(report: Report, folder: Path, form: str = "png") -> list[Path]:
-    """Write pictures (png, pdf or svg), the tables as JSON, and the scenario; return the files."""
+    """Write pictures (png, pdf or svg), the tables as JSON, and the scenario into a folder; return the files."""
     from qrsim.runs.picture import save_picture
     from qrsim.studies.sweep import figures
 
@@ -264,7 +264,7 @@ def print_report(report: Report, folder: Path) -> None:
 
 
 def _ranked_by(report: Report) -> str:
-    """Return the metrics that rank the worst episodes, in words."""
+    """Return as text which metrics rank the worst episodes."""
     parts = []
     for metric, low_is_bad in report.ranking.items():
         unit = report.results.unit(metric)
