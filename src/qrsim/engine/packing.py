@@ -119,7 +119,7 @@ def _whole(path: Path) -> tuple[Content, bytes] | None:
 
 
 def _checked(name: str, content: bytes) -> Content:
-    """Return the header of a packed file; raises UsageError if it is damaged.
+    """Return the header of a packed file; raises ValueError if it is damaged or has another program's name.
 
     Raises:
         ValueError: it is damaged, or has another name than its own.

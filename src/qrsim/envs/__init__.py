@@ -67,7 +67,7 @@ def gymnasium_id(scenario: str) -> str:
 
 
 def register() -> None:
-    """Register the environments with one vehicle in Gymnasium, if it is installed."""
+    """Register each single-vehicle task as an environment of Gymnasium, if it is installed."""
     try:
         import gymnasium
     except ModuleNotFoundError:

@@ -58,7 +58,7 @@ _DECLARED: dict[str, tuple[Callable[[object], bool], str]] = {
 
 
 def attribute_type_problems(kind: str, component: type, contract: type | None) -> Iterator[str]:
-    """Yield a sentence for each class attribute whose type differs from the contract of its kind."""
+    """Yield a sentence for each class attribute with a type that differs from its kind's contract."""
     fields = getattr(component, "__dataclass_fields__", {})
     for name, declared in getattr(contract, "__annotations__", {}).items():
         fits, words = _DECLARED.get(str(declared).replace('"', "'"), (None, ""))

@@ -103,7 +103,6 @@ def _white_noise(fleet: FleetSpec, sensor: str, scenario: ScenarioSpec) -> dict[
 
 
 def _numbers_given(spec: FaultSpec) -> dict[str, float | None]:
-    """Return the magnitude parameters of a fault by name, None where not given."""
     return {name: getattr(spec, name) for name in NAMES}
 
 
@@ -356,7 +355,6 @@ def _moment_problems(
 
 
 def _battery_problems(path: str, fault: BatteryFaultSpec, fleet: FleetSpec) -> Iterator[str]:
-    """Yield the problems of a battery fault."""
     if not known.BATTERIES[fleet.battery.type].drains:
         yield f"{path}.type: a battery of type '{fleet.battery.type}' has no charge that it could lose"
     if fault.charge is None and fault.health is None:
@@ -366,7 +364,6 @@ def _battery_problems(path: str, fault: BatteryFaultSpec, fleet: FleetSpec) -> I
 
 
 def _rotor_problems(path: str, fault: RotorFaultSpec, fleet: FleetSpec) -> Iterator[str]:
-    """Yield the problems of a rotor fault."""
     if fault.speed is not None and fault.health > 0.0:
         yield f"{path}.health: a rotor that is stuck at a speed has none"
     if not issubclass(known.VEHICLES[fleet.vehicle.type], Multirotor):

@@ -29,7 +29,7 @@ class PlanGround:
 
     @property
     def relief(self) -> bool:
-        """Whether the ground's height varies."""
+        """True if the ground's height varies."""
         return bool(self._scenario.world.ground.type != "flat")
 
     @cached_property

@@ -121,7 +121,7 @@ def _is_setting(scenario: ScenarioSpec, path: str) -> bool:
 
 
 def _group(parts: list[str]) -> Mapping[str, type] | None:
-    """Return type name -> class of the components at a path without its last part; None if there are none."""
+    """Return type name -> class of the components at a path without its last part; None for other paths."""
     if parts[:2] == ["world", "updrafts"]:
         return known.UPDRAFTS
     if parts[0] == "world":

@@ -155,7 +155,7 @@ def checked_overrides(overrides: Iterable[str]) -> list[str]:
 
 
 def merged(parent: Content, child: Content) -> Content:
-    """Return ``parent`` updated recursively by ``child``, whose values take precedence.
+    """Return ``parent`` updated recursively by ``child``; values of the child take precedence.
 
     A child of another ``type``, or a site from a ``plan``, replaces the parent wholly. A list replaces a list, an angle
     in one unit that in the other, a wind's ``speed`` its ``speed_20ft``, a site's ``height_amsl`` its ``height``, and

@@ -154,7 +154,6 @@ def _same_shape_as(check: Callable[[str, Any, tuple[int, ...]], Iterator[str]], 
 
 
 def _check_state(self: object, args: Any, result: Any) -> Iterator[str]:
-    """Yield the differences in structure, type and shape of the returned state from the one passed in."""
     yield from unchanged("the state", args[0], result)
 
 
@@ -298,7 +297,6 @@ def _check_observation(whole: str, n: int, result: object) -> Iterator[str]:
 
 
 def _check_axis_names(self: Any, args: Any, result: Any) -> Iterator[str]:
-    """Yield the problems of the axis names that ``sees`` returns."""
     yield from _for_each_fleet(self, args[0], RETURNED, result, _check_axes)
 
 

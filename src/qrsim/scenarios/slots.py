@@ -63,7 +63,7 @@ def _validated(make: Maker, value: object) -> Strict:
 
 
 def slot(makers: Callable[[], Mapping[str, Maker]], key: str = "type") -> Any:
-    """Return the pydantic annotation of a slot, whose content is validated by the model of its ``key``."""
+    """Return the pydantic annotation of a slot; its content is validated by the model of its ``key``."""
     return type("Slot", (Slot,), {"makers": staticmethod(makers), "key": key})
 
 

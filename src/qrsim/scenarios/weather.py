@@ -120,7 +120,7 @@ def _spec(found: Soundings, start: float, roughness: float, top: float) -> Any:
 
 
 def _with_turbulence(scenario: ScenarioSpec) -> ScenarioSpec:
-    """Return a scenario whose turbulence takes missing speed and bearing from the profile."""
+    """Return a scenario with the turbulence's missing speed and bearing taken from the profile."""
     turbulence = scenario.world.turbulence
     missing = [name for name in ("speed_20ft", "wind_from_rad") if vars(turbulence).get(name, 0.0) is None]
     if not missing:

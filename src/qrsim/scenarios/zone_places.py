@@ -94,7 +94,7 @@ def _note(written: dict[str, str], here: str, path: str, zone: ZoneSpec, each: Z
 def _placed(
     zone: ZoneSpec, keep: bool, site: Site, barred: set[str | None], plans: dict[str, Plan]
 ) -> Iterator[tuple[bool, ZoneSpec]]:
-    """Yield (inclusion, zone in NED) for each zone that one zone of a scenario stands for."""
+    """Yield (inclusion, zone in NED) for each zone that one zone of a scenario becomes."""
     rest: dict[str, Any] = {"floor": zone.floor, "ceiling": zone.ceiling, "above": zone.above}
     if zone.polygon_geodetic is not None:
         outline, *holes = (corners_ned(ring, site) for ring in (zone.polygon_geodetic, *zone.holes_geodetic))

@@ -39,11 +39,11 @@ Progress = Callable[[int, int], None]
 
 
 def untold(done: int, total: int) -> None:
-    """Tell nobody about the progress."""
+    """Ignore the progress."""
 
 
 def export(recording: Recording, folder: Path, progress: Progress = untold) -> Path:
-    """Write a page that plays the run, and return its path.
+    """Write a page that plays the run into a folder, and return the page's path.
 
     Args:
         recording: what is played.
@@ -72,7 +72,7 @@ def export(recording: Recording, folder: Path, progress: Progress = untold) -> P
 
 
 def film(recording: Recording) -> str:
-    """Return the page as text."""
+    """Return the page that plays the run as text."""
     file = io.BytesIO()
     write_film(recording, file)
     return file.getvalue().decode("utf-8")
@@ -85,17 +85,17 @@ def times_of(recording: Recording) -> np.ndarray[tuple[int], np.dtype[np.float64
 
 
 def _most_frames(recording: Recording) -> int:
-    """Return the largest number of frames that a page of this recording may have, 2 at least."""
+    """Return the largest number of frames that this recording's page may have, at least 2."""
     return min(MOST_FRAMES, max(2, MOST_POSES // recording.cast.size))
 
 
 def _frames(recording: Recording) -> int:
-    """Return the number of frames of a film at its usual rate, without a maximum."""
+    """Return the number of frames at the usual rate, before any limit."""
     return min(int(recording.end * FASTEST_HZ) + 1, len(recording.time))
 
 
 def thinned(recording: Recording) -> list[str]:
-    """Return what a page leaves out of a long run, one line each."""
+    """Return a line of text for each thing that a long run's page leaves out."""
     found, times = [], times_of(recording)
     if _frames(recording) > len(times) or recording.shown > 1:
         found.append(f"so long a run is exported at every {times[1] - times[0]:.2g} s")
@@ -108,7 +108,7 @@ def thinned(recording: Recording) -> list[str]:
 def write_film(
     recording: Recording, file: BinaryIO, progress: Progress = untold, free: Callable[[], int] | None = None
 ) -> None:
-    """Write the page.
+    """Write the page that plays the run into an open file.
 
     Args:
         recording: what is played.
@@ -148,7 +148,7 @@ def _check_room(wanted: int, free: int) -> None:
 
 
 def _write_element(file: BinaryIO, name: str, text: str) -> None:
-    """Write a text as an element that the browser does not run, for the scripts of the page to read."""
+    """Write text as an inert HTML element, which the page's scripts read."""
     file.write(f'<script type="text/plain" id="qrsim-{name}">{text}</script>\n'.encode())
 
 
@@ -160,7 +160,7 @@ def _readings(recording: Recording) -> Iterator[str]:
 
 
 def _write_skies(file: BinaryIO, recording: Recording) -> dict[str, object]:
-    """Write what receivers said of their satellites, and return when, and the names of all satellites by number."""
+    """Write the receivers' satellites over time; return the times, and the satellites' names by number."""
     skies = Skies(recording.run, recording.end)
     numbers: set[int] = set()
     for number, said in enumerate(skies.of_vehicles()):
@@ -208,7 +208,7 @@ class _Film:
                 layer.every = max(layer.every, len(self._times) / layer.most_in_film)
 
     def _draw(self, time: float, everything: bool = False) -> Floats:
-        """Draw the frame of a time [s], and return the positions (n, 3) [m]."""
+        """Draw the frame at a time [s], and return the vehicles' positions (n, 3) [m]."""
         frame = self._recording.frame(time)
         remember_paths(self._scene, self._recording, frame.time)
         self._scene.draw(frame, everything)
@@ -225,7 +225,7 @@ class _Film:
         return text.replace("<title>Viser</title>", f"<title>qrsim - {name}</title>", 1)
 
     def parts(self, tape: Tape, progress: Progress) -> Iterator[str]:
-        """Yield the texts of the parts."""
+        """Yield the text of each part of the film."""
         for first in self.first:
             positions = []
             for number, time in enumerate(self._times[first : first + FRAMES_OF_A_PART].tolist(), first):

@@ -16,9 +16,9 @@ from qrsim.studies.flight_logs.excitation import (
     described,
     follow,
     measure,
-    why_unexcited,
     noise_of,
     standing_still,
+    why_unexcited,
     without_frozen,
     without_ground,
 )

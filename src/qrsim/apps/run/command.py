@@ -161,7 +161,7 @@ class Run:
 
     @property
     def _of_task(self) -> bool:
-        """Whether the policy is one of the scenario's task: its baseline or a learned one."""
+        """True for a policy of the scenario's task: its baseline or a learned one."""
         if self.policy is None or self.policy == BASELINE:
             return self.policy is not None
         from qrsim.tasks.learned import is_policy_file

@@ -120,7 +120,6 @@ class Operations:
         return self._arithmetic(how, dtype.kind, of, dtype, [a, b], lanes)
 
     def _call(self, name: str, result: str, types: list[str], values: list[str]) -> str:
-        """Write a call of an LLVM function with its declaration, and return the result."""
         self.declarations.add(f"declare {result} @{name}({', '.join(types)})")
         arguments = ", ".join(f"{t} {v}" for t, v in zip(types, values, strict=True))
         return self.emit(f"call {result} @{name}({arguments})")
@@ -149,7 +148,6 @@ class Operations:
         return result
 
     def _arithmetic(self, op: str, kind: str, of: str, dtype: DType, values: list[str], lanes: int) -> str:
-        """Write add, sub, mul, div or rem of floats or integers, and return the result."""
         if kind == "f":
             return self.emit(f"f{op} {of} {values[0]}, {values[1]}")
         if kind == "b":
@@ -380,7 +378,6 @@ class Operations:
 
 
 def _has_tiny(constant: Node) -> bool:
-    """Return whether a constant contains subnormal numbers."""
     sizes = np.abs(np.frombuffer(constant.attributes[0], constant.dtype))
     return bool(((sizes > 0.0) & (sizes < np.finfo(constant.dtype).tiny)).any())
 

@@ -252,9 +252,8 @@ class Draft:
         return self._take(node, shape, group)
 
     def _take(self, node: Node, shape: Shape | None = None, group: int = 0) -> Place:
-        """Return memory, of a thread's own where a group is given."""
+        """Return a place in scratch memory for a node's value, in a thread's own memory if ``group`` is not 0."""
         whole = node.shape if shape is None else shape
-        """Return a place in scratch memory for a node's value."""
         shape = self._kept_shape(node, group) if shape is None else self._cut(shape, group)
         own = self.side_by_side and not node.uniform
         element = stored_bytes(node.dtype) * (self.lanes if own else 1)

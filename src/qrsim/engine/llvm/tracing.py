@@ -392,7 +392,6 @@ class _Products:
         return None if isinstance(atom, jex.Literal) else self.made.get(atom)
 
     def only_here(self, atom: object) -> bool:
-        """Return whether a variable is used only once."""
         return atom in self._used_once
 
 

@@ -51,8 +51,7 @@ __all__ = [
     "SensedVehicle", "Session", "State", "Status", "VehicleStatus",
 ]  # fmt: skip
 
-# A state of 200 000 vehicles.
-LARGEST_REPLY = 1 << 26
+LARGEST_REPLY = 1 << 26  # a state of 200 000 vehicles
 INVALID = "invalid uav state"
 
 
@@ -78,8 +77,7 @@ class Client(SharedCalls):
         self._where = f"{host}:{port}"
         self._timeout = timeout
         self._deframer = Deframer(LARGEST_REPLY)
-        self.time_step = 0.0
-        self.size = 0
+        self.time_step, self.size = 0.0, 0
         try:
             self._socket: socket.socket | None = socket.create_connection((host, port), timeout)
         except (OSError, OverflowError) as error:

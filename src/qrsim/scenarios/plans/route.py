@@ -169,7 +169,7 @@ class Route:
 
     @staticmethod
     def _height_before(command: int, last: Waypoint | None, where: str) -> tuple[float, Above, float]:
-        """Return (altitude [m], reference, height above home [m]) for an item with no altitude of its own."""
+        """Return (altitude [m], reference, height above home [m]) for an item without an altitude."""
         if command == known.TAKEOFF and (last is None or last.command == "NAV_LAND"):
             return TAKE_OFF_HEIGHT, "home", TAKE_OFF_HEIGHT
         if last is not None:

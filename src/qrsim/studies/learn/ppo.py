@@ -67,7 +67,7 @@ class Samples(NamedTuple):
 
 
 def _layers(key: Array, sizes: tuple[int, ...], last: float) -> list[tuple[Array, Array]]:
-    """Return the layers of a network, orthogonal, with gain ``last`` in the last."""
+    """Return orthogonally initialised layers of a network, with gain ``last`` in the last layer."""
     keys = jax.random.split(key, len(sizes) - 1)
     gains = [2.0**0.5] * (len(sizes) - 2) + [last]
     return [
@@ -106,7 +106,7 @@ class Algorithm:
         self.improve = jax.jit(self._improve)
 
     def begin(self, seed: int) -> Learner:
-        """Return a learner whose outputs are near zero."""
+        """Return a learner whose network's outputs are near zero."""
         policy, value = jax.random.split(jax.random.key(seed))
         hidden = (self.settings.width, self.settings.width)
         weights = {
@@ -118,7 +118,7 @@ class Algorithm:
             return Learner(weights, self._adam.init(weights))
 
     def _improve(self, learner: Learner, samples: Samples, key: Array) -> tuple[Learner, Array]:
-        """Return the learner after the passes over an iteration, and its mean divergence from before ()."""
+        """Return the learner after all passes over an iteration's samples, and the mean divergence ()."""
         settings = self.settings
         advantage = _advantages(samples, settings)
         target = advantage + samples.value
@@ -144,13 +144,13 @@ class Algorithm:
 
 @contextmanager
 def _usual_promotion() -> Iterator[None]:
-    """Let optax mix types and ranks, which its users may have forbidden to their own code."""
+    """Context in which optax may mix types and ranks, even if the user has configured JAX otherwise."""
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         yield
 
 
 def _decide(weights: Any, inputs: Array, key: Array, number: Array) -> tuple[Array, Array, Array]:
-    """Return outputs (N, K) drawn by the policy, the logarithms of their densities and the values (N,)."""
+    """Return outputs (N, K) sampled from the policy, their log densities, and the values (N,)."""
     mean = network(weights["policy"], inputs)
     drawn = jax.random.normal(jax.random.fold_in(key, number), mean.shape)
     outputs = mean + jnp.exp(weights["log_spread"])[None] * drawn
@@ -158,7 +158,7 @@ def _decide(weights: Any, inputs: Array, key: Array, number: Array) -> tuple[Arr
 
 
 def _log_density(weights: Any, mean: Array, outputs: Array) -> Array:
-    """Return the logarithm of the density of outputs (N, K), up to a constant."""
+    """Return the log density of outputs (N, K), up to a constant."""
     away = (outputs - mean) * jnp.exp(-weights["log_spread"])[None]
     return -jnp.sum(0.5 * away * away + weights["log_spread"][None], axis=-1)
 
@@ -177,7 +177,7 @@ def _advantages(samples: Samples, settings: Settings) -> Array:
 
 
 def _loss(settings: Settings, weights: Any, samples: Samples, advantage: Array, target: Array) -> tuple[Array, Array]:
-    """Return what is minimised over a minibatch, and the divergence of the policies."""
+    """Return the loss of a minibatch, and the divergence from the old policy."""
     advantage = (advantage - jnp.mean(advantage)) / (jnp.std(advantage) + 1e-8)
     mean = network(weights["policy"], samples.inputs)
     change = _log_density(weights, mean, samples.outputs) - samples.log_density

@@ -28,8 +28,7 @@ from qrsim.models.site import Site
 
 TAKEN_OFF = 0.3  # distance from its height at which a take-off is done [m]
 RC_OVERRIDE_TIME = 3.0  # age at which stick messages expire in ArduPilot's flavour [s]
-# Default of GUID_TIMEOUT: time without velocities after which GUIDED holds [s] (ArduCopter/Parameters.cpp).
-GUIDED_TIMEOUT = 3.0
+GUIDED_TIMEOUT = 3.0  # age of velocities at which GUIDED holds [s]: GUID_TIMEOUT (ArduCopter/Parameters.cpp)
 
 
 class Flight:
@@ -171,7 +170,6 @@ class Flight:
         return self._loiters
 
     def _take_off(self) -> Order | None:
-        """Climb to the goal of the take-off and return the order; HOLD follows once the height is reached."""
         craft, here = self.craft, self.craft.seen.position_ned
         if self._goal is None:
             self._goal = (here[0], here[1], craft.home_z - self.parameters["MIS_TAKEOFF_ALT"])

@@ -374,10 +374,7 @@ class Mission:
 
 
 def heading(craft: Craft, angle: float, direction: float, relative: float) -> float:
-    """Return the heading [rad] of a CONDITION_YAW: an angle [deg], absolute or relative to the commanded heading.
-
-    A negative ``direction`` turns a relative angle to the left.
-    """
+    """Return the heading [rad] of CONDITION_YAW: an angle [deg], absolute or relative (to the left: direction < 0)."""
     turn = math.radians(angle)
     if not relative > 0.0:
         return turn

@@ -24,12 +24,9 @@ from qrsim.links.ros2.rtps.sockets import Sockets
 _PARTICIPANT = (b"\0\1\0\xc2", b"\0\1\0\xc7")
 _PUBLICATIONS = (b"\0\0\3\xc2", b"\0\0\3\xc7")
 _SUBSCRIPTIONS = (b"\0\0\4\xc2", b"\0\0\4\xc7")
-# That this one has: announcer and detector of each of the three.
-_BUILTIN = 0x3F
-# Kinds of entities of users, without keys.
-_WRITER, _READER = b"\x03", b"\x04"
-# Kinds of writers of users, with and without keys.
-_WRITERS = (0x02, 0x03)
+_BUILTIN = 0x3F  # that this participant has: announcer and detector of each of the three
+_WRITER, _READER = b"\x03", b"\x04"  # kinds of entities of users, without keys
+_WRITERS = (0x02, 0x03)  # kinds of writers of users, with and without keys
 _CYCLONE = b"\x01\x10"
 _HEADER = slice(4, 20)
 # It says that it is there so often, and is forgotten after so long [s].
