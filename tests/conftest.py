@@ -26,6 +26,7 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 def pytest_configure(config: pytest.Config) -> None:
     """Count the programs that tests compile."""
+    from tests import one_by_one
     from tests.programs_made import ProgramsMade
 
     from qrsim.engine import by_llvm, by_xla
@@ -34,6 +35,7 @@ def pytest_configure(config: pytest.Config) -> None:
     made.watch(by_llvm, "build")
     made.watch(by_xla, "make")
     config.pluginmanager.register(made, "programs_made")
+    one_by_one.install()
     # Tracing makes many objects. By Python's defaults, a sixth of the time went to looking through those that stay.
     gc.set_threshold(100_000, 50, 100)
 
