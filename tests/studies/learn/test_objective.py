@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from qrsim.envs.batch import Batch
-from qrsim.studies.learn.objective import Reached
+from qrsim.studies.learn.objective import CRASH, Reached
 
 
 @pytest.mark.parametrize(
     ("crashed", "expected"),
     [
-        # 0.5 (3 - 0.98 * 2) of potential, less 0.02 s of log(1 + 2^2) and of 0.05 * 0.6^2.
-        (False, 0.52 - 0.02 * (np.log(5.0) + 0.018)),
-        # The potential of the end is zero: 0.5 * 3, and a crash costs 30.
-        (True, 1.5 - 0.02 * (np.log(5.0) + 0.018) - 30.0),
+        # A tenth of: 0.5 (3 - 0.98 * 2) of potential, less 0.02 s of log(1 + 2^2), of 0.1 * 2 and of 0.05 * 0.6^2.
+        (False, 0.1 * (0.52 - 0.02 * (np.log(5.0) + 0.2 + 0.018))),
+        # The potential of the end is zero: 0.5 * 3, and a crash costs 110.
+        (True, 0.1 * (1.5 - 0.02 * (np.log(5.0) + 0.2 + 0.018) - 110.0)),
     ],
 )
 def test_what_a_step_earns(crashed: bool, expected: float, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -26,3 +26,8 @@ def test_what_a_step_earns(crashed: bool, expected: float, monkeypatch: pytest.M
     objective.begin(batch)
     found = objective.reward(batch, np.zeros((1, 1)), np.array([crashed]), np.array([[0.6]]))
     assert found.tolist() == pytest.approx([expected], rel=1e-5)
+
+
+def test_no_crash_is_cheaper_than_the_longest_way() -> None:
+    # 120 m away forever, at a discount of 0.98 for each decision of 0.1 s.
+    assert sum(0.98**k * 0.1 * (np.log1p(120.0**2) + 0.1 * 120.0) for k in range(2000)) < CRASH < 120.0

@@ -1,8 +1,10 @@
 """The learner's reward: that of the task in a form that gradients like, or the task's own, scaled.
 
-Tasks with a goal or a wanted velocity: each decision costs the time step times log(1 + e^2), for an error e in metres
-or m/s, a crash costs ``CRASH``, and a potential of minus the error is added as gamma Phi(s') - Phi(s), which leaves the
-best policy as it is (Ng, Harada and Russell 1999). Errors are the true ones: a reward may know what a policy may not.
+Tasks with a goal or wanted velocity: each second costs log(1 + e^2) + ``PULL`` e, for an error e in metres or m/s. The
+logarithm rewards precision near the goal, and the second term has a slope far from it. A crash costs ``CRASH``: the
+discounted cost of staying 120 m away forever, so that no crash is better than a flight. A potential of minus the error
+is added as gamma Phi(s') - Phi(s), which leaves the best policy as it is (Ng, Harada and Russell 1999). Errors are the
+true ones: a reward may use what a policy does not observe. All of it is multiplied by ``SCALE``.
 Other tasks: the task's reward over the running standard deviation of its discounted sum.
 """
 
@@ -16,9 +18,14 @@ from qrsim.core.arrays import Floats
 from qrsim.envs.batch import Batch
 from qrsim.tasks.simple import KeepSpot, KeepVelocity
 
-CRASH = 30.0
+# 5 s, the horizon of a discount of 0.98 for each 0.1 s, of log(1 + 120^2) + 12.
+CRASH = 110.0
+# Cost of each metre or m/s of error each second.
+PULL = 0.1
 # Potential for each metre or m/s of error, and cost of the squared output of a network each second.
 POTENTIAL, EFFORT = 0.5, 0.05
+# Unit of the learner's reward, which makes values a few units large.
+SCALE = 0.1
 # Limit of a scaled reward.
 LARGEST = 10.0
 
@@ -66,8 +73,8 @@ class Reached:
         crashed = np.repeat(terminated, reward.shape[1])
         effort = EFFORT * np.square(outputs).sum(axis=1)
         potential = POTENTIAL * (before - self._discount * np.where(crashed, 0.0, now))
-        cost = self._seconds * (np.log1p(now * now) + effort)
-        found: Floats = (potential - cost - CRASH * crashed).astype(np.float32)
+        cost = self._seconds * (np.log1p(now * now) + PULL * now + effort)
+        found: Floats = (SCALE * (potential - cost - CRASH * crashed)).astype(np.float32)
         return found
 
     def errors(self, batch: Batch) -> Floats:
