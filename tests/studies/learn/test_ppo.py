@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from qrsim.studies.learn.objective import Scaled, _velocity_ned
+from qrsim.envs.objective import Scaled, _velocity_ned
 from qrsim.studies.learn.ppo import Rows, Samples, Settings, _advantages, _loss, _rows_of
 from qrsim.studies.learn.training import Moments
 

@@ -16,11 +16,11 @@ import numpy as np
 from qrsim.core.arrays import Floats
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.envs.functional import Functional
+from qrsim.envs.objective import objective_of
+from qrsim.envs.viewing import batch_of, view_of
 from qrsim.errors import RunError
 from qrsim.studies.learn.flights import Flights
-from qrsim.studies.learn.objective import objective_of
 from qrsim.studies.learn.ppo import Algorithm, Learner, Samples, Settings
-from qrsim.studies.learn.viewing import batch_of, view_of
 from qrsim.tasks.learned import PolicyFile, Scaling, forward
 
 # Decisions of each row in an iteration, and of all rows at least.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from qrsim.envs.batch import Batch
-from qrsim.studies.learn.objective import CRASH, Reached
+from qrsim.envs.objective import CRASH, Reached, objective_of
 
 
 @pytest.mark.parametrize(
@@ -31,3 +31,17 @@ def test_what_a_step_earns(crashed: bool, expected: float, monkeypatch: pytest.M
 def test_no_crash_is_cheaper_than_the_longest_way() -> None:
     # 120 m away forever, at a discount of 0.98 for each decision of 0.1 s.
     assert sum(0.98**k * 0.1 * (np.log1p(120.0**2) + 0.1 * 120.0) for k in range(2000)) < CRASH < 120.0
+
+
+def test_cats_share_half_of_what_the_distance_costs_them() -> None:
+    batch = Batch("cats_and_mouse/1A", 1, ["duration=4"])
+    batch.reset([1])
+    objective = objective_of(batch, 0.98)
+    # A collision is below 2 m, a catch at twice that: a mouse 5 m, 6 m and 2.5 m away is missed by 1 m, 2 m and nothing.
+    for row, north in enumerate((5.0, 6.0, 2.5)):
+        batch.seen[0, row, 4:6] = north, 0.0
+    objective.begin(batch)
+    found = objective.reward(batch, np.zeros((1, 3)), np.array([False]), np.zeros((3, 2)))
+    # A tenth of: the potential 0.5 (1 - 0.98) of each metre, less 0.1 of log(1 + e^2) + 0.1 e.
+    own = [0.01 * e - 0.1 * (np.log1p(e * e) + 0.1 * e) for e in (1.0, 2.0, 0.0)]
+    np.testing.assert_allclose(found, 0.1 * (0.5 * np.array(own) + 0.5 * np.mean(own)), rtol=1e-5)
