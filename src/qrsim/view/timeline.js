@@ -23,7 +23,12 @@
       100 * time / Math.max(data.end, 1e-9) + "%";
     track.append(mark);
   }
-  bar.append(button, track, label);
+  const plots = document.createElement("button");
+  plots.style.cssText = "border:1px solid #8888;border-radius:4px;background:none;font:inherit;cursor:pointer;color:inherit";
+  plots.textContent = "Plots";
+  plots.title = "quantities over time (P)";
+  plots.onclick = () => { window.qrsimPlots?.toggle(); plots.blur(); };
+  bar.append(button, track, label, plots);
   document.body.append(bar);
   const at = location.href.split(/[?#]/)[0].replace(/^http/, "ws").replace(/\/$/, "") + "/timeline";
   let socket = null, ended = false, playing = false, now = 0, last = 0, later = 0;
@@ -52,6 +57,7 @@
   };
   window.qrsimTime = (time, plays, speed) => {
     now = time; playing = plays;
+    window.qrsimPlots?.time(time);
     done.style.width = 100 * time / Math.max(data.end, 1e-9) + "%";
     button.textContent = plays ? "||" : "\u25B6";
     label.textContent = clock(time) + " / " + clock(data.end) + "  " + speed + " x";
