@@ -52,11 +52,11 @@ class Replay:
         if event.client is not None:
             self.seek(self._slider.value)
 
-    def seek(self, time: float) -> None:
-        """Go to a time [s]."""
+    def seek(self, time: float, everything: bool = True) -> None:
+        """Go to a time [s]; without ``everything``, layers that are slow to draw follow some frames later."""
         with self._lock:
             self.time = min(max(0.0, time), self.recording.end)
-            self._show(everything=True)
+            self._show(everything)
 
     def _show(self, everything: bool = False) -> None:
         """Draw the frame at the present time; ``everything``: also slow layers and the slider."""

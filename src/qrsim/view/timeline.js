@@ -64,12 +64,13 @@
   };
   const seek = (event, always) => {
     clearTimeout(later);
-    const wait = always ? 0 : 80 - (performance.now() - last), clientX = event.clientX;
+    const wait = always ? 0 : 40 - (performance.now() - last), clientX = event.clientX;
     // Not too often, but the last place is never left out.
-    if (wait > 0) { later = setTimeout(() => seek({clientX}, true), wait); return; }
+    if (wait > 0) { later = setTimeout(() => seek({clientX}, false), wait); return; }
     last = performance.now();
     const box = track.getBoundingClientRect();
-    say({time: data.end * Math.min(1, Math.max(0, (event.clientX - box.left) / box.width))});
+    // While it is dragged, what is slow to draw may wait.
+    say({time: data.end * Math.min(1, Math.max(0, (event.clientX - box.left) / box.width)), drag: !always});
   };
   track.onpointerdown = (event) => { track.setPointerCapture(event.pointerId); seek(event, true); };
   track.onpointermove = (event) => { if (event.buttons) seek(event, false); };

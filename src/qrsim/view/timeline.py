@@ -30,7 +30,7 @@ class Timeline:
         end: the last time [s].
         events: of the run.
         clock: says how fast it plays.
-        seek: goes to a time [s].
+        seek: goes to a time [s], and draws everything or, while the bar is dragged, what is quick to draw.
         plots: answers wishes for lines of plots.
     """
 
@@ -40,7 +40,7 @@ class Timeline:
         end: float,
         events: list[Event],
         clock: Clock,
-        seek: Callable[[float], None],
+        seek: Callable[[float, bool], None],
         plots: Plots,
     ):
         self._server, self._end, self._clock, self._seek, self._plots = server, end, clock, seek, plots
@@ -72,7 +72,7 @@ class Timeline:
             return self._plots.answer(wish)
         time, clock = wish.get("time"), self._clock
         if isinstance(time, int | float) and math.isfinite(time):
-            self._seek(min(max(0.0, float(time)), self._end))
+            self._seek(min(max(0.0, float(time)), self._end), wish.get("drag") is not True)
         if isinstance(wish.get("play"), bool):
             clock.playing = wish["play"]
         if wish.get("faster") in (1, -1):
