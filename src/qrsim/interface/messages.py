@@ -167,7 +167,7 @@ def checked_message(
 
 
 def messages(world: World, state: State, tick: int, vehicles: Sequence[int]) -> list[list[Message]]:
-    """Return, for each vehicle in ``vehicles``, its messages received by a tick, newest first; ``state`` on the host."""
+    """Return, for each vehicle in ``vehicles``, the messages received by a tick, newest first, on the host."""
     assert world.radio is not None
     names = [name for fleet in world.fleets for name in fleet.vehicle_names]
     heard = world.radio.heard(state.radio, cast(Array, np.int32(tick)), world.time_step)

@@ -46,7 +46,7 @@ def pushed(
 
 
 def _half(model: Vehicle, vehicle: VehicleState, ned: Vec3, body: Vec3, dt: float) -> tuple[VehicleState, Vec3]:
-    """Return vehicles (n,) after half a step of accelerations alone, and these accelerations (n,) in body axes [m/s^2]."""
+    """Return vehicles (n,) after half a step of accelerations alone, and the accelerations (n,) [m/s^2], body axes."""
     felt = rotation(model.pose(vehicle).attitude).to_body(ned) + body
     free = [
         axis if name in model.pushable else jnp.zeros_like(axis) for name, axis in zip("xyz", felt.axes, strict=True)
