@@ -92,7 +92,7 @@ class Program(Protocol):
         """Advance by ``count`` ticks and return the state; the old state must not be used again."""
 
     def record(self, state: Buffers, tick: int, count: int, capacity: int) -> tuple[Buffers, Buffers]:
-        """Advance one world, and return its state and those of all ticks, each buffer (count, ...).
+        """Advance one world; return it, and its state after every tick as buffers (count, ...).
 
         Args:
             state, tick, count: see ``run``.

@@ -290,7 +290,7 @@ class LlvmProgram:
         return lanes
 
     def record(self, state: Any, tick: int, count: int, capacity: int) -> tuple[Any, Buffers]:
-        """Advance one world, and return it and the states of all ticks, each buffer (count, ...)."""
+        """Advance one world; return it, and its state after every tick as buffers (count, ...)."""
         assert self._program is not None
         floats, integers = (np.empty((count, part.size), part.dtype) for part in state)
         if count:

@@ -372,7 +372,7 @@ def _injection_key(entry: Content) -> str:
 
 
 def _compare_events(first: Sequence[Event], second: Sequence[Event], tolerance: float) -> EventComparison:
-    """Match events by time, vehicle, kind and field, and those that share these by value, in their order."""
+    """Pair events of equal time, vehicle, kind and field in their order; return how many agree, and the others."""
     groups: dict[tuple[Any, ...], tuple[list[Event], list[Event]]] = {}
     for side, events in enumerate((first, second)):
         for event in events:

@@ -48,7 +48,7 @@ def _held(wind: Any, scenario: ScenarioSpec, times: str) -> str:
 
 
 def _origin(height: float, heights: list[float], names: list[str]) -> str:
-    """Return between which levels of the profile the wind at a height is interpolated, in words."""
+    """Return in words the levels of the profile between which the wind at a height [m] is interpolated."""
     labels = [
         name if name.endswith(" m") else f"{name} ({own:.0f} m)" for own, name in zip(heights, names, strict=True)
     ]

@@ -177,7 +177,7 @@ class Loops(Writer):
         return node.number in self.scalars or (node.op == "constant" and node.shape == ())
 
     def _stand_in(self, node: Node, shape: Shape, place: Place) -> Access:
-        """Return an access to a new node that reads what is at a place."""
+        """Return an access to a new node of this shape that reads the value stored at a place."""
         self.count += 1
         # Numbers below zero are of no node of the graph.
         copy = Node("input", (), shape, node.dtype, uniform=node.uniform, number=-self.count)

@@ -198,7 +198,7 @@ class SharedNeighbours(Neighbours):
 
 
 def _kind_of(step: Step) -> str:
-    """Return who computes a step outside groups: every thread ("scalars"), all together ("nearest"), or the first."""
+    """Return the threads that compute a step outside groups: "scalars" (each), "nearest" (all together) or "alone"."""
     if step.kind == "loop" and step.domain == ():
         return "scalars"
     return "nearest" if step.kind == "nearest" else "alone"

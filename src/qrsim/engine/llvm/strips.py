@@ -285,7 +285,7 @@ def _made(step: Step, extent: int) -> set[int]:
 
 
 def _reads(node: Node) -> Iterator[tuple[Access, Shape, bool]]:
-    """Yield what a node reads, the shape of the loop that reads it, and whether elsewhere along the last axis."""
+    """Yield each access of a node, the shape of the reading loop, and whether it picks along the last axis."""
     if node.op == "concatenate":
         for access, shape in zip(node.args, node.attributes[2], strict=True):
             yield access, shape, False

@@ -74,7 +74,7 @@ class Restarts:
         return True
 
     def _put_back(self, row: int, system: System) -> str:
-        """Put a wreck back to its start, with a new battery; return why not, "" where it is done."""
+        """Put a wreck back to its start with a new battery; return "", or the reason it could not be done."""
         try:
             put_back(self._simulation, self._begins, row)
         except UsageError as error:

@@ -190,7 +190,7 @@ class _Connection(asyncio.Protocol):
             system.transfers.forget(link)
 
     def data_received(self, data: bytes) -> None:
-        """Handle the frames in received bytes; give up a client that sends something else."""
+        """Handle the frames in received bytes; close a client that sends too many bytes outside frames."""
         systems = self._server.systems
         self._nonsense += len(data)
         for frame in self._reader.feed(data):
@@ -205,7 +205,7 @@ class _Connection(asyncio.Protocol):
         return self._transport is not None and self._transport.get_write_buffer_size() < MOST_STALE
 
     def _send(self, data: bytes) -> None:
-        """Send bytes to the client; one that does not read is given up."""
+        """Send bytes to the client; close a client that reads too slowly."""
         if self._transport is None or self._transport.is_closing():
             return
         if self._transport.get_write_buffer_size() > MOST_WAITING:

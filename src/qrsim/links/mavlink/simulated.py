@@ -290,7 +290,7 @@ def _inertial(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault
 
 
 def _pitot(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
-    """Return the fault of the airspeed sensor that SIM_ARSPD_FAIL asks for, by target."""
+    """Return {target: fault of the airspeed sensor} by SIM_ARSPD_FAIL [m/s]; the fault is None at 0."""
     speed = values["SIM_ARSPD_FAIL"]
     numbers = {"field": UNITS[AIRSPEED].field, "scale": 0.0, "bias": speed}
     return {_target(fleet, AIRSPEED): ("wrong", numbers) if speed else None}

@@ -72,7 +72,7 @@ class GridGround(Ground):
         return south + a * (north - south)
 
     def line_of_sight(self, position_ned: Vec3, point_ned: Vec3) -> Array:
-        """Return whether a point () [m] is seen from positions (n,) [m], by the ground at places in between."""
+        """Return (n,) bool: the ground does not hide a point () [m] from positions (n,) [m], by samples between."""
         shape, dtype = self.grid.shape, position_ned.x.dtype
         ways = [b - a for a, b in zip(position_ned.axes, point_ned.axes, strict=True)]
         # Which part of the way is over the grid; of ridges there is nothing to be missed beyond.
@@ -101,7 +101,7 @@ class GridGround(Ground):
         return upward(north, east)
 
     def _cell(self, position_ned: Vec3) -> tuple[tuple[Array, Array], tuple[tuple[Array, Array], tuple[Array, Array]]]:
-        """Return the position in each cell, 0 to 1 north and east, and the cell's corners: ((sw, se), (nw, ne))."""
+        """Return positions in the cell, 0 to 1 north and east, and the heights of its corners: ((sw, se), (nw, ne))."""
         grid, parts, numbers = jnp.asarray(self.grid), [], []
         for axis, value in enumerate((position_ned.x, position_ned.y)):
             last = grid.shape[axis] - 1

@@ -38,7 +38,7 @@ def _chip(
     steps: tuple[float, float],
     sample_rate: float = 1000.0,
 ) -> dict[str, object]:
-    """Return the parameters of a chip.
+    """Return the parameters of an IMU chip in SI units, from the numbers of its data sheet.
 
     Args:
         gyroscope_density_deg, accelerometer_density_ug: one-sided [deg/s/sqrt(Hz)], [ug/sqrt(Hz)].
@@ -109,5 +109,5 @@ PRESETS: Presets = {
 
 
 def default(name: str) -> object:
-    """Return a parameter's default, which is that of the default preset."""
+    """Return the value of a parameter, by name, in the default preset of IMUs."""
     return PRESETS[DEFAULT][name]

@@ -146,9 +146,7 @@ class JointGraph:
     def _add_fixes(
         self, graph: Graph, columns: npt.NDArray[np.int64], own: Floats, diagonal: Floats, gradient: Floats
     ) -> None:
-        """Add the terms of a vehicle's fixes that depend on the common error; ``graph``, ``own`` are as in
-        ``_single_graphs``.
-        """
+        """Add the fixes' terms in the common error to a vehicle's ``diagonal`` and ``gradient``, as in ``_alone``."""
         weight = np.asarray(graph.fix_weight) ** 2
         at = self.size - 2 + np.arange(2)
         by = [columns[:2]] + ([columns[graph.vehicle_size :]] if graph.bias else [])

@@ -195,7 +195,7 @@ def text(value: str) -> bytes:
 
 
 def text_of(value: bytes, little: bool) -> str:
-    """Decode the string of a parameter."""
+    """Decode the string of a parameter; ``little``: the byte order of its length."""
     (size,) = struct.unpack_from("<I" if little else ">I", value)
     return value[4 : 3 + size].decode("utf-8", "replace")
 
@@ -211,6 +211,6 @@ def locator(address: str, port: int) -> bytes:
 
 
 def locator_of(value: bytes, little: bool) -> Locator | None:
-    """Return address and port of a UDP locator; None for other kinds."""
+    """Return address and port of a UDP locator, ``little`` its byte order; None for other kinds."""
     kind, port = struct.unpack_from("<iI" if little else ">iI", value)
     return (".".join(map(str, value[20:24])), port) if kind == _UDP4 and len(value) >= 24 and 0 < port < 65536 else None

@@ -75,7 +75,7 @@ class Grid:
 
     @property
     def spacing(self) -> tuple[float, float]:
-        """Sides of a cell along a column and along a row, in the unit of the coordinates."""
+        """Distances between neighbouring rows and between neighbouring columns, in the unit of the coordinates."""
         a, b, _, d, e, _ = self.transform
         return math.hypot(b, e), math.hypot(a, d)
 
@@ -90,25 +90,25 @@ class Raster(Protocol):
 
     @property
     def grid(self) -> Grid:
-        """The places of its cells."""
+        """Grid of the file's cells: shape, geotransform and coordinate reference system."""
         ...
 
     @property
     def note(self) -> str:
-        """From which unit its heights were converted."""
+        """Note for the user on the unit from which heights were converted; "" if they are in metres."""
         ...
 
     @property
     def overviews(self) -> tuple[int, ...]:
-        """By how much its overviews are coarser."""
+        """Factors by which the file's overviews are coarser than its cells."""
         ...
 
     def heights(self, rows: range, columns: range) -> Heights:
-        """Return the heights [m] of some rows and columns, NaN where they are missing."""
+        """Return the heights [m] at rows and columns, NaN where they are missing."""
         ...
 
     def coarse(self, rows: range, columns: range) -> Heights:
-        """Return a height [m] for each block of cells, float32; the ranges are whole multiples of their step."""
+        """Return one height [m] for each block of cells, float32; ranges are whole multiples of their step."""
         ...
 
 
@@ -147,7 +147,7 @@ class ArrayRaster:
     overviews: tuple[int, ...] = ()
 
     def heights(self, rows: range, columns: range) -> Heights:
-        """Return the heights [m] of some rows and columns."""
+        """Return the heights [m] at rows and columns."""
         part = self.array[rows.start : rows.stop : rows.step, columns.start : columns.stop : columns.step]
         return part.astype(np.float64)
 
