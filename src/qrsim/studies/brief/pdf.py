@@ -43,6 +43,7 @@ def write_pdf(brief: Brief) -> bytes:
 
 
 def _step() -> float:
+    """Return the height of a line of text, as a share of the page's height."""
     return SIZE * LEADING / 72.0 / PAGE[1]
 
 
