@@ -232,6 +232,7 @@ def _shifted(function: Rule) -> Rule:
     """Return a rule that shifts bits by ``function``; shifts by the width or more give 0."""
 
     def rule(parameters: object, a: Any, b: Any) -> NumpyArray:
+        """Return a shifted by b bits, with zero bits coming in."""
         bits = 8 * a.dtype.itemsize
         unsigned = a.view(f"u{a.dtype.itemsize}") if function is np.right_shift else a
         return np.where(b < a.dtype.type(bits), function(unsigned, b.astype(unsigned.dtype)), 0).astype(a.dtype)
