@@ -141,7 +141,7 @@ def thermal_variance(receiver: ReceiverParameters) -> Array:
 
 
 def multipath_std(receiver: ReceiverParameters, slots: Slots) -> Array:
-    """Return the standard deviation (K, 1) or (K, n) [m] of the multipath of ranges."""
+    """Return the standard deviation (K, 1) or (K, n) [m] of range errors by multipath."""
     low = exp(slots.sight.elevation[:, None] * (-1.0 / math.radians(_MULTIPATH_DEG)))
     return across(receiver.multipath) * (_MULTIPATH_ALL + _MULTIPATH_LOW * low)
 
