@@ -169,6 +169,13 @@ def _slice(parameters: Any, x: Any) -> object:
     return x[tuple(map(slice, parameters["start_indices"], parameters["limit_indices"], strides))]
 
 
+def _slice_at(parameters: Any, x: Any, *starts: Any) -> object:
+    """Return a slice that begins where it is asked for, or as close to it as it fits."""
+    sizes = parameters["slice_sizes"]
+    first = [min(max(int(start), 0), n - size) for start, n, size in zip(starts, x.shape, sizes, strict=True)]
+    return x[tuple(slice(start, start + size) for start, size in zip(first, sizes, strict=True))]
+
+
 def _select(parameters: object, which: Any, *cases: Any) -> object:
     """Return the result of the JAX operation select_n, by NumPy."""
     return np.where(which, cases[1], cases[0]) if which.dtype == bool else np.choose(which, cases)
@@ -284,6 +291,7 @@ _RULES: dict[str, Rule] = {
     "reduce_sum": _sum,
     "broadcast_in_dim": _broadcast,
     "slice": _slice,
+    "dynamic_slice": _slice_at,
     "select_n": _select,
     "convert_element_type": _converted,
     "round": _rounded,

@@ -105,6 +105,8 @@ class Cast:
         places: that a task is about; None: none are known.
         routes: of each vehicle its start and the places (P, 3) that it is sent to [m]; P is 0 where there are none.
         flown: (K, 3) places along the paths of a recording [m]; None: it has not been flown yet.
+        runs: what each of several runs is called; none: there is one only.
+        run_of: (n,) number of the run of each vehicle; None: there is one only.
     """
 
     names: tuple[str, ...]
@@ -115,6 +117,8 @@ class Cast:
     places: Places | None = None
     routes: tuple[Floats, ...] = ()
     flown: Floats | None = None
+    runs: tuple[str, ...] = ()
+    run_of: Floats | None = None
 
     @property
     def kinds(self) -> list[tuple[Outline | None, Floats]]:

@@ -103,7 +103,7 @@ class Gate:
     def __init__(self, token: str = "") -> None:
         self.token = token
         self._links: set[Link] = set()
-        self.wish: Callable[[Any], None] = lambda wish: None
+        self.wish: Callable[[Any], bytes | None] = lambda wish: None
 
     def refusal(self, path: str, host: str | None, origin: str | None) -> str | None:
         """Return why a request is refused; None: it is not."""
@@ -155,12 +155,14 @@ class Gate:
         return handle
 
     async def _listen(self, connection: Any) -> None:
-        """Do what the script of a page asks for, one wish after the other."""
+        """Do what the script of a page asks for, one wish after the other, and send what it asks to know."""
         loop = asyncio.get_running_loop()
         async for text in connection:
             with contextlib.suppress(ValueError):
                 wish = json.loads(text)
-                await loop.run_in_executor(None, lambda: self.wish(wish))  # noqa: B023
+                answer = await loop.run_in_executor(None, lambda: self.wish(wish))  # noqa: B023
+                if answer is not None:
+                    await connection.send(answer)
 
     @contextlib.contextmanager
     def installed(self) -> Iterator[None]:

@@ -28,6 +28,8 @@ MANY = 200
 FULL_RATE = 100
 # The strongest wind that has a colour of its own [m/s].
 STRONG_WIND = 12.0
+# Of several runs, all but the first are drawn so opaque.
+GHOSTLY = 0.6
 # Lengths of arrows, in spans of a vehicle for each m/s.
 ARROW_SPANS = 0.3
 
@@ -59,13 +61,18 @@ class Stage:
     @property
     def few(self) -> bool:
         """Whether each vehicle has a colour of its own."""
-        return self.cast.size <= len(self.palette)
+        return self.cast.run_of is None and self.cast.size <= len(self.palette)
+
+    @property
+    def hues(self) -> NumpyArray:
+        """Numbers (n,) of the vehicles' colours: one each while they are few, else one per run or fleet."""
+        groups = self.cast.fleets if self.cast.run_of is None else self.cast.run_of
+        return np.asarray((np.arange(self.cast.size) if self.few else groups) % len(self.palette))
 
     @property
     def colours(self) -> Floats:
-        """Colours (n, 3) of the vehicles: one each while they are few, else one per fleet."""
-        numbers = np.arange(self.cast.size) if self.few else self.cast.fleets
-        return self.palette[numbers % len(self.palette)]
+        """Colours (n, 3) of the vehicles."""
+        return self.palette[self.hues]
 
 
 def down_at(ground: Ground, north: Floats, east: Floats) -> Floats:
@@ -160,6 +167,9 @@ class Bodies:
     def __init__(self, layer: Layer, colours: Any, **options: object):
         every, each = layer.stage.cast.kinds, np.ndim(colours) == 2
         self._start = layer.stage.cast.start_ned
+        runs = layer.stage.cast.run_of
+        if runs is not None and each:
+            options["batched_opacities"] = np.where(runs > 0, GHOSTLY, 1.0).astype(np.float32)
         self.batches = [
             (
                 members,

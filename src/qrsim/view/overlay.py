@@ -15,6 +15,7 @@ import numpy as np
 
 from qrsim.runs import colours
 from qrsim.view.air import AIR, GUST, REACHES, WHOLE
+from qrsim.view.differences import DIFFERENCES, differences_of
 from qrsim.view.ground import KEEP_OUTS
 from qrsim.view.interference import INTERFERENCE
 from qrsim.view.layers import MOST_LABELS, STRONG_WIND, Bodies, Layer, Stage
@@ -49,6 +50,7 @@ ROWS: dict[str, list[tuple[str, Any, str]]] = {
         ("arrow", [colours.GUST], f"gust in a plane, {REACHES[GUST]:g} m/s a step"),
         ("scale", list(colours.WIND), f"or all of the wind, {REACHES[WHOLE]:g} m/s a step"),
     ],
+    DIFFERENCES: [("thin", [colours.GREY], "from a vehicle to itself in another run, distance [m]")],
     LINKS: [("scale", list(colours.WIND), "radio at the receiver: no to all packets arrive; thin: last one lost")],
     INTERFERENCE: [("plate", [colours.GREY], "reach of a jammer, disc or spoofer, while it acts")],
     "area": [("thin", [colours.GREY], "flight area")],
@@ -90,7 +92,7 @@ class Overlay:
             "css": _text("overlay.css"),
             "names": stage.cast.names,
             "colours": _plain(stage.palette),
-            "colourOf": (np.arange(stage.cast.size) if stage.few else stage.cast.fleets % len(stage.palette)).tolist(),
+            "colourOf": stage.hues.tolist(),
             "stopped": colours.STOPPED,
             "bodies": [(handle.name, members.tolist()) for members, handle in bodies.batches],
             "mostLabels": MOST_LABELS,
@@ -108,12 +110,13 @@ class Overlay:
             },
             "skies": SKIES,
             "legend": _legend(stage, layers, north[1]),
+            "differences": differences_of(stage),
         }
         self._send()
 
     def _send(self) -> None:
         """Send the overlay's scripts and their data to all browsers."""
-        scripts = "\n".join(map(_text, ("sky.js", "overlay.js")))
+        scripts = "\n".join(map(_text, ("sky.js", "differences.js", "overlay.js")))
         run_script(self._server, "overlay", f"const data = {json.dumps(self._data)};\n{scripts}")
 
     def hold(self) -> None:
@@ -156,7 +159,8 @@ class Overlay:
 def _legend(stage: Stage, layers: dict[str, Layer], cell: float) -> list[dict[str, object]]:
     """Return the rows of the legend."""
     rows: list[dict[str, object]] = []
-    if not stage.few and len(set(stage.cast.fleets.tolist())) > 1:
+    rows += [_row("body", [stage.palette[number]], name, "") for number, name in enumerate(stage.cast.runs)]
+    if not rows and not stage.few and len(set(stage.cast.fleets.tolist())) > 1:
         for number in sorted(set(stage.cast.fleets.tolist())):
             first = stage.cast.names[int(np.argmax(stage.cast.fleets == number))]
             rows.append(

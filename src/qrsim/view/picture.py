@@ -52,7 +52,9 @@ def photograph(server: ViserServer, caption: str, size: tuple[int, int] = (WIDTH
         _wait_for_client(server)
         browser.evaluate(SCENE_ONLY)
         picture = _settled(browser)
-    ImageDraw.Draw(picture).text((16, 12), caption, fill="black", font_size=20)
+    # A letter is about half as wide as high.
+    size_px = min(20.0, max(9.0, 1.9 * (width - 32) / max(1, len(caption))))
+    ImageDraw.Draw(picture).text((16, 12), caption, fill="black", font_size=size_px)
     found = io.BytesIO()
     picture.save(found, "PNG", optimize=True)
     return found.getvalue()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,21 +17,50 @@ from qrsim.runs.surroundings import surroundings_of
 from qrsim.tasks.places import Places
 from qrsim.view.columns import Columns, vector
 from qrsim.view.frame import Cast, Frame, Links, cast_of
-from qrsim.view.readings import Excerpts, quantities_of
+from qrsim.view.readings import Excerpts
 from qrsim.view.reasons import in_words
 from qrsim.view.rebuilt import rebuilt
 from qrsim.view.sky import Satellite, columns_of, satellites
-from qrsim.view.truth import ANGLES, AXES, true_values
+from qrsim.view.truth import ANGLES, AXES
 from qrsim.world.state import World
 
-# Of a plot [s].
-PLOT_S = 60.0
+# How long before a time a receiver's last words are looked for [s].
+SKY_S = 60.0
 # Times at which places along the paths are looked up.
 PATH_TIMES = 100
 
 
+@dataclass(frozen=True)
+class Member:
+    """One of the runs of a page.
+
+    Attributes:
+        letter: that its vehicles have in front of their names; "": there is one run only.
+        recording: of it.
+        shift: how much later than it was flown it is shown [s].
+        first: number of its first vehicle among those of all runs.
+        offset: where its origin is (3,) in the frame of the first run [m].
+    """
+
+    letter: str
+    recording: Recording
+    shift: float = 0.0
+    first: int = 0
+    offset: Floats = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def end(self) -> float:
+        """The last time [s] at which it is shown."""
+        return self.recording.end + self.shift
+
+
 class Recording:
     """A recorded run, readable at any time.
+
+    Args:
+        run: what is read.
+        over: the run over which it is shown, None: it is shown by itself. Over another one only true positions and
+            attitudes are read.
 
     Raises:
         RunError: there is no flight in it, or it is damaged.
@@ -42,10 +71,13 @@ class Recording:
         time: (T,) times of the true states that are kept [s].
         shown: every so-many-th tick is shown.
         stops: events of vehicles that stopped, and the number of the vehicle.
+        notes: what does not fit of other runs, one line each: of one run nothing.
     """
 
-    def __init__(self, run: Run):
-        self.run = run
+    notes: tuple[str, ...] = ()
+
+    def __init__(self, run: Run, over: Recording | None = None):
+        self.run, self._over = run, over
         if "truth" not in run or f"position_ned.{AXES[0]}" not in run["truth"]:
             raise RunError(
                 f"{run.folder}: no true positions (truth.position_ned) were recorded, so nothing can be shown"
@@ -55,15 +87,16 @@ class Recording:
         self._truth = Columns(run, "truth", {"position": position, "attitude": attitude, "valid": valid})
         if not len(self._truth.time):
             raise RunError(f"{run.folder}: not a single tick was recorded, so there is nothing to show")
-        self._measured = Columns(run, "measurements", {"fix": _fixes(run), "height": _heights(run)})
-        mean, gust = (vector(run, "wind", name, AXES) for name in ("mean_ned", "gust_ned"))
-        self._wind = Columns(run, "wind", {"mean": mean, "gust": gust})
+        measured = {"fix": _fixes(run), "height": _heights(run)} if over is None else {}
+        wind = {name: vector(run, "wind", f"{name}_ned", AXES) for name in ("mean", "gust")} if over is None else {}
+        self._measured = Columns(run, "measurements", measured)
+        self._wind = Columns(run, "wind", wind)
         self.time, self.shown = self._truth.time, self._truth.stride
         numbers = {name: i for i, name in enumerate(run.vehicles)}
         self.stops = [(event, numbers[event.vehicle]) for event in _stops(run) if event.vehicle is not None]
         self.world, self.cast = self._surroundings()
-        self._rebuilt = rebuilt(run, self.world)
-        self._links = _links(run)
+        self._rebuilt = rebuilt(run, self.world) if over is None else None
+        self._links = _links(run) if over is None else None
         self._excerpts = Excerpts(run)
         self._slots = columns_of(run["measurements"].columns()) if "measurements" in run else []
 
@@ -71,6 +104,21 @@ class Recording:
     def end(self) -> float:
         """The last time [s]."""
         return float(self.time[-1])
+
+    @property
+    def title(self) -> str:
+        """The name of the scenario."""
+        return self.run.info.scenario
+
+    @property
+    def members(self) -> list[Member]:
+        """The runs that are shown: this one."""
+        return [Member("", self)]
+
+    @property
+    def events(self) -> list[Event]:
+        """Events of the run; none if they were not recorded."""
+        return self.run.events if EVENTS in self.run else []
 
     @property
     def heading(self) -> str:
@@ -81,6 +129,11 @@ class Recording:
     def _surroundings(self) -> tuple[World | None, Cast]:
         """Return world and cast of the recorded scenario; no world, with a warning, if it cannot be built."""
         start = self._truth.at("position", self.time[0])
+        over = self._over
+        # Of the same scenario nothing has to be built again.
+        same = over is not None and over.run.vehicles == self.run.vehicles and _looks(over.run) == _looks(self.run)
+        if over is not None and same:
+            return over.world, replace(over.cast, start_ned=np.nan_to_num(start).astype(float), flown=self._flown())
         try:
             world = self.run.built().world(self.run.info.precision)
             cast = replace(cast_of(world, start, self._places()), flown=self._flown())
@@ -155,32 +208,24 @@ class Recording:
         estimate[..., 2] = np.where(np.isfinite(height), -height, estimate[..., 2])
         return estimate
 
-    # ---- plots ----
-
-    @property
-    def quantities(self) -> list[str]:
-        """Measured quantities, by name."""
-        return quantities_of(self.run)
-
-    def plotted(self, vehicle: int, quantity: str, time: float) -> tuple[Floats, Floats, Floats]:
-        """Return (times, measured, true), each (K,), of the minute before a time [s]."""
-        times, measured = self._excerpts.of(vehicle, "measurements", time - PLOT_S, time)
-        # True states may be recorded less often.
-        true_times, truth = self._excerpts.of(vehicle, "truth", time - 2.0 * PLOT_S, time)
-        chosen = (times >= time - PLOT_S) & (times <= time + 1e-6)
-        rows = np.maximum(0, np.searchsorted(true_times, times[chosen] + 1e-6, side="right") - 1)
-        return times[chosen], measured[quantity][chosen], true_values(quantity, truth)[rows]
-
     def sky(self, vehicle: int, time: float) -> list[Satellite]:
         """Return the satellites of a vehicle as its receiver said at a time [s]; none where it said nothing of them."""
         if not self._slots:
             return []
-        times, measured = self._excerpts.of(vehicle, "measurements", time - PLOT_S, time)
+        times, measured = self._excerpts.of(vehicle, "measurements", time - SKY_S, time)
         row = int(np.searchsorted(times, time + 1e-6, side="right")) - 1
         if row < 0:
             return []
         said = {name: np.array([measured[slot[name]][row] for slot in self._slots]) for name in OF_SATELLITES}
         return satellites(said) if np.isfinite(said["elevation"]).all() else []
+
+
+def _looks(run: Run) -> object:
+    """Return the kinds of the vehicles of a scenario, which say what they look like; None where they are not known."""
+    fleets = run.scenario.get("fleets") if isinstance(run.scenario, dict) else None
+    if not isinstance(fleets, dict):
+        return None
+    return [(name, fleet.get("vehicle") if isinstance(fleet, dict) else None) for name, fleet in fleets.items()]
 
 
 def _links(run: Run) -> Columns | None:

@@ -13,6 +13,7 @@ from qrsim.core.arrays import Floats
 from qrsim.view.air import AIR, Air, air_layers
 from qrsim.view.cameras import Cameras, camera_layers
 from qrsim.view.contents import contents_layers
+from qrsim.view.differences import difference_layers
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.ground import Area, Ground, Obstacles, keep_out_layers
 from qrsim.view.interference import interference_layers
@@ -65,7 +66,7 @@ class Scene:
         self.vehicles = Vehicles(self.stage)
         self.paths = (Paths(self.stage), EstimatedPaths(self.stage))
         others, names = (Poles, Ghosts, Wind, Gusts), Names(self.stage)
-        moving = [*self.paths, *(layer(self.stage) for layer in others), names]
+        moving = [*self.paths, *(layer(self.stage) for layer in others), names, *difference_layers(self.stage)]
         solid: list[Layer] = []
         if world is not None:
             solid = [Area(self.stage, world), *keep_out_layers(self.stage, world), Obstacles(self.stage, world)]

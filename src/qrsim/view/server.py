@@ -109,8 +109,11 @@ def free_port(port: int, host: str = LOOPBACK) -> int:
     raise RunError(f"cannot listen on {host}: ports {port} to {min(port + 99, 65535)} are all in use")
 
 
-def listen(server: ViserServer, wish: Callable[[Any], None]) -> None:
-    """Set the function that is called, in a thread, with each wish of the page's script; it replaces the one before."""
+def listen(server: ViserServer, wish: Callable[[Any], bytes | None]) -> None:
+    """Set the function that is called, in a thread, with each wish of the page's script; it replaces the one before.
+
+    What it returns is sent to that script.
+    """
     _gates[server].wish = wish
 
 

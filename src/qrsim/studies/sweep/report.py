@@ -38,6 +38,7 @@ class Report:
         boundary: of failure, or why there is none.
         sensitivity: Sobol indices, or why there are none.
         worst: numbers of the worst episodes.
+        best: number of the best episode, None where no other than the worst has a value.
         ranking: the metrics by which they are the worst, each with whether small values are the bad ones.
     """
 
@@ -49,6 +50,7 @@ class Report:
     boundary: analysis.Boundary | str
     sensitivity: analysis.Sensitivity | str
     worst: list[int]
+    best: int | None
     ranking: dict[str, bool]
 
 
@@ -81,6 +83,8 @@ def find(path: Path, metric: str | None, pair: list[str]) -> Report:
         failure = results.spec.failure
         ranking = {**ranking, failure.metric: failure.below is not None}
         ranking = dict(sorted(ranking.items(), key=lambda item: item[0] != failure.metric))
+    worst = analysis.worst(results, ranking, WORST)
+    best = analysis.worst(results, {name: not low_is_bad for name, low_is_bad in ranking.items()}, 1)
     return Report(
         results,
         chosen,
@@ -89,7 +93,8 @@ def find(path: Path, metric: str | None, pair: list[str]) -> Report:
         _pair(results, pair),
         analysis.boundary(results),
         analysis.sensitivity(results, values),
-        analysis.worst(results, ranking, WORST),
+        worst,
+        best[0] if best and best != worst[:1] else None,
         ranking,
     )
 
@@ -110,7 +115,22 @@ def _pair(results: Results, names: list[str]) -> tuple[Parameter, Parameter] | N
 
 
 def replay(results: Results, episode: int, folder: Path) -> str:
-    """Return the command that flies an episode again and records it."""
+    """Return the command that flies an episode again, records and shows it."""
+    command, run = _flight(results, episode, folder)
+    return f"{command} && qrsim view {shlex.quote(str(run))}"
+
+
+def against_best(report: Report, folder: Path) -> str | None:
+    """Return the command that flies the worst and the best episode again and shows both; None: there is no best."""
+    if report.best is None:
+        return None
+    flights = [_flight(report.results, episode, folder) for episode in (report.worst[0], report.best)]
+    shown = shlex.join(["qrsim", "view", *(str(run) for _, run in flights)])
+    return " && ".join([*(command for command, _ in flights), shown])
+
+
+def _flight(results: Results, episode: int, folder: Path) -> tuple[str, Path]:
+    """Return the command that flies an episode again and records it, and its run folder."""
     values = results.values_at(episode)
     source, changes = results.source, dict(results.spec.set)
     name, counts = _scenario_name(values)
@@ -127,7 +147,7 @@ def replay(results: Results, episode: int, folder: Path) -> str:
     words += ["--policy-ticks", str(spec.policy_ticks)] if spec.policy_ticks != 1 else []
     words += ["--precision", spec.precision] if spec.precision != "float32" else []
     run = folder / f"episode_{int(results.positions[episode])}"
-    return shlex.join([*words, "--out", str(run)]) + f" && qrsim view {shlex.quote(str(run))}"
+    return shlex.join([*words, "--out", str(run)]), run
 
 
 def _scenario_name(values: Mapping[str, object]) -> tuple[str, Content]:
@@ -137,10 +157,10 @@ def _scenario_name(values: Mapping[str, object]) -> tuple[str, Content]:
 
 
 def _write_scenarios(report: Report, folder: Path) -> list[str]:
-    """Write the scenario, and those of the worst episodes whose vehicles are too many words for a command."""
+    """Write the scenario, and those of episodes to fly again whose vehicles are too many words for a command."""
     results = report.results
     contents = {SCENARIO: results.scenario}
-    for episode in report.worst:
+    for episode in [*report.worst, *([] if report.best is None else [report.best])]:
         name, counts = _scenario_name(results.values_at(episode))
         contents[name] = copy.deepcopy(results.scenario)
         for path, value in counts.items():
@@ -188,6 +208,7 @@ def to_json(report: Report, folder: Path) -> Content:
     found["sensitivity"] = indices if isinstance(indices, str) else _sensitivity_json(indices)
     found["worst_by"] = list(report.ranking)
     found["worst"] = [_worst_json(report, episode, folder) for episode in report.worst]
+    found["against_best"] = against_best(report, folder)
     return found
 
 
@@ -261,6 +282,8 @@ def print_report(report: Report, folder: Path) -> None:
         print(f"  {numbers}  seed {results.seeds[episode]}, {where}")
     if report.worst:
         print(f"\nto fly the first again: {replay(results, report.worst[0], folder)}")
+        if (command := against_best(report, folder)) is not None:
+            print(f"\nto see it over the best: {command}")
 
 
 def _ranked_by(report: Report) -> str:
