@@ -170,7 +170,7 @@ def _slice(parameters: Any, x: Any) -> object:
 
 
 def _slice_at(parameters: Any, x: Any, *starts: Any) -> object:
-    """Return a slice that begins where it is asked for, or as close to it as it fits."""
+    """Return a slice that begins at ``starts``, clipped so that the slice fits: JAX's dynamic_slice, by NumPy."""
     sizes = parameters["slice_sizes"]
     first = [min(max(int(start), 0), n - size) for start, n, size in zip(starts, x.shape, sizes, strict=True)]
     return x[tuple(slice(start, start + size) for start, size in zip(first, sizes, strict=True))]
