@@ -305,7 +305,7 @@ def _print_flights(operation: OperationSpec, flights: Flights) -> None:
     wind = flights.wind
     blows = f"{wind.speed:.3g} m/s from {wind.from_deg:.3g} deg at {wind.height:g} m"
     print(f"{operation.operation}: {operation.at}, wind {blows}")
-    for name, mission, planned in zip(flights.names, operation.missions, flights.planned_s, strict=True):
+    for name, mission, planned in zip(flights.names, flights.missions, flights.planned_s, strict=True):
         print(f"  {name:<20} {mission.plan}, {mission.vehicle}: {planned:.0f} s planned")
     if len(flights.names) > MANY:
         each = len(flights.names) * max(flights.planned_s) / USUAL_SPEED

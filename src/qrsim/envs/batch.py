@@ -75,7 +75,7 @@ class Batch:
         functional: what is played.
         sides: the agents by fleet.
         axes: the numbers of an action of each agent (n,).
-        width: how many numbers an action has in an array of all agents (W), the largest number of axes.
+        width: how many numbers an action has in an array of all agents (A), the largest number of axes.
         episodes: what computes them.
         seen: what the agents see now, arrays (B, n, ...); of several fleets by fleet. Agents that have stopped see what
             they saw last.
@@ -184,7 +184,7 @@ class Batch:
         return {name: part if name in late else part.copy() for name, part in self.seen.items()}
 
     def step(self, action: object, words: object = None, who: str = "action") -> tuple[Floats, Floats, Floats]:
-        """Advance all episodes by actions (B, n, W), and return reward (B, n), terminated (B,) and truncated (B,).
+        """Advance all episodes by actions (B, n, A), and return reward (B, n), terminated (B,) and truncated (B,).
 
         Args:
             action: of each agent.
@@ -239,7 +239,7 @@ class Batch:
         return f"{self.functional.name}: task {task}: step {self._steps[row]}, {series}, '{agents[agent]}'"
 
     def checked(self, action: object, who: str) -> Floats:
-        """Check actions and return them as (B, n, W)."""
+        """Check actions and return them as (B, n, A)."""
         agents = self.functional.agents
         shape = (self.size, len(agents), self.width)
         try:

@@ -140,7 +140,7 @@ class Functional:
         return self.play.step(episode, self._together(action))
 
     def _together(self, action: Array) -> Array:
-        """Return actions (n, W), or (n, W + D) with radio messages of D numbers."""
+        """Return actions (n, A), or (n, A + D) with radio messages of D numbers."""
         sides = self.play.sides
         if len(sides) > 1:
             return self._action_of_fleets(action)

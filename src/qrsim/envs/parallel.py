@@ -131,7 +131,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         return found
 
     def _checked(self, actions: object) -> tuple[NumpyArray, NumpyArray]:
-        """Return the checked actions (n, W) and messages (n, D) of all agents; zeros and NaN for those that left."""
+        """Return the checked actions (n, A) and messages (n, D) of all agents; zeros and NaN for those that left."""
         if not isinstance(actions, dict):
             raise UsageError(f"actions: expected a dict with one for each agent, found {type(actions).__name__}")
         for agent in actions:

@@ -273,7 +273,7 @@ def _blamed(name: str, where: str, play: Play) -> Iterator[None]:
 
 
 def _together(batch: Batch, given: Any, name: str) -> tuple[Floats, Floats]:
-    """Return the checked actions (n, W) and messages (n, D) of a policy's agents; NaN for no message."""
+    """Return the checked actions (n, A) and messages (n, D) of a policy's agents; NaN for no message."""
     if len(batch.sides) > 1:
         by_fleet(given, [side.fleet for side in batch.sides], f"policy {name}: actions")
     acts, said = [], []

@@ -34,7 +34,7 @@ def only_one(batch: Batch) -> None:
 
 
 def shaped(batch: Batch, flight: object, who: str, *lead: int, agent: int = 0) -> NumpyArray:
-    """Check the flight part of an agent's actions, (*lead, A), and return it as an array (*lead, W).
+    """Check the flight part of an agent's actions (*lead, axes), and return it padded by zeros, (*lead, width).
 
     Raises:
         UsageError: it has another shape, or is no numbers.

@@ -181,7 +181,7 @@ class VectorParallelTask:
             raise UsageError(f"{what}: no agent is called '{agent}'{did_you_mean(str(agent), self.possible_agents)}")
 
     def _checked(self, actions: object) -> tuple[NumpyArray, NumpyArray]:
-        """Return what agents do (num_envs, n, W) and what they say (num_envs, n, D)."""
+        """Return what agents do (num_envs, n, A) and what they say (num_envs, n, D)."""
         if not isinstance(actions, dict):
             raise UsageError(f"actions: expected a dict with one for each agent, found {type(actions).__name__}")
         for agent in actions:

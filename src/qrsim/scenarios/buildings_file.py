@@ -158,11 +158,11 @@ def _check_frame(file: str, content: Mapping[str, object], frame: str) -> None:
 
 def _features(file: str, content: Mapping[str, object]) -> Iterator[tuple[str, Content, Content]]:
     """Yield name, properties and geometry of each feature."""
-    features = [content]
+    features: object = [content]
     if content["type"] == "FeatureCollection":
-        features = content.get("features")  # type: ignore[assignment]
-        if not isinstance(features, list):
-            raise UsageError(f"{file}: its features are no list")
+        features = content.get("features")
+    if not isinstance(features, list):
+        raise UsageError(f"{file}: its features are no list")
     for number, feature in enumerate(features):
         if not isinstance(feature, dict):
             raise UsageError(f"{file}: feature {number} is no object")

@@ -81,7 +81,7 @@ def puffs_in_the_air(plume: Any, area: Any, speed: float) -> int:
     across = math.hypot(area.x_max - area.x_min, area.y_max - area.y_min)
     flown = across
     for _ in range(20):
-        flown = across + float(trail(plume.spread_factor, plume.spread_exponent, flown))  # type: ignore[arg-type]
+        flown = across + float(trail(plume.spread_factor, plume.spread_exponent, flown))
     # Next to no time between two puffs would be more of them than numbers can say.
     mean = min(flown / max(speed * plume.gap, 1e-300), 1e15)
     return math.ceil(mean + 6.0 * math.sqrt(mean))

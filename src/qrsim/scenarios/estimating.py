@@ -39,11 +39,22 @@ MANOEUVRE_S, MANOEUVRE = 2.0, 1.0
 LEVEL_DOP, DOWN_DOP = 0.85, 1.5
 # What is left where a sensor has no error of a kind: ticks are no instants, and no model is exact.
 LEAST: Mapping[str, float] = {
-    "gyroscope_noise": 3e-4, "accelerometer_noise": 0.01, "gyroscope_walk": 1e-5, "accelerometer_walk": 1e-4,
-    "gyroscope_bias_std": 1e-4, "gyroscope_calibrated_std": 2e-5, "accelerometer_bias_std": 0.01, "position_std": 0.1,
-    "vertical_std": 0.1, "velocity_std": 0.03, "height_std": 0.1, "yaw_std": 0.005, "field_bias_std": 0.1,
-    "field_std": 0.1, "airspeed_std": 0.3,
-}  # fmt: skip
+    "gyroscope_noise": 3e-4,
+    "accelerometer_noise": 0.01,
+    "gyroscope_walk": 1e-5,
+    "accelerometer_walk": 1e-4,
+    "gyroscope_bias_std": 1e-4,
+    "gyroscope_calibrated_std": 2e-5,
+    "accelerometer_bias_std": 0.01,
+    "position_std": 0.1,
+    "vertical_std": 0.1,
+    "velocity_std": 0.03,
+    "height_std": 0.1,
+    "yaw_std": 0.005,
+    "field_bias_std": 0.1,
+    "field_std": 0.1,
+    "airspeed_std": 0.3,
+}
 # Share of the field of currents that changes with the thrust within a flight, and readings for which that lasts.
 CURRENT_SHARE, CURRENT_READINGS = 0.1, 20.0
 

@@ -49,8 +49,10 @@ def read_injections(scenario: Scenario, path: Path) -> tuple[Scenario, tuple[Inj
     Raises:
         UsageError: the file cannot be read, is too large, or an entry is not possible in the scenario.
     """
-    entries = [(f"{path}: entry {number}", _checked(entry, f"{path}: entry {number}"))
-               for number, entry in enumerate(_entries(path), 1)]  # fmt: skip
+    entries = [
+        (f"{path}: entry {number}", _checked(entry, f"{path}: entry {number}"))
+        for number, entry in enumerate(_entries(path), 1)
+    ]
     in_flight = any(_in_flight(entry) for _, entry in entries)
     content = scenario.spec.model_dump(mode="json")
     requests, wheres, written = [], [], dict[str, str]()

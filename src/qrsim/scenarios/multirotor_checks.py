@@ -88,11 +88,12 @@ def _lift(path: str, fleet: FleetSpec, density: float) -> Iterator[str]:
     if found is None:
         return
     most, weight = found
-    mass, own_density = (np.asarray(getattr(spec, key), float) for key in ("mass", "air_density"))
-    i = int(np.argmin(np.atleast_1d(most / weight)))
-    lift, heavy = (float(np.broadcast_to(part, (i + 1,))[i]) for part in (most, weight))
+    mass = np.asarray(spec.mass, float)
+    own_density, most, weight = map(np.ravel, np.broadcast_arrays(spec.air_density, most, weight))
+    i = int(np.argmin(most / weight))
+    lift, heavy = float(most[i]), float(weight[i])
     if lift <= heavy:
-        thin = density < 0.99 * float(np.broadcast_to(own_density, (i + 1,))[i])
+        thin = density < 0.99 * float(own_density[i])
         yield (
             f"{path}: cannot hover: {len(spec.rotors)} rotors lift {lift:.4g} N at speed_max"
             + (f" in the air of the site, {density:.4g} kg/m^3" if thin else "")

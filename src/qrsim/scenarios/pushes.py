@@ -26,11 +26,15 @@ def pushes(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[P
         found += [(at, at + getattr(push, "for"), push) for at, push in concerned]
     return tuple(
         record_of(
-            Push, tick_of(at, dt), tick_of(end, dt), mask_of(names, push.vehicles),
-            _vector(push.acceleration_ned), _vector(push.acceleration_body),
+            Push,
+            tick_of(at, dt),
+            tick_of(end, dt),
+            mask_of(names, push.vehicles),
+            _vector(push.acceleration_ned),
+            _vector(push.acceleration_body),
         )
         for at, end, push in found
-    )  # fmt: skip
+    )
 
 
 def _vector(acceleration: list[float] | None) -> Vec3:

@@ -65,4 +65,5 @@ def corners_ned(corners: Sequence[Sequence[float]], site: Site) -> list[list[flo
                 f"corner {number}: latitude {latitude:g} deg, longitude {longitude:g} deg; allowed: within 90 and "
                 f"within 180{swapped_hint(latitude, longitude)}"
             )
-    return [point[:2] for point in local_ned(site, [(*corner, 0.0) for corner in corners])]  # type: ignore[misc]
+    places = local_ned(site, [(latitude, longitude, 0.0) for latitude, longitude in corners])
+    return [[north, east] for north, east, _ in places]

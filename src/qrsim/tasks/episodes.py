@@ -159,7 +159,7 @@ class Episodes:
         return found
 
     def step(self, action: NumpyArray) -> tuple[Step, dict[str, NumpyArray]]:
-        """Advance all by actions (B, n, W), with a radio (B, n, W + D), and return the results and the ground truth."""
+        """Advance all by actions (B, n, A), with a radio (B, n, A + D), and return the results and the ground truth."""
         self._worlds.advance(0, self._play.ticks, action)
         found: tuple[Step, dict[str, NumpyArray]] = self._all(lambda progress: (progress.last, progress.truth))
         if not self._worlds.looks:

@@ -99,7 +99,7 @@ class Play:
 
     @property
     def width(self) -> int:
-        """Numbers of an action in an array of all agents (n, W); of one fleet as many as there are axes."""
+        """Numbers of an action in an array of all agents (n, A); of one fleet as many as there are axes."""
         return width(self.sides)
 
     @property
@@ -147,7 +147,7 @@ class Play:
 
         Args:
             episode: before; where it has ended, what comes has no meaning.
-            action: (n, W) in [-1, 1], clipped; see ``width``. With a radio also (n, W + D), whose
+            action: (n, A) in [-1, 1], clipped; see ``width``. With a radio also (n, A + D), whose
                 last numbers are said to all; NaN: nothing is.
         """
         begun = episode.step * self.ticks
@@ -278,7 +278,7 @@ class Play:
         return self.task.crashed(episode.memory, self.world, episode.state, self.steps)
 
     def scaled(self, action: object) -> Any:
-        """Scale actions (n, W), clipped to [-1, 1], to their units; NumPy or JAX."""
+        """Scale actions (n, A), clipped to [-1, 1], to their units; NumPy or JAX."""
         return in_units(self.sides, action)
 
     def truth(self, episode: Episode) -> dict[str, Array]:

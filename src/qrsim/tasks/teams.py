@@ -1,6 +1,6 @@
 """Agents of one fleet or of several: who they are, and their numbers in one array or by fleet.
 
-In an array (n, W) of actions the agents are those of all fleets in the order of ``Task.fleets``, and W is the largest
+In an array (n, A) of actions the agents are those of all fleets in the order of ``Task.fleets``, and A is the largest
 number of any agent's axes; what an agent has no axis for is 0 and not looked at.
 """
 
@@ -62,7 +62,7 @@ def sides_of(task: Task, world: World) -> tuple[Side, ...]:
 
 
 def width(sides: tuple[Side, ...]) -> int:
-    """Return the largest number of axes of any agent (W)."""
+    """Return the largest number of axes of any agent (A)."""
     return max(len(side.axes) for side in sides)
 
 
@@ -72,7 +72,7 @@ def axes_of_agents(sides: tuple[Side, ...]) -> tuple[tuple[Axis, ...], ...]:
 
 
 def in_units(sides: tuple[Side, ...], action: Any) -> Any:
-    """Scale actions (n, W), clipped to [-1, 1], to the units of their axes; NumPy or JAX."""
+    """Scale actions (n, A), clipped to [-1, 1], to the units of their axes; NumPy or JAX."""
     lib, most = library(action), width(sides)
     ends = []
     for end, nothing in (("low", -1.0), ("high", 1.0)):
@@ -83,14 +83,14 @@ def in_units(sides: tuple[Side, ...], action: Any) -> Any:
 
 
 def apart(sides: tuple[Side, ...], action: Any) -> Any:
-    """Return actions (n, W) unchanged, or for several fleets as a dict by fleet of (n_f, A_f)."""
+    """Return actions (n, A) unchanged, or for several fleets as a dict by fleet of (n_f, A_f)."""
     if len(sides) == 1:
         return action
     return {side.fleet: action[side.rows, : len(side.axes)] for side in sides}
 
 
 def together(sides: tuple[Side, ...], given: Any, what: str = "action") -> Any:
-    """Return actions by fleet (n_f, A_f) as one array (n, W) of NumPy or JAX; the inverse of ``apart``.
+    """Return actions by fleet (n_f, A_f) as one array (n, A) of NumPy or JAX; the inverse of ``apart``.
 
     Args:
         sides: of several fleets.

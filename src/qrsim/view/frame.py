@@ -103,7 +103,7 @@ class Cast:
         around: (K, 3) corners of what is to be seen beside them [m]; None: nothing.
         outlines: looks of the vehicles of each fleet; none: all are quadrotors.
         places: that a task is about; None: none are known.
-        routes: of each vehicle its start and the places (W, 3) that it is sent to [m]; W is 0 where there are none.
+        routes: of each vehicle its start and the places (P, 3) that it is sent to [m]; P is 0 where there are none.
         flown: (K, 3) places along the paths of a recording [m]; None: it has not been flown yet.
         runs: what each of several runs is called; none: there is one only.
         run_of: (n,) number of the run of each vehicle; None: there is one only.
@@ -191,7 +191,7 @@ def cast_of(world: World, start_ned: Floats, places: Places | None = None) -> Ca
 
 
 def _routes(fleet: Fleet) -> Iterator[Floats]:
-    """Yield the start and the waypoints or ends of legs (W, 3) [m] of each vehicle; none for who is sent nowhere."""
+    """Yield the start and the waypoints or ends of legs (P, 3) [m] of each vehicle; none for who is sent nowhere."""
     starts, places = axes_of(fleet.start.position_ned), axes_of(fleet.route.position_ned)
     for i, count in enumerate(np.ravel(np.asarray(fleet.route.count)).tolist()):
         way = np.vstack([starts[i], places[:count, i]]).astype(np.float64)

@@ -200,7 +200,10 @@ def fix_of(row: Sequence[float], place: tuple[float, float, float]) -> messages.
     kind, satellites = row[s.FIX_TYPE], row[s.SATELLITES]
     velocity = [axis if axis == axis else 0.0 for axis in row[s.FIX_VELOCITY : s.FIX_VELOCITY + 3]]
     return messages.Fix(
-        int(kind) if kind == kind else 3, *place, horizontal if horizontal == horizontal else LEAST_ACCURACY,
-        vertical if vertical == vertical else LEAST_ACCURACY, velocity,
+        int(kind) if kind == kind else 3,
+        *place,
+        horizontal if horizontal == horizontal else LEAST_ACCURACY,
+        vertical if vertical == vertical else LEAST_ACCURACY,
+        velocity,
         int(satellites) if satellites == satellites else 12,
-    )  # fmt: skip
+    )

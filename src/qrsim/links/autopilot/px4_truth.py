@@ -84,7 +84,12 @@ class TrueStates:
         return [
             messages.true_state(usec, row[QUATERNION:VELOCITY], row[RATES:FORCE], above(geodetic(point), sea), *moving)
             for row, point, sea, *moving in zip(
-                rows.tolist(), earth.tolist(), undulations.tolist(), velocity.tolist(),
-                np.sqrt((air * air).sum(axis=1)).tolist(), acceleration.tolist(), strict=True,
+                rows.tolist(),
+                earth.tolist(),
+                undulations.tolist(),
+                velocity.tolist(),
+                np.sqrt((air * air).sum(axis=1)).tolist(),
+                acceleration.tolist(),
+                strict=True,
             )
-        ]  # fmt: skip
+        ]

@@ -133,8 +133,10 @@ def _numbers(word: str, unit: _Unit) -> tuple[str, dict[str, Any]]:
         name, value = of_field[word]
         return word, {"field": unit.field, name: value}
     others: dict[str, dict[str, Any]] = {
-        "slow": {"every": EVERY}, "delayed": {"by": DELAY_S}, "intermittent": {"share": SHARE}
-    }  # fmt: skip
+        "slow": {"every": EVERY},
+        "delayed": {"by": DELAY_S},
+        "intermittent": {"share": SHARE},
+    }
     return word, others.get(word, {})
 
 

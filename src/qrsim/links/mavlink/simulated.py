@@ -324,8 +324,14 @@ def motor_order(fleet: Fleet) -> list[int]:
 
 
 PARTS: dict[str, tuple[str, Callable[[Values, Fleet, Geodesy], dict[str, Fault | None]]]] = {
-    "GPS": ("gps", _receiver), "GPS1": ("gps", _receiver), "BARO": ("baro", _barometer),
-    "MAG1": ("mag", _magnetometer), "GYR1": ("gyro or accel", _inertial), "ACC1": ("gyro or accel", _inertial),
-    "ACCEL1": ("gyro or accel", _inertial), "ARSPD": ("airspeed", _pitot), "SONAR": ("distance sensor", _sonar),
+    "GPS": ("gps", _receiver),
+    "GPS1": ("gps", _receiver),
+    "BARO": ("baro", _barometer),
+    "MAG1": ("mag", _magnetometer),
+    "GYR1": ("gyro or accel", _inertial),
+    "ACC1": ("gyro or accel", _inertial),
+    "ACCEL1": ("gyro or accel", _inertial),
+    "ARSPD": ("airspeed", _pitot),
+    "SONAR": ("distance sensor", _sonar),
     "ENGINE": ("motor", _engines),
-}  # fmt: skip
+}

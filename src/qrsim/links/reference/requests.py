@@ -390,5 +390,8 @@ SHARED = {Message.CLAIM, Message.RELEASE, Message.COMMAND, Message.SUBSCRIBE, Me
 OWNED = {Message.INIT, Message.RESET, Message.SETSTATE, Message.OPEN, Message.PLAY, Message.ACT}
 # The part of a message that a request needs.
 NEEDED = {
-    Message.INIT: "init", Message.RESET: "reset", Message.DISCONNECT: "disconnect", Message.INJECT: "inject",
-}  # fmt: skip
+    Message.INIT: "init",
+    Message.RESET: "reset",
+    Message.DISCONNECT: "disconnect",
+    Message.INJECT: "inject",
+}

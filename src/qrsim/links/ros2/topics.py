@@ -207,18 +207,30 @@ TRUE_KINDS = (
 # What its controller asks a quadrotor for, of recorded runs only: a live world takes these topics as commands.
 ASKED_KINDS = (
     Kind(
-        "setpoint_attitude/attitude", "geometry_msgs/msg/PoseStamped", "reliable", "map",
-        _quaternion_fields("pose.orientation", n.ASKED_ORIENTATION), (n.ASKED_ORIENTATION,),
+        "setpoint_attitude/attitude",
+        "geometry_msgs/msg/PoseStamped",
+        "reliable",
+        "map",
+        _quaternion_fields("pose.orientation", n.ASKED_ORIENTATION),
+        (n.ASKED_ORIENTATION,),
     ),
     Kind(
-        "setpoint_attitude/cmd_vel", "geometry_msgs/msg/TwistStamped", "reliable", "base_link",
-        (("twist.angular.z", (n.ASKED_YAW_RATE,)),), (n.ASKED_YAW_RATE,),
+        "setpoint_attitude/cmd_vel",
+        "geometry_msgs/msg/TwistStamped",
+        "reliable",
+        "base_link",
+        (("twist.angular.z", (n.ASKED_YAW_RATE,)),),
+        (n.ASKED_YAW_RATE,),
     ),
     Kind(
-        "setpoint_attitude/thrust", "std_msgs/msg/Float32", "reliable", "base_link",
-        (("data", (n.ASKED_THROTTLE,)),), (n.ASKED_THROTTLE,),
+        "setpoint_attitude/thrust",
+        "std_msgs/msg/Float32",
+        "reliable",
+        "base_link",
+        (("data", (n.ASKED_THROTTLE,)),),
+        (n.ASKED_THROTTLE,),
     ),
-)  # fmt: skip
+)
 STATE, STATE_TYPE = "state", "std_msgs/msg/String"
 
 

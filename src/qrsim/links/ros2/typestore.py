@@ -22,10 +22,20 @@ DISTROS = ("humble", "iron", "jazzy", "kilted", "lyrical")
 # Humble knows no type hashes.
 _WITHOUT_HASHES = ("humble",)
 _PRIMITIVES: dict[str, Any] = {
-    "bool": bool, "byte": idl.uint8, "char": idl.uint8, "uint8": idl.uint8, "int8": idl.int8, "uint16": idl.uint16,
-    "int16": idl.int16, "uint32": idl.uint32, "int32": idl.int32, "uint64": idl.uint64, "int64": idl.int64,
-    "float32": idl.float32, "float64": idl.float64,
-}  # fmt: skip
+    "bool": bool,
+    "byte": idl.uint8,
+    "char": idl.uint8,
+    "uint8": idl.uint8,
+    "int8": idl.int8,
+    "uint16": idl.uint16,
+    "int16": idl.int16,
+    "uint32": idl.uint32,
+    "int32": idl.int32,
+    "uint64": idl.uint64,
+    "int64": idl.int64,
+    "float32": idl.float32,
+    "float64": idl.float64,
+}
 
 
 class Types:

@@ -28,16 +28,29 @@ FIELDS: dict[str, tuple[tuple[str, str], ...]] = {
     "attitude_height": (("roll", "rad"), ("pitch", "rad"), ("z", "m"), ("yaw", "rad")),
     "attitude": (("roll", "rad"), ("pitch", "rad"), ("yaw", "rad"), ("throttle", "1")),
     "path": (
-        ("x", "m"), ("y", "m"), ("z", "m"),
-        ("velocity_north", "m/s"), ("velocity_east", "m/s"), ("velocity_down", "m/s"),
-        ("acceleration_north", "m/s^2"), ("acceleration_east", "m/s^2"), ("acceleration_down", "m/s^2"),
+        ("x", "m"),
+        ("y", "m"),
+        ("z", "m"),
+        ("velocity_north", "m/s"),
+        ("velocity_east", "m/s"),
+        ("velocity_down", "m/s"),
+        ("acceleration_north", "m/s^2"),
+        ("acceleration_east", "m/s^2"),
+        ("acceleration_down", "m/s^2"),
         ("yaw", "rad"),
     ),
     "track": (
-        ("begin_x", "m"), ("begin_y", "m"), ("begin_z", "m"), ("x", "m"), ("y", "m"), ("z", "m"),
-        ("radius", "m"), ("speed", "m/s"), ("stops", "1"),
+        ("begin_x", "m"),
+        ("begin_y", "m"),
+        ("begin_z", "m"),
+        ("x", "m"),
+        ("y", "m"),
+        ("z", "m"),
+        ("radius", "m"),
+        ("speed", "m/s"),
+        ("stops", "1"),
     ),
-}  # fmt: skip
+}
 # Which of their numbers are a position down, which no vehicle can be sent to below the ground.
 _DOWN = {"velocity_height": 2, "attitude_height": 2}
 # Lines and circles came after recordings had numbers for all others.
@@ -81,7 +94,7 @@ def record_of(kind: str, columns: NumpyArray, command: type) -> Any:
 
     Args:
         kind: one of NAMES.
-        columns: (W, n) its numbers; the record holds views of them.
+        columns: (V, n) its numbers; the record holds views of them.
         command: the fleet's own record, for "control".
     """
     if kind == CONTROL:

@@ -30,7 +30,7 @@ class Latches:
     Attributes:
         names: of the n vehicles.
         codes: (n,) number of each order's kind, in NAMES from 1; 0: the guidance of the scenario.
-        numbers: (n, W) of each order; NaN beyond those of its kind.
+        numbers: (n, V) of each order; NaN beyond those of its kind.
     """
 
     def __init__(self, fleets: Sequence[Fleet], dtype: np.dtype[Any]):
@@ -97,7 +97,7 @@ class _FleetParts:
         self._some = Some(tuple(parts))
 
     def filled(self, codes: NumpyArray, numbers: NumpyArray) -> Some:
-        """Return the fleet's action from the codes (n,) and numbers (n, W) of all vehicles' orders."""
+        """Return the fleet's action from the codes (n,) and numbers (n, V) of all vehicles' orders."""
         codes, numbers = codes[self._own], numbers[self._own]
         for code, which, columns in self._parts:
             np.equal(codes, code, out=which)

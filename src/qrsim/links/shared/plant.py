@@ -74,7 +74,7 @@ class Plant:
         controlled: by vehicle.
         now: the tick at which what arrives now arrives.
         spoken: what is said over the radio; None: there is none.
-        flown: what the ticks since the last ``begin`` are flown by, (n,) or (n, W) each, by name.
+        flown: what the ticks since the last ``begin`` are flown by, (n,) or (n, V) each, by name.
     """
 
     def __init__(

@@ -25,7 +25,7 @@ from qrsim.world.state import World
 
 # Ticks that are kept at once, which costs little more than to keep one.
 KEPT_TICKS = 25
-# Orders of one tick: arrays (n,) or (n, W) by name.
+# Orders of one tick: arrays (n,) or (n, V) by name.
 Flown = dict[str, NumpyArray]
 
 

@@ -122,13 +122,13 @@ class DrydenFirstOrder(Turbulence):
     normals: ClassVar[int] = 3
 
     def init(self, draw: Noise) -> GustState:
-        """Draw a stationary first value."""
+        """Return random stationary first gusts (n,)."""
         return GustState(Vec3(*draw.normals(3)))
 
     def step(
         self, state: GustState, draw: Noise, height_agl: Array, velocity_ned: Vec3, mean_wind_ned: Vec3, dt: float
     ) -> GustState:
-        """Advance by dt [s] for vehicles at heights (n,) [m] moving over ground at velocity_ned (n,) [m/s]."""
+        """Return the gusts dt [s] later at heights (n,) [m] and ground velocities velocity_ned (n,) [m/s]."""
         speed = carrying_speed(self.airspeed, velocity_ned, mean_wind_ned)
         lengths, _ = low_altitude_scales(height_agl)
         normals = Vec3(*draw.normals(3))

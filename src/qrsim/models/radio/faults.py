@@ -30,6 +30,6 @@ class RadioFault:
         return record_of(RadioFault, never, never, nobody, nobody, np.zeros(count))
 
     def at(self, tick: Array) -> tuple[Array, Array]:
-        """Return which radios (n,) are off at a tick, and the share (n,) of packets that each loses."""
+        """Return (n,) bool, whether each radio is off at a tick, and the share (n,) of packets that it loses."""
         acts = self.affected & (tick >= self.start_tick) & (tick < self.end_tick)
         return acts & self.off, jnp.where(acts & ~jnp.asarray(self.off), self.share, 0.0)

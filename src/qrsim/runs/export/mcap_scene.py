@@ -48,7 +48,7 @@ def scene(run: Run, place: Place, around: Surroundings, frame: str) -> Iterator[
 
 
 def waypoints(run: Run) -> list[Floats]:
-    """Return the route (W, 3) [m] of every vehicle, NED, (0, 3) without one or where the scenario does not say."""
+    """Return the route (P, 3) [m] of every vehicle, NED, (0, 3) without one or where the scenario does not say."""
     content = run.scenario if isinstance(run.scenario, dict) else {}
     try:
         vehicles = [own for fleet in content["fleets"].values() for own in fleet["vehicles"]]

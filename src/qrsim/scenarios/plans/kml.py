@@ -37,9 +37,16 @@ _TRACKS = ("Track", "MultiTrack")
 GEOMETRIES = ("Point", "LineString", "LinearRing", "Polygon", "Model", *_TRACKS)
 # Whatever zipfile raises for an archive that is damaged.
 _DAMAGED = (
-    zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError, EOFError, ValueError, OverflowError, struct.error,
+    zipfile.BadZipFile,
+    NotImplementedError,
+    RuntimeError,
+    OSError,
+    EOFError,
+    ValueError,
+    OverflowError,
+    struct.error,
     zlib.error,
-)  # fmt: skip
+)
 
 
 def read_kml(source: str, options: Options) -> Plan:

@@ -301,9 +301,12 @@ def asked_of(name: str, number: float, where: str) -> float:
 
 def _at(latitude: float, longitude: float, altitude: float, above: Above, height: float) -> dict[str, Any]:
     return {
-        "latitude_deg": latitude, "longitude_deg": longitude, "height_above_home": height,
-        "altitude": altitude, "above": above,
-    }  # fmt: skip
+        "latitude_deg": latitude,
+        "longitude_deg": longitude,
+        "height_above_home": height,
+        "altitude": altitude,
+        "above": above,
+    }
 
 
 def _is_placeless(params: Sequence[object]) -> bool:

@@ -52,9 +52,12 @@ def read_wpl(source: str, home: Home | None = None) -> Plan:
         if params[3] == 0.0:
             params[3] = None
         content = {
-            "command": int(values[3]), "frame": int(values[2]), "params": params, "doJumpId": int(values[0]),
+            "command": int(values[3]),
+            "frame": int(values[2]),
+            "params": params,
+            "doJumpId": int(values[0]),
             "autoContinue": values[11] != 0.0,
-        }  # fmt: skip
+        }
         route.take(content, f"line {line}")
     route.fly()
     if route.problems:

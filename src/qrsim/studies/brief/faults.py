@@ -67,18 +67,20 @@ def fault_scenario(operation: OperationSpec, flights: Flights) -> Content:
     content = copy.deepcopy(flights.content)
     content["name"] = NAME
     contingency = operation.contingency
-    never = _never(flights)
-    for name in flights.names:
-        fleet = content["fleets"][name]
-        ends = dict.fromkeys(_TIMES, never)
-        low = contingency.low_battery.at
-        faults: dict[str, Content] = {
-            "gnss": {"type": "sensor", "sensor": "gnss", "kind": "off", "start": ends["gnss"]},
-            "motor": {"type": "rotor", "rotor": 0, "health": 0.0, "at": ends["motor"]},
-            "link": {"type": "radio", "kind": "off", "at": ends["link"]},
-            "low_battery": {"type": "battery", "charge": low, "at": ends["low_battery"]},
-        }
-        fleet["faults"] = [faults[fault] for fault in operation.faults]
+    never, low = _never(flights), contingency.low_battery.at
+    faults: dict[str, Content] = {
+        "gnss": {"type": "sensor", "sensor": "gnss", "kind": "off", "start": never},
+        "motor": {"type": "rotor", "rotor": 0, "health": 0.0, "at": never},
+        "link": {"type": "radio", "kind": "off", "at": never},
+        "low_battery": {"type": "battery", "charge": low, "at": never},
+    }
+    for fleet in content["fleets"].values():
+        names = [vehicle["name"] for vehicle in fleet["vehicles"]]
+        fleet["faults"] = [
+            {**faults[fault], **({"vehicles": [name]} if len(names) > 1 else {})}
+            for name in names
+            for fault in operation.faults
+        ]
         if "link" in operation.faults:
             fleet["failsafes"] |= {"COM_DL_LOSS_T": contingency.link_lost.after}
             if contingency.link_lost.do != "none":
@@ -90,7 +92,7 @@ def fault_scenario(operation: OperationSpec, flights: Flights) -> Content:
 
 
 def _with_station(content: Content, flights: Flights) -> Content:
-    north, east, _ = content["fleets"][flights.names[0]]["vehicles"][0]["position_ned"]
+    north, east, _ = content["fleets"][flights.places[0].fleet]["vehicles"][0]["position_ned"]
     problems: list[str] = []
     for away_north, away_east in BESIDE:
         station = {
@@ -127,9 +129,10 @@ def fault_study(operation: OperationSpec, flights: Flights, finished_s: float, s
     for number, fault in enumerate(operation.faults):
         for part in PARTS:
             settings = {}
-            for name, planned in zip(flights.names, flights.planned_s, strict=True):
+            for place, planned in zip(flights.places, flights.planned_s, strict=True):
                 at = round(part * planned * finished_s / longest, 1)
-                settings[f"fleets.{name}.faults.{number}.{_TIMES[fault]}"] = at
+                entry = place.row * len(operation.faults) + number
+                settings[f"fleets.{place.fleet}.faults.{entry}.{_TIMES[fault]}"] = at
             conditions[f"{fault}_{round(100 * part)}"] = settings
     return {
         "name": NAME,

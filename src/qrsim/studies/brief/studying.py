@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from qrsim.files import Content
 from qrsim.files.atomic import write_atomically
 from qrsim.files.yaml_text import dump_yaml
@@ -94,8 +96,8 @@ def varied(operation: OperationSpec, flights: Flights) -> Content:
     if steady and wind.from_std > 0.0:
         low, high = (bearing_deg(wind) + sign * 3.0 * wind.from_std for sign in (-1.0, 1.0))
         found["world.wind.wind_from_deg"] = {"low": low, "high": high, "scale": "normal"}
-    for name in flights.names:
-        fleet = flights.content["fleets"][name]
+    for place in flights.places:
+        fleet = flights.content["fleets"][place.fleet]
         numbers = {
             "battery.capacity": spec.battery_capacity,
             "vehicle.mass": spec.mass,
@@ -104,12 +106,12 @@ def varied(operation: OperationSpec, flights: Flights) -> Content:
         }
         for path, share in numbers.items():
             part, key = path.split(".")
-            value = float(fleet[part][key])
+            value = float(np.ravel(fleet[part][key])[place.row])
             if share > 0.0 and value > 0.0:
-                found[f"fleets.{name}.{path}"] = {"low": value * (1.0 - share), "high": value * (1.0 + share)}
+                found[place.path(path)] = {"low": value * (1.0 - share), "high": value * (1.0 + share)}
         low, high = spec.initial_charge
         if low < high:
-            found[f"fleets.{name}.battery.initial_charge"] = {"low": low, "high": high}
+            found[place.path("battery.initial_charge")] = {"low": low, "high": high}
     return found
 
 
@@ -127,9 +129,9 @@ def nominal_study(piece: Piece, operation: OperationSpec, flights: Flights, seed
         **({"set": dict(flights.settings[piece.start])} if piece.starts > 1 else {}),
     }
     if not vary:
-        mass = f"fleets.{flights.names[0]}.vehicle.mass"
-        value = float(flights.content["fleets"][flights.names[0]]["vehicle"]["mass"])
-        return {**study, "vary": {mass: {"values": [value]}}, "seeds": piece.runs}
+        place = flights.places[0]
+        value = float(np.ravel(flights.content["fleets"][place.fleet]["vehicle"]["mass"])[place.row])
+        return {**study, "vary": {place.path("vehicle.mass"): {"values": [value]}}, "seeds": piece.runs}
     seed = piece.look * piece.starts + piece.start
     sampling = {"type": "latin_hypercube", "points": piece.runs, "seed": seed, "paired": True}
     return {**study, "vary": vary, "sampling": sampling, "seeds": 1}

@@ -58,8 +58,8 @@ def winds_of(operation: OperationSpec, flights: Flights, folder: Path) -> Winds:
     # A unit of speed here; each point gives its own.
     content["world"]["wind"] = {"type": "log_shear", "speed_20ft": factor, "wind_from_deg": bearing}
     low, high = operation.uncertain.initial_charge
-    for name in flights.names:
-        content["fleets"][name]["battery"]["initial_charge"] = 0.5 * (low + high)
+    for fleet in content["fleets"].values():
+        fleet["battery"]["initial_charge"] = 0.5 * (low + high)
     scenario = load_scenario(content, quiet=True)
     write_atomically(folder / SCENARIO, dump_yaml(content).encode())
     return Winds(scenario, factor, _held(scenario, factor), (*BEARINGS, bearing % 360.0))

@@ -21,10 +21,22 @@ Rows = npt.NDArray[np.bool_]  # whether a row counts
 
 # What the noise of each signal counts for at least.
 FLOORS: dict[str, float] = {
-    "roll": 2e-3, "pitch": 2e-3, "yaw": 2e-3, "roll_rate": 0.01, "pitch_rate": 0.01, "yaw_rate": 0.01,
-    "velocity_north": 0.05, "velocity_east": 0.05, "velocity_down": 0.05, "thrust": 0.05,
-    "roll_command": 2e-3, "pitch_command": 2e-3, "yaw_rate_command": 5e-3, "throttle": 3e-3, "battery": 0.02,
-}  # fmt: skip
+    "roll": 2e-3,
+    "pitch": 2e-3,
+    "yaw": 2e-3,
+    "roll_rate": 0.01,
+    "pitch_rate": 0.01,
+    "yaw_rate": 0.01,
+    "velocity_north": 0.05,
+    "velocity_east": 0.05,
+    "velocity_down": 0.05,
+    "thrust": 0.05,
+    "roll_command": 2e-3,
+    "pitch_command": 2e-3,
+    "yaw_rate_command": 5e-3,
+    "throttle": 3e-3,
+    "battery": 0.02,
+}
 # Standard deviation over noise from which on a signal moves.
 MOVES = 3.0
 # Correlation of a measurement with its command, at the best delay, from which on it follows.

@@ -78,7 +78,7 @@ class Answer:
         nuisances: of each log by name.
         covariance: of estimated constants and nuisances.
         noise: of each log, standard deviation of each channel.
-        residuals: of each log, recorded minus simulated over the noise, (W, n, C), 0 where a row does not count.
+        residuals: of each log, recorded minus simulated over the noise, (R, n, C), 0 where a row does not count.
         at_bounds: estimated constants that ended at a bound.
         evaluations: of the residuals with their derivatives.
     """

@@ -8,7 +8,7 @@ import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.envs.batch import Batch
-from qrsim.studies.learn.objective import Objective
+from qrsim.envs.objective import Objective
 from qrsim.tasks.learned import LIMIT, View
 
 

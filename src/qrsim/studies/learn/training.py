@@ -11,17 +11,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-import jax
 import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.envs.functional import Functional
+from qrsim.envs.objective import objective_of
+from qrsim.envs.viewing import batch_of, view_of
 from qrsim.errors import RunError
 from qrsim.studies.learn.flights import Flights
-from qrsim.studies.learn.objective import objective_of
 from qrsim.studies.learn.ppo import Algorithm, Learner, Samples, Settings
-from qrsim.studies.learn.viewing import batch_of, view_of
 from qrsim.tasks.learned import PolicyFile, Scaling, forward
 
 # Decisions of each row in an iteration, and of all rows at least.
@@ -101,7 +100,7 @@ class Moments:
 
     def scaling(self) -> Scaling:
         """Return the scaling by them."""
-        deviation = np.sqrt(self.squares / max(self.count, 1.0)) + 1e-3
+        deviation = np.sqrt(self.squares / self.count) + 1e-3 if self.count else np.ones_like(self.mean)
         return Scaling(self.mean.astype(np.float32), deviation.astype(np.float32))
 
 
@@ -128,6 +127,7 @@ class Training:
         self.horizon = max(HORIZON, -(-FEWEST // self.flights.rows))
         self.learner: Learner = self.algorithm.begin(plan.seed)
         self.moments = Moments(self.view.inputs)
+        self.scaling = self.moments.scaling()
         self.cycle, self.steps = 0, 0
         self.best: tuple[PolicyFile, Tried] | None = None
         self.curve: list[Tried] = []
@@ -154,14 +154,14 @@ class Training:
         begun, before = time.monotonic(), self.curve[-1].seconds if self.curve else 0.0
         limit = np.inf if self.plan.seconds is None else self.plan.seconds
         while self.steps < self.plan.steps and time.monotonic() - begun < limit:
-            key = jax.random.fold_in(jax.random.key(self.plan.seed), self.cycle)
+            rng = np.random.default_rng([self.plan.seed, self.cycle])
             first = LEARNED + APART * (self.plan.seed % 10**6) + self.cycle * self.plan.envs
             self.flights.begin(first + np.arange(self.plan.envs))
             rewards, divergences = [], []
-            for iteration in range(self.iterations):
-                flown, improving = jax.random.split(jax.random.fold_in(key, iteration))
-                samples = self._fly(flown)
-                self.learner, divergence = self.algorithm.improve(self.learner, samples, improving)
+            for _ in range(self.iterations):
+                samples = self._fly(rng)
+                orders = self.algorithm.orders(rng, samples.reward.size)
+                self.learner, divergence = self.algorithm.improve(self.learner, samples, orders)
                 rewards.append(float(samples.reward.mean()))
                 divergences.append(self._finite(float(divergence)))
                 self.steps += samples.reward.size
@@ -207,26 +207,34 @@ class Training:
         self.best = self._policy(), Tried(0, self.steps, 0.0, unknown, 0.0, unknown, unknown)
         return True
 
-    def _fly(self, key: Any) -> Samples:
-        """Return the samples of an iteration."""
-        flights, found = self.flights, []
-        weights = self.learner.weights
-        for number in range(self.horizon):
-            features = flights.features()
-            self.moments.add(features)
-            scaling = self.moments.scaling()
-            inputs = scaling.scaled(features)
-            decision = self.algorithm.decide(weights, inputs, key, np.int32(number))
-            outputs, density, value = map(np.asarray, decision)
+    def _fly(self, rng: np.random.Generator) -> Samples:
+        """Return the samples of an iteration, whose inputs are all scaled alike."""
+        flights, weights = self.flights, self.learner.weights
+        self.scaling = scaling = self.moments.scaling()
+        spread = np.exp(np.asarray(weights["log_spread"]))
+        seen, found = [flights.features()], []
+        for _ in range(self.horizon):
+            mean = np.asarray(self.algorithm.mean(weights, scaling.scaled(seen[-1])))
+            outputs = mean + spread * rng.standard_normal(mean.shape, np.float32)
             decided = flights.decide(outputs)
-            after = np.asarray(self.algorithm.value(weights, scaling.scaled(decided.features)))
-            after = np.where(decided.terminated, np.float32(0.0), after)
-            found.append((inputs, outputs, density, value, decided.reward, decided.ended, after))
+            beyond = np.zeros_like(decided.reward)
+            cut = decided.ended & ~decided.terminated
+            if cut.any():
+                last = np.asarray(self.algorithm.value(weights, scaling.scaled(decided.features)))
+                beyond = np.where(cut, last, beyond)
+            found.append((outputs, decided.reward, decided.ended, beyond))
             flights.follow(decided.ended)
-        return Samples(*(np.stack(parts) for parts in zip(*found, strict=True)))
+            seen.append(flights.features() if decided.ended.any() else decided.features)
+        rows = np.stack(seen)
+        first = not self.moments.count
+        self.moments.add(rows[:-1].reshape(-1, rows.shape[-1]))
+        if first:
+            # Nothing was known yet; the new policy returns zeros by any scaling.
+            self.scaling = self.moments.scaling()
+        return Samples(self.scaling.scaled(rows), *(np.stack(parts) for parts in zip(*found, strict=True)))
 
     def _policy(self) -> PolicyFile:
         """Return the policy as it is."""
         layers = tuple((np.array(weights), np.array(offset)) for weights, offset in self.learner.weights["policy"])
         facts = {"seed": self.plan.seed, "steps": self.steps, "overrides": list(self.plan.overrides)}
-        return PolicyFile(self.view, self.moments.scaling(), layers, facts)
+        return PolicyFile(self.view, self.scaling, layers, facts)

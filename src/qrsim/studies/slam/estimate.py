@@ -210,9 +210,17 @@ def from_run(
     number = opened.info.seed if seed is None else seed
     ranging = _ranging(flight, landmarks_ned, landmarks_guess_ned, ranges, range_std, range_limit, number)
     found = estimate(
-        flight, ranging, graph=graph, states=states, prior=prior, fix_std=fix_std,
-        bias_time_constant=bias_time_constant, iterations=iterations, damping=damping, keep=keep,
-    )  # fmt: skip
+        flight,
+        ranging,
+        graph=graph,
+        states=states,
+        prior=prior,
+        fix_std=fix_std,
+        bias_time_constant=bias_time_constant,
+        iterations=iterations,
+        damping=damping,
+        keep=keep,
+    )
     for problem in found.problems:
         warn_user(problem)
     return found
@@ -249,9 +257,15 @@ def estimate(
     if not active.any():
         raise UsageError(f"landmarks: none has {FEWEST_RANGES} ranges; ranges to each: {per_landmark.tolist()}")
     problem, x = make_graph(
-        flight, ranging, active, graph=graph, states=states, prior=prior, fix_std=std,
+        flight,
+        ranging,
+        active,
+        graph=graph,
+        states=states,
+        prior=prior,
+        fix_std=std,
         bias_time_constant=bias_time_constant,
-    )  # fmt: skip
+    )
     use_compilation_cache()
     solution, reflected = solve_reflected(
         problem, x, ranging, lambda point: point.x[:, :3], iterations=iterations, damping=damping, keep=keep
@@ -317,9 +331,16 @@ def _with_history(first: Solution, again: Solution) -> Solution:
 
 
 def _slam_result(
-    graph: str, states: str, prior: str, flight: Flight, ranging: Ranging, enough: npt.NDArray[np.bool_],
-    solution: Solution, reflected: Mirrors, problem: Graph,
-) -> Slam:  # fmt: skip
+    graph: str,
+    states: str,
+    prior: str,
+    flight: Flight,
+    ranging: Ranging,
+    enough: npt.NDArray[np.bool_],
+    solution: Solution,
+    reflected: Mirrors,
+    problem: Graph,
+) -> Slam:
     """Return the result of a flight from its solution: states, landmarks, covariances."""
     point, base = solution.point, problem.base
     believed = covariance(problem, point)

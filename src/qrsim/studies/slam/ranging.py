@@ -88,9 +88,10 @@ def landmarks_given(
     guess = None if guess_ned is None else _checked_positions("landmarks_guess_ned", guess_ned)
     if not ranged and known is None:
         known = landmarks_of(seed, centre)
-    if known is None and guess is None:
+    given = known if known is not None else guess
+    if given is None:
         raise UsageError("ranges: give the number of landmarks by landmarks_ned or landmarks_guess_ned, (L, 3)")
-    count = len(known if known is not None else guess)  # type: ignore[arg-type]
+    count = len(given)
     if guess is None:
         guess = guesses_of(seed, centre, count)
     if known is not None and len(guess) != count:

@@ -20,6 +20,9 @@ from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.studies.sweep.axes import Axis, apply, in_ticks
 from qrsim.world.state import World
 
+# From so many ranges on their places are looked for together.
+MANY = 4
+
 
 @dataclass(frozen=True)
 class Place:
@@ -207,6 +210,10 @@ def _places(
     base: Content, axes: tuple[Axis, ...], lowest: Mapping[str, object], world: World, precision: str
 ) -> tuple[Place, ...] | None:
     """Return where the World has each number, None where one of them is not simply there."""
+    if len(axes) >= MANY and all(axis.values is None for axis in axes):
+        together = _places_together(base, axes, lowest, world, precision)
+        if together is not None:
+            return together
     found = []
     taken: dict[int, NumpyArray] = {}
     for axis in axes:
@@ -219,6 +226,47 @@ def _places(
             taken[leaf] = taken[leaf] | elements
         found.append(place)
     return tuple(found)
+
+
+def _places_together(
+    base: Content, axes: tuple[Axis, ...], lowest: Mapping[str, object], world: World, precision: str
+) -> tuple[Place, ...] | None:
+    """Return where the World has each number of ranges, found by changing all at once; None where that is not clear.
+
+    Two further worlds are built, in which each number has another part of its range, so that a changed element of the
+    World belongs to the one number that has its three values.
+    """
+    parts = np.arange(1, len(axes) + 1) / (len(axes) + 1.0)
+    given: list[list[Any]] = [[lowest[axis.path] for axis in axes]]
+    for part in (0.5 * parts, 0.5 + 0.5 * parts[::-1]):
+        chosen = zip(axes, part, strict=True)
+        given.append(
+            [float(in_ticks(axis.low + (axis.high - axis.low) * np.array(at), axis.step)) for axis, at in chosen]
+        )
+    paths = [axis.path for axis in axes]
+    worlds = [world, *(scenario_at(base, dict(zip(paths, row, strict=True))).world(precision) for row in given[1:])]
+    leaves = [[np.asarray(leaf) for leaf in jax.tree.leaves(item)] for item in worlds]
+    # Of each number in each of its two forms the values in the three worlds.
+    forms = [(i, step, degrees) for i, axis in enumerate(axes) for step, degrees in ((axis.step, False), (0.0, True))]
+    values = np.array([[_in_world(row[i], step, degrees) for i, step, degrees in forms] for row in given], np.float64)
+    found: dict[int, list[tuple[int, NumpyArray]]] = {}
+    for number, versions in enumerate(zip(*leaves, strict=True)):
+        differs = _differs(versions)
+        if not differs.any():
+            continue
+        known = values.astype(versions[0].dtype)
+        fits = np.all([versions[i][differs][:, None] == known[i] for i in range(3)], axis=0)
+        if (fits.sum(axis=1) != 1).any():
+            return None
+        owner = fits.argmax(axis=1)
+        for form in np.unique(owner):
+            elements = np.zeros(differs.shape, bool)
+            elements[differs] = owner == form
+            found.setdefault(int(form), []).append((number, elements))
+    if sorted(forms[form][0] for form in found) != list(range(len(axes))):
+        return None
+    each = sorted(found.items())
+    return tuple(Place(paths[forms[form][0]], *forms[form][1:], tuple(parts)) for form, parts in each)
 
 
 def _place(base: Content, axis: Axis, lowest: Mapping[str, object], world: World, precision: str) -> Place | None:
@@ -252,9 +300,7 @@ def _parts(leaves: list[list[NumpyArray]], values: list[float]) -> tuple[tuple[i
     """Return the elements of leaves that are these values; none where one changes in another way."""
     found = []
     for number, versions in enumerate(zip(*leaves, strict=True)):
-        differs = np.zeros(versions[0].shape, bool)
-        for other in versions[1:]:
-            differs = differs | ~((versions[0] == other) | ((versions[0] != versions[0]) & (other != other)))
+        differs = _differs(versions)
         if not differs.any():
             continue
         for leaf, value in zip(versions, values, strict=True):
@@ -262,3 +308,11 @@ def _parts(leaves: list[list[NumpyArray]], values: list[float]) -> tuple[tuple[i
                 return ()
         found.append((number, differs))
     return tuple(found)
+
+
+def _differs(versions: tuple[NumpyArray, ...]) -> NumpyArray:
+    """Return which elements of a leaf are not the same in all its versions; NaN equals NaN."""
+    first, differs = versions[0], np.zeros(versions[0].shape, bool)
+    for other in versions[1:]:
+        differs = differs | ~((first == other) | ((first != first) & (other != other)))
+    return differs

@@ -115,24 +115,37 @@ def _of_missions() -> dict[str, Metric]:
     """Return the metrics of missions by name."""
     found = {
         "not_finished": Metric("1", "vehicles that did not finish their mission", _not_finished),
-        "finished_s": Metric("s", "time at which the last vehicle finished its mission",
-                             _over(np.nanmax, "finished_s")),
-        "down_s": Metric("s", "time at which the last vehicle finished, or was landed by a failsafe",
-                         _over(np.nanmax, "down_s")),
-        "charge_end": Metric("1", "charge left at the end of the mission, of the worst vehicle",
-                             _over(np.nanmin, "charge_end"), low_is_bad=True, limits=(0.0, 1.0)),
-        "home_m": Metric("m", "horizontal distance from the start at the end, of the farthest vehicle",
-                         _over(np.nanmax, "home_m")),
+        "finished_s": Metric(
+            "s", "time at which the last vehicle finished its mission", _over(np.nanmax, "finished_s")
+        ),
+        "down_s": Metric(
+            "s", "time at which the last vehicle finished, or was landed by a failsafe", _over(np.nanmax, "down_s")
+        ),
+        "charge_end": Metric(
+            "1",
+            "charge left at the end of the mission, of the worst vehicle",
+            _over(np.nanmin, "charge_end"),
+            low_is_bad=True,
+            limits=(0.0, 1.0),
+        ),
+        "home_m": Metric(
+            "m", "horizontal distance from the start at the end, of the farthest vehicle", _over(np.nanmax, "home_m")
+        ),
         "in_the_air": Metric("1", "vehicles in the air at the end", _over(np.sum, "in_the_air")),
-        "crashed": Metric("1", "vehicles that hit the ground, crashed, or lost their battery",
-                          _stopped("hit_ground", "crashed", "brown_out", "battery_empty")),
+        "crashed": Metric(
+            "1",
+            "vehicles that hit the ground, crashed, or lost their battery",
+            _stopped("hit_ground", "crashed", "brown_out", "battery_empty"),
+        ),
         "stopped_s": Metric("s", "time at which the first vehicle stopped", _over(np.nanmin, "stopped_at_s")),
-        "stopped_leg": Metric("1", "leg of the first vehicle that stopped, from 1",
-                              _of_least("stopped_at_s", "stopped_at_leg")),
-        "stopped_vehicle": Metric("1", "number of the first vehicle that stopped",
-                                  _of_least("stopped_at_s", "vehicle")),
+        "stopped_leg": Metric(
+            "1", "leg of the first vehicle that stopped, from 1", _of_least("stopped_at_s", "stopped_at_leg")
+        ),
+        "stopped_vehicle": Metric(
+            "1", "number of the first vehicle that stopped", _of_least("stopped_at_s", "vehicle")
+        ),
         "failsafe_s": Metric("s", "time at which the first failsafe took over", _over(np.nanmin, "failsafe_at_s")),
-    }  # fmt: skip
+    }
     for margin, doc in _MARGINS.items():
         found[f"{margin}_m"] = Metric(
             "m", doc, _over(np.nanmin, f"{margin}_m"), low_is_bad=True, limits=(-np.inf, np.inf)

@@ -258,6 +258,9 @@ class Text:
     text: str
 
 
+EventKind = Literal["item_reached", "mission", "landed", "mode", "armed", "home", "fence", "plan", "reboot"]
+
+
 @dataclass(frozen=True, slots=True)
 class Event:
     """Something that changed, which clients are told at once.
@@ -269,7 +272,7 @@ class Event:
         number: what belongs to it.
     """
 
-    kind: Literal["item_reached", "mission", "landed", "mode", "armed", "home", "fence", "plan", "reboot"]
+    kind: EventKind
     number: int = 0
 
 

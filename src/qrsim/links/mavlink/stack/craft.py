@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack.codes import GROUND_ROVER, Landed, Result, Severity
-from qrsim.links.mavlink.stack.contracts import Event, Facts, Home, Seen, Text, Triple
+from qrsim.links.mavlink.stack.contracts import Event, EventKind, Facts, Home, Seen, Text, Triple
 from qrsim.links.mavlink.stack.fence import Fence
 from qrsim.links.mavlink.stack.geodesy import Geodesy
 from qrsim.links.mavlink.stack.parameters import Parameters
@@ -87,10 +87,10 @@ class Craft:
         del self._texts[:-63]
         self._texts.append(Text(severity, text))
 
-    def tell(self, kind: str, number: int = 0) -> None:
+    def tell(self, kind: EventKind, number: int = 0) -> None:
         """Queue an event for clients, such as a change of mode."""
         del self._events[:-255]
-        self._events.append(Event(kind, number))  # type: ignore[arg-type]
+        self._events.append(Event(kind, number))
 
     def texts(self) -> list[Text]:
         """Return the queued texts and empty the queue."""

@@ -151,11 +151,23 @@ _PX4_NUMBERS = {
     Mode.OFFBOARD: _px4(6),
 }
 _PX4_NAMES = {
-    _px4(1): "Manual", _px4(2): "Altitude", _px4(3): "Position", _px4(3, 1): "Orbit", _px4(3, 2): "Position Slow",
-    _px4(4, 2): "Takeoff", _px4(4, 3): "Hold", _px4(4, 4): "Mission", _px4(4, 5): "Return", _px4(4, 6): "Land",
-    _px4(4, 8): "Follow Target", _px4(4, 9): "Precision Landing", _px4(4, 10): "VTOL Takeoff", _px4(5): "Acro",
-    _px4(6): "Offboard", _px4(7): "Stabilized",
-}  # fmt: skip
+    _px4(1): "Manual",
+    _px4(2): "Altitude",
+    _px4(3): "Position",
+    _px4(3, 1): "Orbit",
+    _px4(3, 2): "Position Slow",
+    _px4(4, 2): "Takeoff",
+    _px4(4, 3): "Hold",
+    _px4(4, 4): "Mission",
+    _px4(4, 5): "Return",
+    _px4(4, 6): "Land",
+    _px4(4, 8): "Follow Target",
+    _px4(4, 9): "Precision Landing",
+    _px4(4, 10): "VTOL Takeoff",
+    _px4(5): "Acro",
+    _px4(6): "Offboard",
+    _px4(7): "Stabilized",
+}
 # A multicopter's Manual is its Stabilized; Mission stands for AUTO without a sub mode.
 _PX4_ALIASES = {_px4(1): Mode.STABILIZED, _px4(4): Mode.MISSION}
 _COPTER = dict(enumerate((
@@ -165,17 +177,50 @@ _COPTER = dict(enumerate((
 )))  # fmt: skip
 # GUIDED is where scripts take off and send set-points.
 _COPTER_NUMBERS = {
-    Mode.STABILIZED: 0, Mode.ALTITUDE: 2, Mode.MISSION: 3, Mode.HOLD: 5, Mode.RTL: 6, Mode.ORBIT: 7, Mode.LAND: 9,
-    Mode.POSITION: 16, Mode.TAKEOFF: 4, Mode.OFFBOARD: 4, Mode.NOGPS: 20,
-}  # fmt: skip
+    Mode.STABILIZED: 0,
+    Mode.ALTITUDE: 2,
+    Mode.MISSION: 3,
+    Mode.HOLD: 5,
+    Mode.RTL: 6,
+    Mode.ORBIT: 7,
+    Mode.LAND: 9,
+    Mode.POSITION: 16,
+    Mode.TAKEOFF: 4,
+    Mode.OFFBOARD: 4,
+    Mode.NOGPS: 20,
+}
 _ROVER = {
-    0: "MANUAL", 1: "ACRO", 3: "STEERING", 4: "HOLD", 5: "LOITER", 6: "FOLLOW", 7: "SIMPLE", 8: "DOCK", 9: "CIRCLE",
-    10: "AUTO", 11: "RTL", 12: "SMART_RTL", 15: "GUIDED",
-}  # fmt: skip
+    0: "MANUAL",
+    1: "ACRO",
+    3: "STEERING",
+    4: "HOLD",
+    5: "LOITER",
+    6: "FOLLOW",
+    7: "SIMPLE",
+    8: "DOCK",
+    9: "CIRCLE",
+    10: "AUTO",
+    11: "RTL",
+    12: "SMART_RTL",
+    15: "GUIDED",
+}
 _PLANE = {
-    0: "MANUAL", 1: "CIRCLE", 2: "STABILIZE", 3: "TRAINING", 4: "ACRO", 5: "FBWA", 6: "FBWB", 7: "CRUISE",
-    8: "AUTOTUNE", 10: "AUTO", 11: "RTL", 12: "LOITER", 13: "TAKEOFF", 15: "GUIDED", 24: "THERMAL",
-}  # fmt: skip
+    0: "MANUAL",
+    1: "CIRCLE",
+    2: "STABILIZE",
+    3: "TRAINING",
+    4: "ACRO",
+    5: "FBWA",
+    6: "FBWB",
+    7: "CRUISE",
+    8: "AUTOTUNE",
+    10: "AUTO",
+    11: "RTL",
+    12: "LOITER",
+    13: "TAKEOFF",
+    15: "GUIDED",
+    24: "THERMAL",
+}
 
 
 def _flavours(

@@ -88,9 +88,15 @@ class Path:
         self.position = (px + vx * dt, py + vy * dt, pz + vz * dt)
 
     def _to_goal(
-        self, goal: Triple, speeds: Triple, limits: tuple[float, float], dt: float, beyond: float, along: Triple,
+        self,
+        goal: Triple,
+        speeds: Triple,
+        limits: tuple[float, float],
+        dt: float,
+        beyond: float,
+        along: Triple,
         rate: float,
-    ) -> Triple:  # fmt: skip
+    ) -> Triple:
         """Return the acceleration towards a goal; ``rate``: share of the speed that a vehicle behind leaves."""
         px, py, pz = self.position
         vx, vy, vz = self.velocity
@@ -118,9 +124,15 @@ class Path:
         return ax + _within(bx - ax, step), ay + _within(by - ay, step), az + _within(bz - az, step)
 
     def _on_line(
-        self, begin: Triple, goal: Triple, speeds: Triple, limits: tuple[float, float], step: float, beyond: float,
+        self,
+        begin: Triple,
+        goal: Triple,
+        speeds: Triple,
+        limits: tuple[float, float],
+        step: float,
+        beyond: float,
         rate: float,
-    ) -> Triple:  # fmt: skip
+    ) -> Triple:
         """Return the acceleration along a line; ``step``: its largest change, ``rate`` as for ``_to_goal``."""
         line = _minus(goal, begin)
         length = math.hypot(*line)

@@ -4,15 +4,40 @@ from __future__ import annotations
 
 # mavros, lib/uas_stringify.cpp.
 _NAMES = {
-    (1, 0): "MANUAL", (2, 0): "ALTCTL", (3, 0): "POSCTL", (5, 0): "ACRO", (6, 0): "OFFBOARD", (7, 0): "STABILIZED",
-    (8, 0): "RATTITUDE", (4, 1): "AUTO.READY", (4, 2): "AUTO.TAKEOFF", (4, 3): "AUTO.LOITER", (4, 4): "AUTO.MISSION",
-    (4, 5): "AUTO.RTL", (4, 6): "AUTO.LAND", (4, 7): "AUTO.RTGS", (4, 8): "AUTO.FOLLOW_TARGET", (4, 9): "AUTO.PRECLAND",
-}  # fmt: skip
+    (1, 0): "MANUAL",
+    (2, 0): "ALTCTL",
+    (3, 0): "POSCTL",
+    (5, 0): "ACRO",
+    (6, 0): "OFFBOARD",
+    (7, 0): "STABILIZED",
+    (8, 0): "RATTITUDE",
+    (4, 1): "AUTO.READY",
+    (4, 2): "AUTO.TAKEOFF",
+    (4, 3): "AUTO.LOITER",
+    (4, 4): "AUTO.MISSION",
+    (4, 5): "AUTO.RTL",
+    (4, 6): "AUTO.LAND",
+    (4, 7): "AUTO.RTGS",
+    (4, 8): "AUTO.FOLLOW_TARGET",
+    (4, 9): "AUTO.PRECLAND",
+}
 # px4_msgs, VehicleStatus.NAVIGATION_STATE_*.
 _STATES = {
-    (1, 0): 0, (2, 0): 1, (3, 0): 2, (4, 4): 3, (4, 3): 4, (4, 5): 5, (5, 0): 10, (6, 0): 14, (7, 0): 15, (4, 2): 17,
-    (4, 6): 18, (4, 8): 19, (4, 9): 20, (3, 1): 21,
-}  # fmt: skip
+    (1, 0): 0,
+    (2, 0): 1,
+    (3, 0): 2,
+    (4, 4): 3,
+    (4, 3): 4,
+    (4, 5): 5,
+    (5, 0): 10,
+    (6, 0): 14,
+    (7, 0): 15,
+    (4, 2): 17,
+    (4, 6): 18,
+    (4, 8): 19,
+    (4, 9): 20,
+    (3, 1): 21,
+}
 _NUMBERS = {name: main << 16 | sub << 24 for (main, sub), name in _NAMES.items()}
 NAV_STATES = {state: numbers for numbers, state in _STATES.items()}
 # NAVIGATION_STATE_AUTO_LOITER and TERMINATION.

@@ -42,7 +42,7 @@ class Place(NamedTuple):
 
 
 def place_in(get: Get, file: str, request: Request) -> Place:
-    """Return where a place is in a message's grid.
+    """Return the grid points around a place in a message's grid, with weights, cell size and turn of the axes.
 
     Args:
         get: returns the value of a key of ecCodes.
@@ -69,7 +69,7 @@ def place_in(get: Get, file: str, request: Request) -> Place:
 
 
 def _regular(get: Get, file: str, request: Request, along: int, down: int) -> tuple[Corners, float]:
-    """Return the grid points around a place on a latitude-longitude grid, and 0 as turn of its axes."""
+    """Return the grid points around a place on a latitude-longitude grid, and 0, the turn of its axes [rad]."""
     first, last = (
         (float(get(f"latitudeOf{end}GridPointInDegrees")), float(get(f"longitudeOf{end}GridPointInDegrees")))
         for end in ("First", "Last")
@@ -84,7 +84,7 @@ def _regular(get: Get, file: str, request: Request, along: int, down: int) -> tu
 
 
 def _lambert(get: Get, file: str, request: Request, along: int, down: int) -> tuple[Corners, float]:
-    """Lambert's conformal conic of a sphere (J. P. Snyder, Map Projections, USGS 1395, equations 15-1 to 15-5)."""
+    """Return the grid points around a place on a Lambert conformal grid, and the turn of its axes [rad]."""
     if int(get("earthIsOblate")):
         raise UsageError(f"{file}: its grid is Lambert's on an ellipsoid; a sphere is read, as that of HRRR")
     one, two, middle = (float(get(name)) for name in ("Latin1InDegrees", "Latin2InDegrees", "LoVInDegrees"))
