@@ -25,8 +25,8 @@ class View:
     """Replay a recorded run, or several over each other, in three dimensions, in a browser.
 
     Opens a web page, by default for this machine alone: vehicles, true and estimated paths, GNSS positions, wind and
-    gusts, area and obstacles. It has a time slider, layers, a camera that follows, and plots of readings against the
-    truth. Works on running, interrupted and killed runs too, up to the last flush. Ctrl-C ends it.
+    gusts, area and obstacles. It has a time slider, layers, a camera that follows, and plots of all logged quantities.
+    Works on running, interrupted and killed runs too, up to the last flush. Ctrl-C ends it.
 
     With several runs the first is shown whole. Vehicles and true paths of the others are drawn over it, in a colour for
     each run, with the distance between the same vehicle of two runs.

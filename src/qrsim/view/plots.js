@@ -126,7 +126,7 @@
   };
 
   // ---- events ----
-  const COMMON = ["waypoint_reached", "command_clipped"], rare = data.events.filter(([, kind]) => !COMMON.includes(kind));
+  const COMMON = ["waypoint_reached", "command_clipped", "satellite_lost"], rare = data.events.filter(([, kind]) => !COMMON.includes(kind));
   const rows = [];
   if (data.events.length) {
     const filter = make("input", events);
@@ -153,6 +153,8 @@
     pen.save();
     pen.strokeStyle = pen.fillStyle = ink();
     pen.font = `${10 * ratio}px sans-serif`;
+    pen.textAlign = "left";
+    pen.textBaseline = "alphabetic";
     let free = left;
     for (const [time, , text] of rare) {
       if (time < plot.scales.x.min || time > plot.scales.x.max) continue;
@@ -270,7 +272,8 @@
   const tell = (panel) => {
     panel.words.replaceChildren();
     const extreme = (side, better) => panel.lines.reduce((best, line) => (line[side] === null || (best && !better(line[side], best[side])) ? best : line), null);
-    const few = panel.lines.length <= 10 ? panel.lines : [...new Set([extreme("low", (a, b) => a < b), extreme("high", (a, b) => a > b)])].filter(Boolean);
+    const most = { low: extreme("low", (a, b) => a < b), high: extreme("high", (a, b) => a > b) };
+    const few = panel.lines.length <= 10 ? panel.lines : [...new Set([most.low, most.high])].filter(Boolean);
     for (const line of few) {
       const row = make("span", panel.words, "", "line"), sign = make("i", row);
       sign.style.borderColor = line.hue ?? "currentColor";
@@ -283,7 +286,8 @@
         const button = make("button", row, `${words} ${number4(line[side])}`), when = `${line[side + "At"].toFixed(2)} s`;
         button.title = `at ${when}; click to go there`;
         button.onclick = () => go(line[side + "At"]);
-        if (few.length <= 4) make("small", row, `at ${when}`);
+        // Of many lines, the times of the lowest and the highest of all.
+        if (few.length <= 4 || most[side] === line) make("small", row, `at ${when}`);
       }
       const close = make("button", row, "\u2715");
       close.title = "remove";

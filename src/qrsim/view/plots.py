@@ -11,6 +11,7 @@ import numpy as np
 from qrsim.core.arrays import Floats
 from qrsim.runs.layout import Event
 from qrsim.view.recording import Recording
+from qrsim.view.satellite_events import first_lost
 from qrsim.view.series import Quantity, Series, rows_at
 from qrsim.view.several import Several
 
@@ -32,6 +33,8 @@ TOGETHER = {
 }
 # Bins of one answer, lines of one request, and events that a page lists.
 FEWEST_BINS, MOST_BINS, MOST_LINES, MOST_EVENTS = 10, 2000, 400, 3000
+# Losses of satellites in that list.
+MOST_LOST = 500
 # Values of a page without a server, over all quantities and vehicles; and how many a second of each at most.
 MOST_VALUES, FASTEST_HZ = 8_000_000, 10.0
 
@@ -62,7 +65,7 @@ class Plots:
             "vehicles": list(recording.cast.names),
             "runs": list(recording.cast.runs),
             "runOf": [number for number, _ in self._places],
-            "events": listed(recording.events),
+            "events": listed(sorted([*recording.events, *first_lost(recording.members, MOST_LOST)], key=_time)),
             "end": recording.end,
         }
 
@@ -153,6 +156,11 @@ class Plots:
             for i in range(len(series.member.recording.run.vehicles)):
                 nothing = np.full(len(time), np.nan, np.float32)
                 yield np.stack([kept[name][:, i] if name in kept else nothing for name in self.quantities])
+
+
+def _time(event: Event) -> float:
+    """Return when an event was [s]."""
+    return event.time
 
 
 def listed(events: Iterable[Event]) -> list[tuple[float, str, str]]:
