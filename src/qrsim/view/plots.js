@@ -187,7 +187,7 @@
     // All plots are as wide, also where only one of them has an axis on the right.
     const values = (plot, ticks) => ticks.map(number4), two = state.panels.some(({ names }) => unitsOf(names).length > 1);
     return {
-      width, height, series, bands, legend: { show: false }, focus: { prox: -1 }, padding: [10, two && axes.length < 2 ? 72 : 16, 0, 0],
+      width, height, series, bands, legend: { show: false }, focus: { prox: -1 }, padding: [10, axes.length > 1 ? 0 : two ? 72 : 16, 0, 0],
       cursor: { drag: { x: true, y: false, dist: 6 }, sync: { key: "qrsim-plots" }, points: { show: false } },
       scales: { x: { time: false, min: state.from, max: state.to }, ...Object.fromEntries(axes.map((_, i) => ["y" + i, {}])) },
       axes: [{ stroke: ink, grid, ticks: grid, size: 30, values: (plot, ticks) => ticks.map((t) => number4(t) + " s") },
