@@ -118,7 +118,7 @@ class Brief:
             raise UsageError(f"--seed {self.seed}: expected an integer from 0 to 2**62 - 1")
 
     def _operation(self) -> OperationSpec:
-        """Return the operation of the command line, with a note on the time where none was given."""
+        """Return the operation of the command line, noting an assumed time if none was given."""
         from qrsim.studies.brief.operation import FAULTS, checked, read_operation
         from qrsim.studies.brief.words import NEEDED, battery_of, now_rounded, time_of, vehicles_of
 
@@ -177,7 +177,7 @@ class Brief:
         return 0
 
     def _check_precision(self, flights: Flights) -> None:
-        """Refuse a precision that needs far more runs than there is time for."""
+        """Raise UsageError for a precision that needs far more runs than the time allows."""
         from qrsim.studies.brief.statistics import runs_for
 
         if self.precision is None:
@@ -191,7 +191,7 @@ class Brief:
             )
 
     def _clear(self, folder: Path, operation: OperationSpec) -> None:
-        """Empty the folder with --again; else refuse that of another operation."""
+        """Empty the folder with --again; otherwise raise UsageError if it holds another operation."""
         import shutil
 
         from qrsim.files.yaml_text import parse_yaml
@@ -291,7 +291,7 @@ class Brief:
 
 
 def _differing(mine: object, theirs: object, path: str = "") -> Iterator[str]:
-    """Yield the keys in which two operations differ, with both values."""
+    """Yield "path: mine, theirs" for the keys in which two operations differ."""
     if isinstance(mine, Mapping) and isinstance(theirs, Mapping):
         for key in dict.fromkeys([*mine, *theirs]):
             yield from _differing(mine.get(key), theirs.get(key), f"{path}.{key}".lstrip("."))
@@ -331,7 +331,7 @@ def _print_verdict(brief: Briefing) -> None:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[str, int, int], None]]:
-    """Show a bar of the study that is flown, on a terminal only."""
+    """Show a bar of the present study in the context, on a terminal only; yield its update function."""
     with progress_bar("starting", 1.0, "{task.completed:.0f} of {task.total:.0f} runs") as update:
 
         def told(study: str, done: int, planned: int) -> None:

@@ -69,7 +69,7 @@ class View:
     """Load the Python files and modules that the recorded scenario names; only if you trust its author."""
 
     def run(self) -> None:
-        """Check, and show."""
+        """Check, then serve the page, save a picture or write a film."""
         from qrsim.view.server import require_viser
 
         require_viser()
@@ -125,7 +125,7 @@ class View:
             check_name(self.screenshot)
 
     def _photograph(self, recording: Recording | Several, path: Path, time: float) -> None:
-        """Save a picture of the recording at a time [s], as camera, size and layers ask for."""
+        """Save a picture of the recording at a time [s], by the options for camera, size and layers."""
         from qrsim.files.atomic import write_atomically
         from qrsim.view.picture import photograph
         from qrsim.view.replay import remember_paths

@@ -323,6 +323,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         one = jnp.ones_like(state.since_fix)
 
         def new(field: str) -> tuple[Array, Array]:
+            """Return whether readings of a field are new (n,), and whether their sensor is due."""
             due = fresh[source_of(readings, field)]
             return due & (one > 0.0), due
 

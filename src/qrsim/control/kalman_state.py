@@ -153,7 +153,7 @@ def swung(force: Vec3) -> tuple[dict[int, Array], ...]:
 
 
 def body_axes(turned: Rotation) -> tuple[Vec3, Vec3, Vec3]:
-    """Return the three body axes in NED."""
+    """Return the three body axes as unit vectors in NED."""
     return turned.forward, turned.right, turned.down
 
 

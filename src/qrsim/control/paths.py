@@ -360,6 +360,7 @@ def _circles(table: Any) -> Orbits:
     """Return the circles of all vehicles as arrays, zeros for straight lines."""
 
     def is_circle(part: _Part) -> bool:
+        """Return whether a leg is a circle."""
         return part.leg.kind == "circle"
 
     def arm(part: _Part, axis: int) -> float:

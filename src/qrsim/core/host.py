@@ -170,7 +170,7 @@ def _slice(parameters: Any, x: Any) -> object:
 
 
 def _slice_at(parameters: Any, x: Any, *starts: Any) -> object:
-    """Return a slice that begins where it is asked for, or as close to it as it fits."""
+    """Return a slice that begins at ``starts``, clipped so that the slice fits: JAX's dynamic_slice, by NumPy."""
     sizes = parameters["slice_sizes"]
     first = [min(max(int(start), 0), n - size) for start, n, size in zip(starts, x.shape, sizes, strict=True)]
     return x[tuple(slice(start, start + size) for start, size in zip(first, sizes, strict=True))]
@@ -239,6 +239,7 @@ def _shifted(function: Rule) -> Rule:
     """Return a rule that shifts bits by ``function``; shifts by the width or more give 0."""
 
     def rule(parameters: object, a: Any, b: Any) -> NumpyArray:
+        """Return a shifted by b bits, with zero bits coming in."""
         bits = 8 * a.dtype.itemsize
         unsigned = a.view(f"u{a.dtype.itemsize}") if function is np.right_shift else a
         return np.where(b < a.dtype.type(bits), function(unsigned, b.astype(unsigned.dtype)), 0).astype(a.dtype)

@@ -42,11 +42,13 @@ def primitive_of(
     mlir.register_lowering(primitive, mlir.lower_fun(function, multiple_results=False))
 
     def batched(arguments: Any, axes: Any, **parameters: object) -> tuple[Any, int]:
+        """Return the result on a batch, and its batch axis."""
         if elementwise:
             return primitive.bind(*arguments), axes[0]
         return jax.vmap(partial(function, **parameters), in_axes=tuple(axes))(*arguments), 0
 
     def differentiated(primals: Any, tangents: Any, **parameters: object) -> object:
+        """Return the result and its tangent."""
         given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)
         known = partial(function, **parameters)
         return primitive.bind(*primals, **parameters), jax.jvp(known, tuple(primals), given)[1]

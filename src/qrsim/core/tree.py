@@ -200,6 +200,7 @@ def cast(item: T, dtype: Any) -> T:
     """Return a tree with every floating-point leaf (Python floats included) as an array of ``dtype``."""
 
     def convert(leaf: object) -> NumpyArray:
+        """Return a leaf as an array, of ``dtype`` if it is floating-point."""
         array = np.asarray(leaf)
         return np.asarray(array, dtype) if np.issubdtype(array.dtype, np.floating) else array
 

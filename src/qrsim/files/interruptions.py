@@ -104,6 +104,7 @@ def calling(do: Callable[[], None]) -> Iterator[None]:
     came: list[int] = []
 
     def handle(number: int, frame: FrameType | None) -> None:
+        """Note the signal and call ``do``."""
         came.append(number)
         do()
 

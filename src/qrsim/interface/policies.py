@@ -152,6 +152,7 @@ def user_function(what: str, given: object) -> UserFunction | None:
     _check_arguments(what, name, plain, ["reading"])
 
     def step(reading: object, memory: object) -> tuple[object, object]:
+        """Return the function's result; it has no memory."""
         return plain(reading), memory
 
     return UserFunction(what, name, Itself(given), compiled, lambda reading: None, step, given)
@@ -167,6 +168,7 @@ def _of_class(what: str, name: str, given: type) -> UserFunction:
     _check_arguments(what, f"{name}.__call__", given.__call__, ["self", "reading"])
 
     def step(reading: object, memory: object) -> tuple[object, object]:
+        """Return the result of the world's instance, which is the memory."""
         return cast(Callable[[object], object], memory)(reading), memory
 
     return UserFunction(what, name, Itself(given), False, lambda reading: given(), step, given)
@@ -182,12 +184,14 @@ def _of_teams(what: str, given: Mapping[object, object]) -> UserFunction:
         raise UsageError(f"{what}: the dict names no policy for any fleet or vehicle")
 
     def init(reading: _Readings) -> object:
+        """Return each policy's memory by name; raise UsageError for unknown fleets and vehicles."""
         for name in own:
             if name not in reading.names:
                 raise UsageError(f"no fleet and no vehicle is called '{name}'{did_you_mean(name, reading.names)}")
         return {name: _blamed(name, partial(member.init, reading.of(name))) for name, member in own.items()}
 
     def step(reading: _Readings, memory: Mapping[str, object]) -> tuple[object, object]:
+        """Return the commands of all policies by name, and their memories."""
         asked: dict[str, object] = {}
         after: dict[str, object] = {}
         for name, member in own.items():
@@ -235,7 +239,7 @@ def _check_arguments(what: str, name: str, function: Callable[..., object], argu
 
 
 def sources_by_team(source: str) -> dict[str, str] | None:
-    """Return the source of each team of ``TEAM=SOURCE,TEAM=SOURCE``; None where it is one source for all."""
+    """Return {team: source} for ``TEAM=SOURCE,TEAM=SOURCE``; None for a single source."""
     pairs = [part.partition("=") for part in source.split(",")]
     if not all(equals and name.strip() and ":" not in name for name, equals, _ in pairs):
         return None

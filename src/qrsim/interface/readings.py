@@ -200,6 +200,7 @@ class Reading(Tabled):
         return [*super().__dir__(), *alone]
 
     def _ipython_key_completions_(self) -> list[str]:
+        """Return the names of fleets, for completion in IPython."""
         return list(self.fleets)
 
     def _table(self) -> Table:

@@ -133,7 +133,7 @@ class FleetSource:
 
 
 def whole(state: State) -> State:
-    """Return a state whole, if it is one that is read in parts."""
+    """Return the complete state, unpacked if ``state`` is one that is read in parts."""
     return state.whole() if isinstance(state, Seen) else state
 
 

@@ -60,7 +60,7 @@ CURRENT_SHARE, CURRENT_READINGS = 0.1, 20.0
 
 
 def sensed(sensors: Sequence[object], calibration_time: float, errors: object = None) -> Stds:
-    """Return the parameters of the filter that sensors determine, by name: of each, the first sensor that does.
+    """Return filter parameter -> value for those that sensors determine; the first sensor of several counts.
 
     Args:
         sensors: of a fleet, in its order.
@@ -77,7 +77,7 @@ def sensed(sensors: Sequence[object], calibration_time: float, errors: object = 
 
 
 def with_sensed(kalman: T, spec: object, sensors: Sequence[object], errors: object) -> T:
-    """Return an estimator with the parameters that its spec leaves out taken from the sensors."""
+    """Return a filter with the parameters that its spec leaves out computed from the sensors."""
     if not isinstance(kalman, KalmanParameters):
         return kalman
     found = sensed(sensors, kalman.calibration_time, errors)
@@ -85,7 +85,7 @@ def with_sensed(kalman: T, spec: object, sensors: Sequence[object], errors: obje
 
 
 def left_out(spec: object) -> Iterator[str]:
-    """Yield the parameters of a filter that are those of the sensors, of which its spec gives none."""
+    """Yield the names of the filter parameters that come from the sensors and that the spec leaves out."""
     for field in dataclasses.fields(KalmanParameters):
         if field_info(field).of_sensors and getattr(spec, field.name) is None:
             yield field.name

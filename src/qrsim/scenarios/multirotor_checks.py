@@ -61,7 +61,7 @@ def _geometry(path: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def thrust_to_weight(fleet: FleetSpec, scenario: ScenarioSpec) -> float | None:
-    """Return the least ratio of largest thrust to weight in a fleet, in the air of the site; None of other vehicles."""
+    """Return a fleet's smallest ratio of largest thrust to weight at the site; None for other vehicles."""
     if not issubclass(known.VEHICLES[fleet.vehicle.type], Multirotor):
         return None
     found = _thrust_and_weight(fleet, float(air_of(scenario).site_density))
@@ -69,7 +69,7 @@ def thrust_to_weight(fleet: FleetSpec, scenario: ScenarioSpec) -> float | None:
 
 
 def _thrust_and_weight(fleet: FleetSpec, density: float) -> tuple[NumpyArray, NumpyArray] | None:
-    """Return thrust at speed_max and weight [N] in air of a density [kg/m^3]; None for lists of unlike lengths."""
+    """Return largest thrust and weight [N] in air of ``density`` [kg/m^3]; None if list lengths differ."""
     spec = fleet.vehicle
     names = ("thrust_coefficient", "speed_max", "mass", "gravity", "air_density")
     each = [np.asarray(getattr(spec, key), float) for key in names]
@@ -82,7 +82,7 @@ def _thrust_and_weight(fleet: FleetSpec, density: float) -> tuple[NumpyArray, Nu
 
 
 def _lift(path: str, fleet: FleetSpec, density: float) -> Iterator[str]:
-    """Yield a vehicle that cannot lift itself at its largest rotor speed, in the air of the site [kg/m^3]."""
+    """Yield a problem if a vehicle cannot lift itself in air of ``density`` [kg/m^3]."""
     spec = fleet.vehicle
     found = _thrust_and_weight(fleet, density)
     if found is None:
@@ -103,7 +103,7 @@ def _lift(path: str, fleet: FleetSpec, density: float) -> Iterator[str]:
 
 
 def _lags(path: str, fleet: FleetSpec, time_step: float) -> Iterator[str]:
-    """Yield rotors that are too fast for a substep, so that their speeds would oscillate and overflow."""
+    """Yield a problem for rotors with a lag too short for a substep, so that their speeds would oscillate."""
     longest = min(fleet.vehicle.longest_substep, time_step)
     for name in ("spin_up", "spin_down"):
         least = float(np.min(getattr(fleet.vehicle, name)))
@@ -115,7 +115,7 @@ def _lags(path: str, fleet: FleetSpec, time_step: float) -> Iterator[str]:
 
 
 def _standing(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield starts with a foot in the ground, from where the vehicle would be thrown up."""
+    """Yield a problem for each start with a foot below the ground."""
     if scenario.world.ground.type != "flat" or fleet.placement.type != "given":
         return
     high, ground = max(foot[2] for foot in fleet.vehicle.feet), -scenario.world.ground.height

@@ -145,7 +145,7 @@ def _in_range(value: Any, name: str, low: float, high: float, unit: str) -> None
 
 
 def with_changes(world: World, kinds: Sequence[str], events: int) -> World:
-    """Return a world prepared for changes of its weather: all at set times, and one more in flight.
+    """Return a world with room for changes of its weather: those at set times, plus one more in flight.
 
     Args:
         world: its parameters, on the host, in their precision.
@@ -195,7 +195,7 @@ def _course(legs: Sequence[_Leg], room: int, dtype: Any = np.float64) -> Course:
 
 
 def _with_leg(course: Course, to: float, when: tuple[int, int, int], turns: bool = False) -> Course:
-    """Return a course with one more leg to the value ``to``; with ``turns`` a bearing [rad], by the shorter way."""
+    """Return a course with a leg to ``to`` added; ``when``: (tick, length, now) in ticks; ``turns``: for a bearing."""
     tick, ticks, now = when
     room, dtype = len(course.start_tick), np.asarray(course.after).dtype
     rows = zip(

@@ -77,6 +77,7 @@ def entry_of(request: Injection, time_step: float) -> Content:
     """Return a request as the entry of a file of injections."""
 
     def seconds(tick: int) -> float:
+        """Return a tick as time [s]."""
         return round(tick * time_step, 15)
 
     entry: Content = {"target": request.target, "kind": request.kind, "tick": request.tick}

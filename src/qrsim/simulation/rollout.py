@@ -71,6 +71,7 @@ class Rollout(Tabled):
         return Table(title, ("metric", "unit", "shape", "least", "median", "greatest"), rows)
 
     def _ipython_key_completions_(self) -> list[str]:
+        """Return the names of metrics, for completion in IPython."""
         return list(self.metrics)
 
     def __iter__(self) -> Iterator[str]:

@@ -70,7 +70,7 @@ class SavedState:
 
     @staticmethod
     def of(source: bytes | str | Path) -> SavedState:
-        """Return the state saved in bytes or a file, with the checks that need no simulation.
+        """Return the state saved in bytes or a file, checked as far as possible without a simulation.
 
         Raises:
             UsageError: the file is missing, or this is no saved state of this version, or a damaged one.

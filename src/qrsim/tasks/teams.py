@@ -40,7 +40,7 @@ class Side:
 
 
 def sides_of(task: Task, world: World) -> tuple[Side, ...]:
-    """Return the agents of each fleet of a task.
+    """Return the agents of each fleet of a task, a ``Side`` each.
 
     Raises:
         UsageError: a fleet is none, or is named twice, or a task of several fleets does not say what each of them does.
@@ -83,7 +83,7 @@ def in_units(sides: tuple[Side, ...], action: Any) -> Any:
 
 
 def apart(sides: tuple[Side, ...], action: Any) -> Any:
-    """Return actions (n, A) unchanged, or for several fleets as a dict by fleet of (n_f, A_f)."""
+    """Return actions (n, A) unchanged for one fleet, else as a dict of fleet -> (n_f, A_f)."""
     if len(sides) == 1:
         return action
     return {side.fleet: action[side.rows, : len(side.axes)] for side in sides}
@@ -114,7 +114,7 @@ def together(sides: tuple[Side, ...], given: Any, what: str = "action") -> Any:
 
 
 def by_fleet(given: object, names: list[str], what: str) -> None:
-    """Check that something is a dict with one entry for each fleet.
+    """Raise UsageError unless ``given`` is a dict with one entry for each fleet.
 
     Raises:
         UsageError: it is not.
@@ -131,17 +131,17 @@ def by_fleet(given: object, names: list[str], what: str) -> None:
 
 
 def of_all(sides: tuple[Side, ...], values: Any) -> Array:
-    """Return a task's values (n,): as they are, of several fleets those of a dict by fleet (n_f,)."""
+    """Return a task's values as one array (n,), joined from a dict by fleet if there are several."""
     return values if len(sides) == 1 else jnp.concatenate([values[side.fleet] for side in sides])
 
 
 def part_of(sides: tuple[Side, ...], seen: Any, number: int) -> Any:
-    """Return one agent's observation, leaves (B, ...), from that of all, leaves (B, n, ...), by fleet if several."""
+    """Return a copy of one agent's observation, leaves (B, ...), from all agents' (B, n, ...), by fleet if several."""
     side = side_of(sides, number)
     mine = seen if len(sides) == 1 else seen[side.fleet]
     return jax.tree.map(lambda leaf: leaf[:, number - side.rows.start].copy(), mine)
 
 
 def side_of(sides: tuple[Side, ...], number: int) -> Side:
-    """Return the fleet of an agent, by its number among all."""
+    """Return the side that an agent, by its number among all, belongs to."""
     return next(side for side in sides if number < side.rows.stop)

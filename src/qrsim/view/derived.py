@@ -40,7 +40,7 @@ class Derived:
 
 
 def axes(name: str) -> tuple[str, ...]:
-    """Return the columns of a vector."""
+    """Return the column names of a vector's components, ``name`` with .x, .y, .z."""
     return tuple(f"{name}.{axis}" for axis in "xyz")
 
 
@@ -54,7 +54,7 @@ MEAN, GUST = axes("wind.mean_ned"), axes("wind.gust_ned")
 
 
 def vector(read: Read, names: tuple[str, ...]) -> Floats:
-    """Return columns as (T, n, k)."""
+    """Return the columns of these names, stacked as (T, n, k)."""
     return np.stack([read(name) for name in names], axis=-1)
 
 
@@ -64,7 +64,7 @@ def _length(values: Floats) -> Floats:
 
 
 def _beyond(read: Read) -> Floats:
-    """Return the error of the estimated position on the worst axis, in its standard deviations."""
+    """Return the largest of the axes' errors (T, n) of the estimated position, in standard deviations; NaN without."""
     std = vector(read, STD)
     error = np.abs(vector(read, ESTIMATE) - vector(read, TRUE))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -113,7 +113,7 @@ ALWAYS = (
 
 
 def nearest(places: Floats) -> Floats:
-    """Return the distance (T, n) to the nearest other of n places (T, n, 3); NaN for a single one."""
+    """Return each vehicle's distance (T, n) [m] to its nearest other at places (T, n, 3); NaN for a single one."""
     ticks, count, _ = places.shape
     found = np.full((ticks, count), np.nan, np.float32)
     if count < 2:
@@ -134,10 +134,10 @@ def nearest(places: Floats) -> Floats:
 
 
 def to_fence(area: Area) -> Derived:
-    """Return the distance to the sides and the ceiling of a flight area, negative outside."""
+    """Return the quantity "distance to the nearest side or the ceiling of a flight area" [m], negative outside."""
 
     def compute(read: Read) -> Floats:
-        """Return the smaller of both distances."""
+        """Return the smaller of the distances (T, n) to the sides and to the ceiling [m]."""
         columns = [read(name) for name in TRUE]
         places = record_of(Vec3, *(np.ravel(column).astype(np.float32) for column in columns))
         sides, ceiling, _ = area.clearances(places)
@@ -153,7 +153,7 @@ def to_fence(area: Area) -> Derived:
 
 
 def gnss_error(sensor: str) -> Derived:
-    """Return the horizontal error of a receiver's reported position."""
+    """Return the quantity "horizontal error [m] of the position that a receiver reports"."""
     names = axes(f"measurements.{sensor}.position_ned")[:2]
     return Derived(
         f"{sensor}_error",

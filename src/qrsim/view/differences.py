@@ -8,19 +8,19 @@ DIFFERENCES = "differences"
 
 
 class Differences(Layer):
-    """Switch of the lines and their lengths."""
+    """Layer that switches the lines and their lengths on and off."""
 
     title = DIFFERENCES
     every = 1000.0
 
 
 def difference_layers(stage: Stage) -> list[Layer]:
-    """Return the layer of the differences of several runs."""
+    """Return the layer of lines between the runs in a list; [] where no vehicle is in two runs."""
     return [Differences(stage)] if pairs_of(stage) else []
 
 
 def pairs_of(stage: Stage) -> list[tuple[int, int]]:
-    """Return the numbers of each vehicle of the first run and of the same one in another run."""
+    """Return pairs of vehicle numbers: one of the first run, and the one of the same name in another run."""
     cast = stage.cast
     if cast.run_of is None:
         return []
@@ -31,7 +31,7 @@ def pairs_of(stage: Stage) -> list[tuple[int, int]]:
 
 
 def differences_of(stage: Stage) -> dict[str, object] | None:
-    """Return what browsers draw the lines from: the layer's node, pairs of vehicles and the run of each vehicle."""
+    """Return for browsers the layer's node, the pairs of vehicles and each vehicle's run; None without pairs."""
     pairs = pairs_of(stage)
     if not pairs or stage.cast.run_of is None:
         return None

@@ -40,11 +40,11 @@ Progress = Callable[[int, int], None]
 
 
 def untold(done: int, total: int) -> None:
-    """Tell nobody about the progress."""
+    """Ignore the progress."""
 
 
 def export(recording: Recording | Several, folder: Path, progress: Progress = untold) -> Path:
-    """Write a page that plays the run, and return its path.
+    """Write a page that plays the run into a folder, and return the page's path.
 
     Args:
         recording: what is played.
@@ -73,7 +73,7 @@ def export(recording: Recording | Several, folder: Path, progress: Progress = un
 
 
 def film(recording: Recording | Several) -> str:
-    """Return the page as text."""
+    """Return the page that plays the run as text."""
     file = io.BytesIO()
     write_film(recording, file)
     return file.getvalue().decode("utf-8")
@@ -86,17 +86,17 @@ def times_of(recording: Recording | Several) -> np.ndarray[tuple[int], np.dtype[
 
 
 def _most_frames(recording: Recording | Several) -> int:
-    """Return the largest number of frames that a page of this recording may have, 2 at least."""
+    """Return the largest number of frames that this recording's page may have, at least 2."""
     return min(MOST_FRAMES, max(2, MOST_POSES // recording.cast.size))
 
 
 def _frames(recording: Recording | Several) -> int:
-    """Return the number of frames of a film at its usual rate, without a maximum."""
+    """Return the number of frames at the usual rate, before any limit."""
     return min(int(recording.end * FASTEST_HZ) + 1, len(recording.time))
 
 
 def thinned(recording: Recording | Several) -> list[str]:
-    """Return what a page leaves out of a long run, one line each."""
+    """Return a line of text for each thing that a long run's page leaves out."""
     found, times = [], times_of(recording)
     if _frames(recording) > len(times) or recording.shown > 1:
         found.append(f"so long a run is exported at every {times[1] - times[0]:.2g} s")
@@ -109,7 +109,7 @@ def thinned(recording: Recording | Several) -> list[str]:
 def write_film(
     recording: Recording | Several, file: BinaryIO, progress: Progress = untold, free: Callable[[], int] | None = None
 ) -> None:
-    """Write the page.
+    """Write the page that plays the run into an open file.
 
     Args:
         recording: what is played.
@@ -150,19 +150,19 @@ def _check_room(wanted: int, free: int) -> None:
 
 
 def _write_element(file: BinaryIO, name: str, text: str) -> None:
-    """Write a text as an element that the browser does not run, for the scripts of the page to read."""
+    """Write text as an inert HTML element, which the page's scripts read."""
     file.write(f'<script type="text/plain" id="qrsim-{name}">{text}</script>\n'.encode())
 
 
 def _lines(plots: Plots) -> Iterator[str]:
-    """Yield the values of each vehicle as text, for the plots of the page."""
+    """Yield the plotted values of each vehicle as packed text."""
     for values in plots.of_vehicles():
         packing = Packing()
         yield packing.text({"values": packing.array(values)})
 
 
 def _write_skies(file: BinaryIO, recording: Recording | Several) -> dict[str, object]:
-    """Write what receivers said of their satellites, and return when, and the names of all satellites by number."""
+    """Write the receivers' satellites over time; return the times, and the satellites' names by number."""
     first = recording.members[0].recording
     skies = Skies(first.run, first.end)
     numbers: set[int] = set()
@@ -175,7 +175,7 @@ def _write_skies(file: BinaryIO, recording: Recording | Several) -> dict[str, ob
 
 
 def _script(recording: Recording | Several, plots: Plots) -> str:
-    """Return the script element that plays the page: player, timeline, end and marks of the events, plots."""
+    """Return the script element that plays the page, with player, timeline, event marks and plots."""
     player, timeline = (files("qrsim.view").joinpath(name).read_text("utf-8") for name in ("film.js", "timeline.js"))
     data = json.dumps({"end": recording.end, "marks": _marks(recording)}).replace("<", "\\u003c")
     text = f"{player}\n{{const data = {data};\n{timeline}}}\n{{{plots_script(plots)}}}"
@@ -206,7 +206,7 @@ class _Film:
                 layer.every = max(layer.every, len(self._times) / layer.most_in_film)
 
     def _draw(self, time: float, everything: bool = False) -> Floats:
-        """Draw the frame of a time [s], and return the positions (n, 3) [m]."""
+        """Draw the frame at a time [s], and return the vehicles' positions (n, 3) [m]."""
         frame = self._recording.frame(time)
         remember_paths(self._scene, self._recording, frame.time)
         self._scene.draw(frame, everything)
@@ -223,7 +223,7 @@ class _Film:
         return text.replace("<title>Viser</title>", f"<title>qrsim - {name}</title>", 1)
 
     def parts(self, tape: Tape, progress: Progress) -> Iterator[str]:
-        """Yield the texts of the parts."""
+        """Yield the text of each part of the film."""
         for first in self.first:
             positions = []
             for number, time in enumerate(self._times[first : first + FRAMES_OF_A_PART].tolist(), first):

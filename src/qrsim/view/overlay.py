@@ -120,36 +120,36 @@ class Overlay:
         run_script(self._server, "overlay", f"const data = {json.dumps(self._data)};\n{scripts}")
 
     def hold(self) -> None:
-        """Let pages begin with the camera of the scene, not with a view of all vehicles."""
+        """Make new pages begin with the scene's camera in place of a view of all vehicles."""
         self._data["frame"] = False
         self._send()
 
     def look_from(self, direction: tuple[float, float, float]) -> None:
-        """Let pages begin with a view of all vehicles from a direction, NED, seen from them."""
+        """Make new pages begin with a view of all vehicles from a direction NED, as seen from the vehicles."""
         self._data["from"] = direction
         self._send()
 
     def say(self, reasons: dict[int, str]) -> None:
-        """Tell why vehicles have stopped, the last ones of very many."""
+        """Show why vehicles have stopped; with very many, only the last ones."""
         found = dict(list(reasons.items())[-MOST_LABELS:])
         if found != self._said:
             self._said = found
             self._tell("reasons", found, None)
 
     def choose(self, vehicle: int | None, browser: object = None) -> None:
-        """Mark a vehicle, or none, in one browser or in all."""
+        """Mark a vehicle as chosen (None: none), in one browser or, by default, all."""
         self._tell("choose", vehicle, browser)
 
     def follow(self, vehicle: int | None, browser: object = None) -> None:
-        """Follow a vehicle, or none, in one browser or in all."""
+        """Follow a vehicle with the camera (None: none), in one browser or, by default, all."""
         self._tell("follow", vehicle, browser)
 
     def sky(self, told: Mapping[str, object] | None, browser: object) -> None:
-        """Show what a vehicle's receiver says of its satellites in one browser, or nothing."""
+        """Show the satellites of a vehicle's receiver in one browser; None hides them."""
         self._tell("sky", told, browser)
 
     def _tell(self, what: str, content: object, browser: object) -> None:
-        """Call a function of the overlay with some content, in one browser or, for None, in all."""
+        """Call a function of the overlay's script in one browser or, for None, in all."""
         # Also where the overlay's own script comes later.
         words = json.dumps(content)
         told = f"(window.qrsimTold ??= {{}}).{what} = {words}; window.qrsim?.{what}({words})"
@@ -185,7 +185,7 @@ def _row(kind: str, own: Any, text: str, layer: str) -> dict[str, Any]:
 
 
 def _plain(values: object) -> Any:
-    """Return colours for JSON."""
+    """Return colours as lists for JSON."""
     if isinstance(values, dict):
         return {name: list(own) for name, own in values.items()}
     return np.asarray(values).tolist()

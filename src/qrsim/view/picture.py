@@ -25,7 +25,7 @@ SCENE_ONLY = """
 
 
 def check_name(path: Path) -> None:
-    """Raise UsageError if a picture of this name cannot be written."""
+    """Raise UsageError for a picture's file name with an unsupported suffix."""
     if path.suffix.lower() != ".png":
         raise UsageError(f"--screenshot {path}: the name has to end in .png")
     if not path.parent.is_dir():
@@ -70,7 +70,7 @@ def _wait_for_client(server: ViserServer) -> None:
 
 
 def _settled(browser: Browser) -> Image.Image:
-    """Return the picture once it does not change any more, and shows something."""
+    """Return the page's picture once it is not empty and no longer changes."""
     before, changed = b"", time.monotonic()
     deadline = changed + PATIENCE_S
     while True:

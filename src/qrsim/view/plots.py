@@ -57,7 +57,7 @@ class Plots:
             self.quantities = {**series.quantities, **self.quantities}
 
     def about(self) -> dict[str, object]:
-        """Return what a page says of plots, for JSON: quantities, what goes together, vehicles, events, the end."""
+        """Return for the page, as JSON content: quantities, sets for one plot, vehicles, runs, events and end [s]."""
         recording = self._recording
         return {
             "quantities": [[own.name, own.unit, own.doc] for own in self.quantities.values()],
@@ -70,7 +70,7 @@ class Plots:
         }
 
     def _together(self) -> list[tuple[str, list[str]]]:
-        """Return names of sets of quantities that belong in one plot, and the names of these."""
+        """Return (title, names of the quantities) of each set that belongs in one plot."""
         found = []
         for words, ending in TOGETHER.items():
             measured = [name for name in self.quantities if _is_fix(name, ending)]
@@ -84,7 +84,7 @@ class Plots:
         return found
 
     def answer(self, wish: object) -> bytes | None:
-        """Return the lines that a browser asks for; None: it asks for none that there are.
+        """Return the lines of plots that a browser requests, as bytes; None if malformed or of an empty time span.
 
         Args:
             wish: ``number``, which the answer repeats; ``lines``, pairs of a quantity and a vehicle; ``from`` and
@@ -117,7 +117,7 @@ class Plots:
         return len(head).to_bytes(4, "little") + head + np.concatenate(parts).astype("<f4").tobytes()
 
     def _line(self, line: object, edges: Floats) -> tuple[dict[str, object], list[Floats]] | None:
-        """Return extremes with their times, and the values in bins, of one line; None where there is no such line."""
+        """Return extremes with their times, and the binned values, of one [quantity, vehicle]; None if unknown."""
         if not (isinstance(line, list) and len(line) == 2 and isinstance(line[0], str) and isinstance(line[1], int)):
             return None
         name, vehicle = line
@@ -164,12 +164,12 @@ def _time(event: Event) -> float:
 
 
 def listed(events: Iterable[Event]) -> list[tuple[float, str, str]]:
-    """Return time [s], kind and words of events, the first ones of very many."""
+    """Return (time [s], kind, text) of each event, at most the first MOST_EVENTS."""
     return [(round(event.time, 4), event.kind, event.message or event.kind) for event in events][:MOST_EVENTS]
 
 
 def extremes(time: Floats, values: Floats, edges: Floats) -> dict[str, float | None]:
-    """Return the lowest and the highest of values (T,) between the outer edges (B + 1,) [s], with their times [s]."""
+    """Return the smallest and largest value within the edges, with their times [s]; all None without finite values."""
     first, last = np.searchsorted(time, [edges[0] - 1e-6, edges[-1] + 1e-6])
     part = values[first:last]
     if not np.isfinite(part).any():
@@ -184,7 +184,7 @@ def extremes(time: Floats, values: Floats, edges: Floats) -> dict[str, float | N
 
 
 def binned(time: Floats, values: Floats, edges: Floats) -> Floats:
-    """Return two values (2 B,) for each of B bins: the extremes in it in their order, or where it has fewer, its last.
+    """Return two values a bin (2 B,): its extremes in order of time; of few samples, those at its start and middle.
 
     Args:
         time: (T,) sorted [s].
@@ -225,11 +225,11 @@ def _upper(pairs: Floats) -> Floats:
 
 
 def _is_fix(name: str, ending: str) -> bool:
-    """Return whether a quantity is what a sensor reports of a position or velocity."""
+    """Return whether a quantity is a sensor's measurement with this ending, such as ``position_ned.x``."""
     return name.startswith("measurements.") and name.endswith(f".{ending}")
 
 
 def _part(name: str) -> str:
-    """Return what a quantity of a set is called."""
+    """Return the words for a quantity in a plot's title, such as "truth"; for a measurement, the sensor's name."""
     known = {SETPOINT: "set-point", ESTIMATE: "estimate with its 95 % band", TRUTH: "truth"}
     return next((words for start, words in known.items() if name.startswith(start)), name.split(".")[1])

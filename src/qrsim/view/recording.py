@@ -102,7 +102,7 @@ class Recording:
 
     @property
     def end(self) -> float:
-        """The last time [s]."""
+        """Time of the last tick [s]."""
         return float(self.time[-1])
 
     @property
@@ -151,12 +151,12 @@ class Recording:
         return None, Cast(self.run.vehicles, np.zeros(count, int), starts, flown=self._flown())
 
     def _flown(self) -> Floats:
-        """Return places (K, 3) [m] along all paths."""
+        """Return positions (K, 3) [m] along all flown paths."""
         times = self.time[:: 1 + len(self.time) // PATH_TIMES]
         return np.vstack([self._truth.at("position", float(time)) for time in times])
 
     def _places(self) -> Places | None:
-        """Return the places that the run's task is about, None without a task."""
+        """Return the places of the run's task, None without a task."""
         scenario = self.run.scenario
         task = scenario.get("task") if isinstance(scenario, dict) else None
         known = isinstance(task, dict) and task.get("type", "none") != "none"
@@ -182,7 +182,7 @@ class Recording:
         )
 
     def _links_at(self, time: float) -> Links | None:
-        """Return the links of the radio at a time [s]; None where none were recorded."""
+        """Return the radio links at a time [s]; None if none were recorded."""
         if self._links is None:
             return None
         found = [self._links.at(f"link{k}", time) for k in range(len(self._links.names))]
@@ -190,7 +190,7 @@ class Recording:
         return Links(sender.astype(int), error, outcome.astype(int))
 
     def why(self, event: Event) -> str:
-        """Return in words why a vehicle has stopped, from the event of the stop."""
+        """Return as text why a vehicle has stopped, from its event."""
         return in_words(event.kind, event.field, event.value, None if self.world is None else self.world.area)
 
     def positions(self, times: Floats) -> Floats:
@@ -209,7 +209,7 @@ class Recording:
         return estimate
 
     def sky(self, vehicle: int, time: float) -> list[Satellite]:
-        """Return the satellites of a vehicle as its receiver said at a time [s]; none where it said nothing of them."""
+        """Return the satellites that a vehicle's receiver reported at a time [s]; [] without any."""
         if not self._slots:
             return []
         times, measured = self._excerpts.of(vehicle, "measurements", time - SKY_S, time)
@@ -221,7 +221,7 @@ class Recording:
 
 
 def _looks(run: Run) -> object:
-    """Return the kinds of the vehicles of a scenario, which say what they look like; None where they are not known."""
+    """Return (fleet, vehicle) of each fleet in a run's scenario, to compare how vehicles look; None if unknown."""
     fleets = run.scenario.get("fleets") if isinstance(run.scenario, dict) else None
     if not isinstance(fleets, dict):
         return None
@@ -229,7 +229,7 @@ def _looks(run: Run) -> object:
 
 
 def _links(run: Run) -> Columns | None:
-    """Return what was logged of the links of the radio; None without one."""
+    """Return the logged columns of radio links; None without a radio."""
     names = run["measurements"].columns() if "measurements" in run else ()
     count = links_logged(names)
     each: dict[str, tuple[str, ...] | None] = {
@@ -239,7 +239,7 @@ def _links(run: Run) -> Columns | None:
 
 
 def _first(run: Run, ending: str) -> str | None:
-    """Return the name of the first measured quantity with this ending, without it."""
+    """Return the first measured quantity's name that has this ending, without the ending; None without one."""
     columns = run["measurements"].columns() if "measurements" in run else ()
     return next((column.removesuffix(f".{ending}") for column in columns if column.endswith(f".{ending}")), None)
 
@@ -257,7 +257,7 @@ def _heights(run: Run) -> tuple[str, ...] | None:
 
 
 def _stops(run: Run) -> list[Event]:
-    """Return why vehicles stopped, each once."""
+    """Return one event for each vehicle that stopped."""
     if EVENTS not in run:
         return []
     found = {e.vehicle: e for e in reversed(run.events) if e.kind not in NOT_A_STOP and e.vehicle in run.vehicles}

@@ -47,7 +47,7 @@ class Replay:
         self.seek(time)
 
     def _scrub(self, event: Any) -> None:
-        """Go to the time of the slider where a user has moved it."""
+        """Go to the slider's time after a user has moved it."""
         # What the program itself moved has no client.
         if event.client is not None:
             self.seek(self._slider.value)
@@ -68,7 +68,7 @@ class Replay:
             self._timeline.show(self.time)
 
     def run(self, stop: threading.Event) -> None:
-        """Play until ``stop`` is set and the clock is closed; restart at the end."""
+        """Play in real time until ``stop`` is set and the clock is closed; at the end start again."""
         times = self.recording.time
         step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
         most = math.ceil(2.0 * SPEEDS[-2] * FRAME_S / step)
@@ -86,7 +86,7 @@ class Replay:
 
 
 def remember_paths(scene: Scene, recording: Recording | Several, time: float) -> None:
-    """Extend the paths of a scene to a time [s], or after a jump redraw them so that they end at it."""
+    """Extend a scene's paths to a time [s]; after a jump, rebuild them."""
     for paths, read in zip(scene.paths, (recording.positions, recording.estimates), strict=True):
         times = paths.missing(time)
         if len(times):

@@ -72,7 +72,7 @@ class Series:
         return [own for own in every if known.issuperset(own.needs)]
 
     def values(self, name: str) -> tuple[Floats, Floats]:
-        """Return the times (T,) at which it is shown [s] and the values (T, n) of a quantity."""
+        """Return the times (T,) [s] at which a quantity is shown, and its values (T, n); recent ones are kept."""
         if name in self._kept:
             self._kept.move_to_end(name)
         else:
@@ -82,7 +82,7 @@ class Series:
         return self._kept[name]
 
     def _read(self, name: str) -> tuple[Floats, Floats]:
-        """Read or compute a quantity."""
+        """Return the times (T,) [s] at which a quantity is shown, and its values (T, n), read or computed."""
         shift = self.member.shift
         if name == BETWEEN:
             return self._between()
@@ -99,14 +99,14 @@ class Series:
         return np.concatenate(times) + shift, np.concatenate(parts)
 
     def _at(self, name: str, time: Floats) -> Floats:
-        """Return a logged column (T, n) at the run's own times (T,) [s]: the last values up to each."""
+        """Return a logged column (T, n) at the run's own times (T,) [s], holding the last value."""
         known, values = self.values(name)
         if len(known) == len(time):
             return values
         return values[rows_at(known - self.member.shift, time)]
 
     def _between(self) -> tuple[Floats, Floats]:
-        """Return the distance to the same vehicles of the first run; NaN where it has none, or was not flying then."""
+        """Return times (T,) [s] and distances (T, n) [m] to the same vehicles of the first run, NaN without one."""
         recording, other = self.member.recording, self._first.recording
         time = recording.time + self.member.shift
         numbers = {name: i for i, name in enumerate(other.run.vehicles)}
@@ -120,7 +120,7 @@ class Series:
         return time, found
 
     def sampled(self, time: Floats) -> dict[str, Floats]:
-        """Return the last values (K, n) of all quantities up to each time (K,) [s]; NaN outside of the run."""
+        """Return {name: last values (K, n) up to times (K,) [s]} of all quantities; NaN outside of the run."""
         found: dict[str, Floats] = {}
         names = [name for name in self.quantities if name not in self._derived and name != BETWEEN]
         for stream in dict.fromkeys(name.partition(".")[0] for name in names):
@@ -137,5 +137,5 @@ class Series:
 
 
 def rows_at(known: Floats, time: Floats) -> Any:
-    """Return the rows (K,) of the last of sorted times up to each time (K,) [s], with room for rounding."""
+    """Return the row (K,) in ``known``, sorted times, of the last one up to each time (K,) [s], at least 0."""
     return np.maximum(0, np.searchsorted(known, np.asarray(time) + 1e-6, side="right") - 1)

@@ -84,12 +84,12 @@ class Several:
 
     @property
     def heading(self) -> str:
-        """Title line: the runs."""
+        """Title line: scenarios, and letter, folder and seed of each run."""
         return f"{self.title}, {len(self.members)} runs: " + "; ".join(map(_name, self.members))
 
     @property
     def events(self) -> list[Event]:
-        """Events of all runs at the times shown, and where one ends before the others."""
+        """Events of all runs at the times shown, and the ends of the runs that end earlier than the last."""
         found = []
         for member in self.members:
             for event in member.recording.events:
@@ -122,32 +122,32 @@ class Several:
         return self._first.why(event)
 
     def positions(self, times: Floats) -> Floats:
-        """Return the true positions (K, n, 3) at times (K,) [s]."""
+        """Return the true positions (K, n, 3) [m] in the first run's frame at times (K,) [s]."""
         return self._joined(times, lambda member: member.recording.positions)
 
     def estimates(self, times: Floats) -> Floats:
-        """Return measured positions (K, n, 3) at times (K,) [s]; NaN for all runs but the first."""
+        """Return measured positions (K, n, 3) [m] at times (K,) [s]; NaN for all runs but the first."""
         return self._joined(times, lambda member: member.recording.estimates)
 
     def _joined(self, times: Floats, of: Callable[[Member], Callable[[Floats], Floats]]) -> Floats:
-        """Return positions (K, n, 3) of the vehicles of all runs."""
+        """Return positions (K, n, 3) [m] of all runs' vehicles in the first run's frame; ``of`` picks the reader."""
         parts = [of(member)(np.asarray(times) - member.shift) + member.offset for member in self.members]
         return np.concatenate(parts, axis=1)
 
     def sky(self, vehicle: int, time: float) -> list[Satellite]:
-        """Return the satellites of a vehicle as its receiver said at a time [s]; none where it said nothing of them."""
+        """Return the satellites that a vehicle's receiver reported at a time [s]; [] without any."""
         member = self._member(vehicle)
         return member.recording.sky(vehicle - member.first, time - member.shift)
 
     def _member(self, vehicle: int) -> Member:
-        """Return the run that a vehicle is of."""
+        """Return the run to which a vehicle, by its number among all, belongs."""
         return [member for member in self.members if member.first <= vehicle][-1]
 
 
 def open_several(
     folders: Iterable[Path], open_run: Callable[[Path], Run], align: str | None = None
 ) -> tuple[Recording | Several, list[str]]:
-    """Open run folders as one recording.
+    """Open run folders as one recording; return it with warnings about what is not shown as flown.
 
     Args:
         folders: at least one.
@@ -185,13 +185,13 @@ def open_several(
 
 
 def _name(member: Member) -> str:
-    """Return the letter of a run, the name of its folder and its seed."""
+    """Return the letter of a run, the name of its folder and its seed, as text."""
     run = member.recording.run
     return f"{member.letter} {run.folder.resolve().name}, seed {run.info.seed}"
 
 
 def _cast(members: list[Member]) -> Cast:
-    """Return the vehicles of all runs."""
+    """Return the cast of all runs' vehicles, with starts and flown paths in the first run's frame."""
     casts = [member.recording.cast for member in members]
     fleets: list[Any] = []
     outlines: list[Outline | None] = []
@@ -215,7 +215,7 @@ def _cast(members: list[Member]) -> Cast:
 
 
 def _offset(first: Run, other: Run) -> tuple[Floats, float]:
-    """Return where the origin of a run is in the frame of the first (3,) [m], and how far it is [m].
+    """Return the origin of a run in the first run's frame (3,) [m], and its distance [m].
 
     Origins that are too far for one map lie on each other.
     """
@@ -232,7 +232,7 @@ def _offset(first: Run, other: Run) -> tuple[Floats, float]:
 
 
 def _origin(run: Run) -> tuple[float, float, float] | None:
-    """Return latitude, longitude [deg] and height [m] of the origin of a run; None where that is not known."""
+    """Return latitude [deg], longitude [deg] and height [m] of a run's origin; None if it is unknown or invalid."""
     site = run.scenario.get("site") if isinstance(run.scenario, dict) else None
     if not isinstance(site, dict):
         return None
@@ -245,7 +245,7 @@ def _origin(run: Run) -> tuple[float, float, float] | None:
 
 
 def _notes(member: Member, first: Run, far: float) -> Iterator[str]:
-    """Yield what does not fit of a run over the first, one line each."""
+    """Yield a line for each thing in which a run does not fit the first; none for the first itself."""
     run, letter = member.recording.run, f"{member.letter} ({member.recording.run.folder})"
     if run is first:
         return

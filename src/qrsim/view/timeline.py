@@ -56,7 +56,7 @@ class Timeline:
         run_script(self._server, kind, source, exported=False)
 
     def show(self, time: float) -> None:
-        """Move the bar to a time [s]."""
+        """Move the time bar to a time [s]."""
         self._time = time
         playing = "true" if self._clock.playing else "false"
         self._run("time", f"window.qrsimTime?.({time:.3f}, {playing}, {self._clock.speed:g})")
@@ -92,6 +92,6 @@ def plots_script(plots: Plots) -> str:
 
 
 def marks(events: list[Event]) -> list[tuple[float, str]]:
-    """Return times [s] and words of the events that are marked, evenly thinned where there are very many."""
+    """Return (time [s], text) of the events to mark, evenly thinned to at most MOST_MARKS."""
     found = [(event.time, event.message or event.kind) for event in events if event.kind not in NO_MARKS]
     return found[:: math.ceil(len(found) / MOST_MARKS) or 1]

@@ -47,7 +47,7 @@ def ground_argument(fleet: Fleet, standing: Array | None) -> dict[str, Array]:
 def started(
     world: World, fleet: Fleet, vehicle: VehicleState, low: Vec3 | None
 ) -> tuple[VehicleState, Vec3 | None, Array | None]:
-    """Return vehicles (n,) at the start; those that start on the ground are level, at rest, rotors still.
+    """Return vehicles (n,) at the start; those that start on the ground are put on it, at rest, rotors still.
 
     Returns:
         The state, the second part of the position, and which vehicles are parked (n,), None in a fleet that cannot be.

@@ -256,7 +256,7 @@ class World(Tabled):
         return self.ground.down(position_ned)
 
     def height_agl(self, position_ned: Vec3) -> Array:
-        """Return the height (n,) [m] of positions (n,) above the ground, negative below it."""
+        """Return the height (n,) [m] of positions (n,) above the ground, negative below ground."""
         if self.ground.at_zero:
             return self.area.height_agl(position_ned)
         return self.ground.down(position_ned) - position_ned.z

@@ -147,6 +147,7 @@ def _one_by_one(
     points, others = fleet.vehicle.wake_points(), jnp.arange(fleet.size, dtype=jnp.int32)
 
     def one_more(carry: tuple[Array, Vec3, Vec3]) -> tuple[Array, Vec3, Vec3]:
+        """Return number, velocity and rotation with one more wake added."""
         turn, velocity, rates = carry
         whose = reaching.numbers.at[turn].get(mode="promise_in_bounds")
         jet = jax.tree.map(lambda leaf: leaf.at[whose].get(mode="promise_in_bounds")[None], jets)
@@ -154,6 +155,7 @@ def _one_by_one(
         near = near & (others != whose) if same else near
 
         def more() -> tuple[Vec3, Vec3]:
+            """Return velocity and rotation with the wake's part added."""
             blown = _wind_of_jet(jet, near, pose.position_ned, points, turned)
             return velocity + blown[0], rates + blown[1]
 

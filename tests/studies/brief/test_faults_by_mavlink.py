@@ -77,10 +77,15 @@ def plain(scenario: Scenario, action: int) -> Flight:
     while simulation.tick < TICKS and not (decided and simulation.truth.on_ground[0]):
         path.append(simulation.truth.position_ned[0])
         simulation.step()
-        failsafe = simulation.state.fleets[0].failsafe
+        failsafe: Any = simulation.state.fleets[0].failsafe
         if not decided and int(np.asarray(failsafe.action)[0]) == action:
             decided, heard = simulation.tick, int(np.asarray(failsafe.heard)[0])
     return Flight(decided, heard, np.array(path))
+
+
+def order(number: int, first: float) -> Command:
+    """Return a command with its first parameter."""
+    return Command(number, (first, NAN, NAN, NAN, NAN, NAN, NAN))
 
 
 def by_stack(scenario: Scenario, mode: str, heard: int = 0, landed: int = 0) -> Flight:
@@ -106,9 +111,9 @@ def by_stack(scenario: Scenario, mode: str, heard: int = 0, landed: int = 0) -> 
         tick = world.simulation.tick
         # From 2 s on there is a position to arm with.
         if not started and tick >= 100 and tick % 25 == 0:
-            started = int(stack.command(Command(400, (1.0, *[NAN] * 6))).result) == 0
+            started = int(stack.command(order(400, 1.0)).result) == 0
             if started:
-                assert int(stack.command(Command(300, (0.0, *[NAN] * 6))).result) == 0
+                assert int(stack.command(order(300, 0.0)).result) == 0
         if tick >= AT - 1:
             path.append(world.simulation.truth.position_ned[0])
         if 0 < tick <= heard and (tick % BEAT == 0 or tick == heard):
@@ -116,7 +121,7 @@ def by_stack(scenario: Scenario, mode: str, heard: int = 0, landed: int = 0) -> 
         if landed and tick == landed - 1:
             # Without the order of a client the stack flies on: it has no failsafe for a lost fix.
             assert stack.mode.value == "mission"
-            assert int(stack.command(Command(21, (0.0, 0.0, 0.0, NAN, NAN, NAN, NAN))).result) == 0
+            assert int(stack.command(order(21, 0.0)).result) == 0
         world.tick(0.0)
         decided = decided or (world.simulation.tick if stack.mode.value == mode else 0)
     return Flight(decided, heard, np.array(path))

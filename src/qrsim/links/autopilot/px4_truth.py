@@ -32,7 +32,7 @@ def geodetic(point: tuple[float, float, float]) -> tuple[float, float, float]:
 
 
 def above(place: tuple[float, float, float], undulation: float) -> tuple[float, float, float]:
-    """Return a geodetic position with its altitude [m] above a sea that is ``undulation`` [m] above the ellipsoid."""
+    """Return latitude and longitude unchanged, and the height [m] reduced by the geoid's ``undulation`` [m]."""
     return place[0], place[1], place[2] - undulation
 
 

@@ -52,7 +52,7 @@ class Sensed:
         self._heard: list[list[Readings.Heard]] = []
 
     def frame(self, kind: Message.Type, rows: Sequence[int], truth: bool, missed: int = 0) -> bytes:
-        """Return a framed message with the stamped readings of some vehicles, selected by index.
+        """Return a framed message with the stamped readings of the vehicles with indices ``rows``.
 
         Args:
             kind: READINGS or SENSED.

@@ -70,7 +70,7 @@ class Field:
 
 
 def kinds_of(fleet: Fleet) -> dict[str, tuple[Field, ...]]:
-    """Return the kinds of orders that the vehicles of a fleet take, with their numbers; empty if they take none."""
+    """Return order kind -> its number fields for the orders that a fleet's vehicles take; empty if none."""
     command = fleet.vehicle.command_type
     limits = limits_of(command)
     if not limits:
@@ -90,7 +90,7 @@ def _units_by_field(command: type) -> dict[str, str]:
 
 
 def record_of(kind: str, columns: NumpyArray, command: type) -> Any:
-    """Return the set-point or command of n vehicles.
+    """Return the set-point or command of n vehicles as a record of an order kind.
 
     Args:
         kind: one of NAMES.
@@ -110,7 +110,7 @@ def record_of(kind: str, columns: NumpyArray, command: type) -> Any:
 
 
 def checked(order: Order, kinds: Mapping[str, tuple[Field, ...]], dtype: np.dtype[Any]) -> Order:
-    """Check an order for a vehicle that takes some kinds (``kinds_of``), and return it.
+    """Return an order unchanged; raises UsageError if the vehicle does not take its kind or a number is invalid.
 
     Raises:
         UsageError: its kind is not one that the vehicle takes, or a number is missing, not finite or out of its range.

@@ -60,11 +60,11 @@ class Latches:
         return self._kinds[self.names[self.row(vehicle)]]
 
     def checked(self, order: Order) -> Order:
-        """Check an order and return it; raises UsageError."""
+        """Return an order unchanged; raises UsageError if its vehicle does not take it."""
         return checked(order, self.kinds(order.vehicle), self._dtype)
 
     def put(self, order: Order) -> None:
-        """Make a checked order the one that its vehicle flies by."""
+        """Store a checked order as the one that its vehicle flies until the next."""
         row, numbers = self.row(order.vehicle), order.numbers
         self.codes[row] = _CODES[order.kind]
         self.numbers[row] = (*numbers, *self._none[len(numbers) :])
@@ -76,7 +76,7 @@ class Latches:
         self.numbers[row] = np.nan
 
     def actions(self) -> dict[str, Some]:
-        """Return what ``Simulation.step`` takes, by fleet; it is valid until the next call."""
+        """Return the action of each fleet for ``Simulation.step``; the next call overwrites its arrays."""
         return {fleet.name: fleet.filled(self.codes, self.numbers) for fleet in self._fleets}
 
 

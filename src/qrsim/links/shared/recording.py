@@ -79,7 +79,7 @@ class Recording:
         self._keeping.submit(self._write_ticks, self._world, beginning, [self._flown()])
 
     def restarted(self, row: int) -> None:
-        """Note that a vehicle, selected by its index, was reset at the present tick, before its requests."""
+        """Note that the vehicle with an index was reset at the present tick, before its requests."""
         self._restarted[row] = self._simulation.tick
 
     def said(self, messages: Sequence[tuple[int, Any, int]]) -> None:

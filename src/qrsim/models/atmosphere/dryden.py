@@ -246,7 +246,7 @@ class FilterState:
     third: Array = quantity(unit="1", doc="z3, of the angular gust")
 
     def advance(self, x: Array, of: Decay, ratio: Array, of_lag: Decay, normals: tuple[Array, ...]) -> FilterState:
-        """Advance by x = V T/L, each (n,); ``normals`` are n1, n2, n3."""
+        """Return the state advanced by x = V T/L, each (n,), driven by ``normals`` n1, n2, n3."""
         n1, n2, n3 = normals
         two = second_order(x, of)
         row = third_row(x, ratio, of, of_lag, two)
@@ -327,7 +327,7 @@ class Dryden(Turbulence):
     def step(
         self, state: DrydenState, draw: Noise, height_agl: Array, velocity_ned: Vec3, mean_wind_ned: Vec3, dt: float
     ) -> DrydenState:
-        """Advance by dt [s], L and V held, for vehicles at heights (n,) [m] and ground velocities (n,) [m/s]."""
+        """Return the state dt [s] later, at heights (n,) [m] and ground velocities (n,) [m/s], L and V held."""
         u, v1, v2, w1, w2, p, v3, w3 = draw.normals(8)
         lengths, _ = self._scales(height_agl)
         way = dt * carrying_speed(self.airspeed, velocity_ned, mean_wind_ned)

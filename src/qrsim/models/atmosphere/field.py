@@ -132,12 +132,12 @@ class DrydenField(Turbulence):
 
     @computed
     def normals(self) -> int:
-        """Standard normals of a vehicle in a tick, for the residual."""
+        """Number of standard normals of a vehicle in a tick, for the residual."""
         return 3 if self.residual == "filter" else 0
 
     @computed
     def field_ids(self) -> int:
-        """Random numbers an episode: one for each chain."""
+        """Number of random ids of an episode, one for each chain."""
         return SEGMENTS * self.chains
 
     def convection_velocity_ned(self, wind: Wind) -> Vec3:
@@ -262,6 +262,7 @@ class DrydenField(Turbulence):
         amplitude = math.sqrt(2.0 * energy * math.log(2.0) / self.chains)
 
         def size(std: Array, length: Array) -> Array:
+            """Return the amplitude factor [m/s] of one axis from its standard deviation and length scale."""
             scaled = length * scale
             return (amplitude * std) * (scaled * scaled) * jnp.sqrt(scaled)
 
@@ -345,16 +346,19 @@ def _rotation(normals: Array, word: Array) -> tuple[tuple[Vec3, Vec3, Vec3], Arr
     sign = jnp.where(word >> 31 == 1, -1.0, 1.0).astype(normals.dtype)
 
     def product(a: Array, b: Array) -> Array:
+        """Return a b, rounded."""
         return rounded(a * b)
 
     squares = [product(a, a) for a in (w, x, y, z)]
     scale = sign / ((squares[0] + squares[1]) + (squares[2] + squares[3]))
 
     def diagonal(mine: int) -> Array:
+        """Return the diagonal entry for quaternion component number ``mine``, 1 to 3."""
         first, second = (i for i in (1, 2, 3) if i != mine)
         return product((squares[0] + squares[mine]) - (squares[first] + squares[second]), scale)
 
     def beside(a: Array, b: Array, c: Array) -> Array:
+        """Return an off-diagonal entry, 2 (a b + w c) over the squared norm."""
         return product(2.0 * (product(a, b) + product(w, c)), scale)
 
     rows = (
@@ -376,7 +380,7 @@ def _back(rows: tuple[Vec3, Vec3, Vec3], vector: Vec3) -> Vec3:
 
 
 def _heading(velocity_ned: Vec3) -> tuple[Array, Array]:
-    """Return cosine and sine of the bearing of horizontal velocities (n,), north if it is zero."""
+    """Return cosine and sine of the bearing of horizontal velocities (n,); north for a zero velocity."""
     square = velocity_ned.x * velocity_ned.x + velocity_ned.y * velocity_ned.y
     moves = square > 1e-6
     speed = jnp.sqrt(jnp.where(moves, square, 1.0))

@@ -49,7 +49,7 @@ class Modes:
 
     @property
     def octaves(self) -> int:
-        """Waves of a chain, J."""
+        """Number J of waves in a chain, an octave apart."""
         return len(self.centre)
 
     @property

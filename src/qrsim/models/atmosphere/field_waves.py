@@ -75,7 +75,7 @@ def waves_at(field: FieldWaves, seconds: Array, fraction: Array) -> tuple[Array,
 
 
 def draw_ages(draw: Draw, index: int, lifetime: Array) -> Ages:
-    """Draw an age at time 0 from draw ``index`` of a world, for a lifetime () [s]."""
+    """Return random ages at time 0, from draw ``index`` of a world, for a lifetime () [s]."""
     rate = jnp.round(float(LIFETIME) / lifetime).astype(jnp.int32)
     return Ages(draw.stream.words(draw.tick, index)[0][0], lax.bitcast_convert_type(rate, jnp.uint32))
 

@@ -65,7 +65,7 @@ def low_altitude_scales(height_agl: Array) -> tuple[Vec3, Vec3]:
 
 
 def blocked(height_agl: Array) -> Array:
-    """Return vertical gusts (n,) at heights (n,) [m] over those at 10 ft: less below, zero at the ground.
+    """Return the factor (n,) of vertical gusts at heights (n,) [m] relative to those at 10 ft, 0 at the ground.
 
     No air goes through the ground. Waves longer than the height h have vertical gusts of k h there (J. C. R. Hunt and
     J. M. R. Graham, "Free-stream turbulence near plane boundaries", J. Fluid Mech. 84, 1978: 1 - exp(-k h)), and the
@@ -134,6 +134,7 @@ class DrydenFirstOrder(Turbulence):
         normals = Vec3(*draw.normals(3))
 
         def advance(gust: Array, normal: Array, length: Array) -> Array:
+            """Return one axis' gust a step later."""
             time_constant = length / speed
             if self.discretisation == "exact":
                 decay, spread = ou_decay(dt, time_constant)

@@ -104,14 +104,14 @@ class NominalConstellations(Ephemeris):
 
     @property
     def satellites(self) -> tuple[str, ...]:
-        """Names of the slots: the system's letter, and of the plane and the slot in it, such as G-A1."""
+        """Names of the satellites: system letter, plane and slot, such as G-A1."""
         gps = NominalConstellation().satellites
         walker = [f"{'ABC'[plane]}{slot + 1}" for plane in range(PLANES) for slot in range(SLOTS)]
         return tuple(f"{letter}-{slot}" for letter in self._letters for slot in (gps if letter == "G" else walker))
 
     @property
     def system_of(self) -> str:
-        """Letter of each satellite's system, S of them."""
+        """System letter of each of the S satellites."""
         return "".join(name[0] for name in self.satellites)
 
     @property
@@ -172,7 +172,7 @@ class NominalConstellations(Ephemeris):
 
     @property
     def _letters(self) -> tuple[str, ...]:
-        """The systems, in the order in which they are numbered."""
+        """Letters of the satellite systems, in the order of their numbers."""
         return tuple(letter for letter in SYSTEMS if letter in self.systems)
 
 

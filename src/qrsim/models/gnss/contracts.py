@@ -71,7 +71,7 @@ class Sky(Protocol):
         return False
 
     def step_by_parts(self, state: Any, draw: Draw, tick: Array) -> Any:
-        """Return the state at a tick () int32, with whatever changes at it."""
+        """Return the state at a tick () int32; called at every tick if ``steps_by_parts``."""
         return state
 
     @abstractmethod

@@ -141,7 +141,7 @@ def thermal_variance(receiver: ReceiverParameters) -> Array:
 
 
 def multipath_std(receiver: ReceiverParameters, slots: Slots) -> Array:
-    """Return the standard deviation (K, 1) or (K, n) [m] of the multipath of ranges."""
+    """Return the standard deviation (K, 1) or (K, n) [m] of range errors by multipath."""
     low = exp(slots.sight.elevation[:, None] * (-1.0 / math.radians(_MULTIPATH_DEG)))
     return across(receiver.multipath) * (_MULTIPATH_ALL + _MULTIPATH_LOW * low)
 
@@ -175,7 +175,7 @@ def sights(receiver: ReceiverParameters, slots: Slots, position_ned: Vec3 | None
 
 
 def weakness(receiver: ReceiverParameters, slots: Slots, jam: Array | None = None, loss: Array | float = 0.0) -> Array:
-    """Return c/n0 of 45 dB-Hz over that of each satellite (K, m), as a ratio: 1 at 45 dB-Hz, larger for weaker signals.
+    """Return c/n0 of 45 dB-Hz divided by that of each satellite (K, m), as a ratio: larger for weaker signals.
 
     ``jam`` (n,) is what jammers add, ``loss`` (K, m) what C/N0 lacks [dB].
     """
@@ -190,7 +190,7 @@ def strengths(receiver: ReceiverParameters, slots: Slots, jam: Array | None = No
 
 
 def clear_weakness(receiver: ReceiverParameters) -> Array:
-    """Return c/n0 of 45 dB-Hz over that at the zenith without jammers, as a ratio: 1 at 45 dB-Hz."""
+    """Return c/n0 of 45 dB-Hz divided by that of an unjammed satellite at the zenith, as a ratio."""
     return exp((_CN0_STRONG - jnp.asarray(receiver.cn0_zenith)) * (0.1 * math.log(10.0)))
 
 

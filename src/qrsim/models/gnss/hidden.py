@@ -110,6 +110,7 @@ def solved(
     due = (slots.knot != before.knot) | (passed > receiver.obstacle_period - 0.5 * receiver.period)
 
     def fresh() -> Tracking:
+        """Return the tracking recomputed for the present positions."""
         return _looked(receiver, skyline, slots, whole, before, same, position_ned, fast, slow, passed, effect)
 
     # What interferes does so at every fix.

@@ -60,7 +60,7 @@ class Ephemeris(Protocol):
 
     @property
     def system_of(self) -> str:
-        """Letter of each satellite's system, S of them; that of GPS where nothing else is said."""
+        """System letter of each of the S satellites, G (GPS) by default."""
         return "G" * len(self.satellites)
 
     @property
@@ -256,7 +256,7 @@ class NominalConstellation(Ephemeris):
 
     @property
     def satellite_ids(self) -> npt.NDArray[np.uint32]:
-        """Slot indices from 0; the upper byte marks them as not PRNs."""
+        """Slot indices (24,) from 0, with an upper byte that tells them from PRNs."""
         return np.arange(len(self.satellites), dtype=np.uint32) * np.uint32(256)
 
     def at(
@@ -322,7 +322,7 @@ def dilution_of_precision(line_of_sight_ned: npt.ArrayLike) -> tuple[float, floa
 
 
 def _vectors(name: str, values: npt.ArrayLike) -> Float64:
-    """Return an array (..., 3) as float64; raise UsageError, which names it, for other shapes."""
+    """Return an array (..., 3) as float64; raise UsageError, naming the argument, for other shapes."""
     array = np.asarray(values, np.float64)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise UsageError(f"{name}: expected an array of shape (..., 3), got {array.shape}")

@@ -51,7 +51,7 @@ def common_errors(
 
 
 def own_error(now: Geometry, bias: tuple[Array, ...], position_ned: Vec3, fast: Array, slow: Array) -> Vec3:
-    """Return the position error (n,) [m] by multipath, offsets of systems, and the distance from the origin."""
+    """Return the position error (n,) [m] by multipath, inter-system offsets, and ionospheric gradients."""
     error = now.of_multipath(fast + slow)
     for part, value in zip(now.systems, bias, strict=True):
         error = error + part * value

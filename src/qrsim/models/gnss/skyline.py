@@ -75,6 +75,7 @@ class Skyline:
         upper = words[(first + self.azimuths)[None, :] + azimuth[:, None]]
 
         def byte(word: Array, number: int) -> Array:
+            """Return byte ``number`` of a word, 0 the lowest, as a float."""
             return ((word >> (8 * number)) & 255).astype(turn.dtype)
 
         below, above_it = (byte(word, 0) + along * (byte(word, 1) - byte(word, 0)) for word in (lower, upper))

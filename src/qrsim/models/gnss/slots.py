@@ -94,7 +94,7 @@ class SlottedSky(Sky):
 
     @property
     def knot_ticks(self) -> int:
-        """Ticks from one knot to the next, a multiple of those of an epoch."""
+        """Ticks from one knot to the next, a multiple of the ticks of an epoch."""
         return max(1, round(self.period / self.time_step)) * max(1, round(KNOT_S / self.period))
 
     @property
@@ -158,6 +158,7 @@ class SlottedSky(Sky):
             return state.memory, replace(state.slots, part=None), state.satellites_ned, state.range_error
 
         def knot() -> tuple[object, ...]:
+            """Return the sky at a new knot."""
             memory, slots, satellites, error = self._knot(state, draw)
             return memory, replace(slots, part=None), satellites, error
 
@@ -224,6 +225,7 @@ class SlottedSky(Sky):
         taken, free = jnp.maximum(places, 0), places < 0
 
         def picked(leaf: Array) -> Array:
+            """Return the values of the satellites in the slots, 0.5 in free slots."""
             return jnp.where(free, 0.5, leaf[taken])
 
         slots = Slots(

@@ -99,7 +99,7 @@ class Sp3Ephemeris(Ephemeris):
 
     @property
     def system_of(self) -> str:
-        """Letter of each satellite's system, S of them."""
+        """System letter of each of the S satellites."""
         return "".join(name[0] for name in self.satellites)
 
     @property

@@ -183,7 +183,7 @@ def read_sp3(path: str | Path) -> Sp3File:
 
 
 def _version(lines: _Lines) -> str:
-    """Return the version letter of an SP3 file; raise UsageError for others than those supported."""
+    """Return the version letter of an SP3 file; raise UsageError for unsupported ones."""
     head = lines.text[0] if lines.text else ""
     if not head.startswith("#") or len(head) < 2:
         lines.fail(1, f"'{head[:20]}' is not the start of an SP3 file, which is '#c' or the like")
@@ -193,7 +193,7 @@ def _version(lines: _Lines) -> str:
 
 
 def _epochs(lines: _Lines) -> tuple[list[_Epoch], bool]:
-    """Return the epochs in the file's order, and whether an EOF line ends it."""
+    """Return the epochs in the file's order, and a bool: an EOF line ends the file."""
     found: list[_Epoch] = []
     time_system = ""
     for line, text in enumerate(lines.text, 1):

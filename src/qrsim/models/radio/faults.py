@@ -25,7 +25,7 @@ class RadioFault:
 
     @staticmethod
     def empty(count: int) -> RadioFault:
-        """Return the fault of ``count`` vehicles with none of them affected."""
+        """Return a fault record for the radios of ``count`` vehicles, none of them affected."""
         never, nobody = np.full(count, LAST_TICK, np.int32), np.zeros(count, bool)
         return record_of(RadioFault, never, never, nobody, nobody, np.zeros(count))
 

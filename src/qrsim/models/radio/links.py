@@ -84,7 +84,7 @@ def powers(network: Channel, field: ShadowField, near: Neighbours, surfaces: Sur
 def _over_land(
     network: Channel, near: Neighbours, surfaces: Surfaces, squared: Array, apart: Array, lost: Array
 ) -> Array:
-    """Return the path loss (K, n) [dB]: of links between ground and air by the land use, of all others ``lost``.
+    """Return the path loss (K, n) [dB]: by land use for links between ground and air, ``lost`` for others.
 
     Args:
         network: the radio.

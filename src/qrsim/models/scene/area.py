@@ -224,6 +224,7 @@ def _nearest_on_the_way(position_ned: Vec3, before_ned: Vec3, least: Array) -> A
     nearest = nearest_squared(position_ned.x, position_ned.y, position_ned.z, reach)
 
     def by_pairs() -> Array:
+        """Return the squared distances (n,) computed from all pairs of ways."""
         start, end = (
             place.map(lambda axis: axis[:, None]) - place.map(lambda axis: axis[None, :])
             for place in (before_ned, position_ned)

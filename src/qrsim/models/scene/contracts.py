@@ -102,7 +102,7 @@ class Ground(Protocol):
         """Return the down coordinate [m] of the ground below (or above) positions of any shape [m]."""
 
     def ray_distance(self, origin_ned: Vec3, direction: Vec3, reach: Array) -> Array:
-        """Return the distance [m] along rays (...) to the ground, 0 from below it, infinite beyond their reach.
+        """Return the distance [m] along rays (...) to the ground, 0 from below it, infinite beyond ``reach``.
 
         By default the ground is sampled every ``reach``/32, and the first crossing found there is narrowed down. A
         ridge between two samples can be missed.
@@ -132,6 +132,7 @@ def crossing(down: Callable[[Vec3], Array], origin_ned: Vec3, direction: Vec3, r
     origin, ray = (end.map(lambda axis: jnp.broadcast_to(axis, shape)) for end in (origin_ned, direction))
 
     def above(distance: Array) -> Array:
+        """Return the height [m] above the surface at distances along the rays, negative below."""
         wide = (1,) * (distance.ndim - len(shape)) + shape
         place = origin.map(lambda axis: axis.reshape(wide)) + ray.map(lambda axis: axis.reshape(wide)) * distance
         return down(place) - place.z

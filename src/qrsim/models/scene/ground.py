@@ -36,7 +36,7 @@ class FlatGround(Ground):
         return jnp.full_like(position_ned.z, 0.0 - self.height)
 
     def ray_distance(self, origin_ned: Vec3, direction: Vec3, reach: Array) -> Array:
-        """Return the distance [m] along rays (...) to the plane, infinite beyond their reach."""
+        """Return the distance [m] along rays (...) to the plane, infinite beyond ``reach``."""
         above = -self.height - origin_ned.z
         falls = direction.z > 0.0
         met = above / jnp.where(falls, direction.z, 1.0)

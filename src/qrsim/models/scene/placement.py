@@ -45,6 +45,7 @@ class UniformPlaces(Placement):
         low, high = inner_box(area, self.inner)
 
         def candidate(number: Array) -> tuple[Array, Array]:
+            """Return random places (n,) north and east [m] of a numbered try."""
             return (
                 uniform(draw, 2 * number, low.x, high.x),
                 uniform(draw, 2 * number + 1, low.y, high.y),
@@ -77,6 +78,7 @@ class RingPlaces(Placement):
         """Return the start of vehicles (n,) at random places, and () bool: places far enough apart were found."""
 
         def candidate(number: Array) -> tuple[Array, Array]:
+            """Return random places (n,) north and east [m] of a numbered try."""
             sine, cosine = sincos(uniform(draw, 2 * number, -math.pi, math.pi))
             distance = uniform(draw, 2 * number + 1, self.nearest, self.farthest)
             return self.north + distance * cosine, self.east + distance * sine
@@ -126,6 +128,7 @@ def _first_apart(
         return jnp.all(itself | (square >= apart * apart))
 
     def again(now: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Return the next try's number, and whether its places are far enough apart."""
         number = now[0] + 1
         return number, far_enough(*(lax.stop_gradient(axis) for axis in candidate(number)))
 

@@ -40,6 +40,7 @@ def inner_box(area: Any, part: Array | float) -> tuple[Vec3, Vec3]:
     """Return the lowest and the highest corner [m] of a box scaled by ``part`` about its centre."""
 
     def shrunk(low: Array, high: Array) -> tuple[Array, Array]:
+        """Return the interval [low, high] scaled by ``part`` about its middle."""
         middle, half = 0.5 * (low + high), 0.5 * part * (high - low)
         return middle - half, middle + half
 
@@ -257,7 +258,7 @@ class PuffPlume(Plume):
         return self.most
 
     def init(self, draw: Draw, area: object) -> PuffState:
-        """Draw the sources (S,) of an episode, before their first release."""
+        """Return the random sources (S,) of an episode, before their first release."""
         position, there = _placed(draw, area, self.fewest, self.most)
         sources = Sources(position, there.astype(position.x.dtype))
         nothing = jnp.zeros((self.most, self.puffs), position.x.dtype)

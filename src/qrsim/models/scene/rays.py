@@ -90,7 +90,7 @@ def _crossings(obstacles: Obstacles, origin_ned: Vec3, direction: Vec3) -> Itera
 
 
 def line_of_sight(obstacles: Obstacles, from_ned: Vec3, to_ned: Vec3) -> Array:
-    """Return (...) bool: no obstacle is between two points (...) [m]; False if one of them is inside one."""
+    """Return (...) bool: no obstacle is between two points (...) [m]; False if a point is inside an obstacle."""
     return ray_distance(obstacles, from_ned, to_ned - from_ned) > 1.0
 
 

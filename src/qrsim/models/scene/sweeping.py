@@ -38,11 +38,15 @@ def obstacle_hit(obstacles: Obstacles, start_ned: Vec3, end_ned: Vec3, radius: A
     near = ~hit & (jnp.minimum(distance, sight) < radius + length)
 
     def walked() -> tuple[Array, Array]:
+        """Return number and hit (n,), found by steps along the ways as long as the free distance."""
+
         def goes_on(walk: _Walk) -> Array:
+            """Return whether another step is needed."""
             look, _, _, _, on = walk
             return (look < LOOKS) & jnp.any(on)
 
         def look_again(walk: _Walk) -> _Walk:
+            """Return the walk after one more step."""
             look, at, found, met, on = walk
             free, which = obstacles.nearest(start_ned + way * at)
             touches = on & ((free < radius) | (free <= 0.0))

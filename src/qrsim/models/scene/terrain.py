@@ -97,6 +97,7 @@ class PatchyGround(GroundCover):
         start = _Pouring(cells, corner, corner, nothing, nothing, first + 1)
 
         def step(now: _Pouring) -> _Pouring:
+            """Return the state after one more draw: a drop moves on, or a new drop starts."""
             chance = self._uniforms(draw, now.draws)
             place = now.cells[now.drop[0], now.drop[1]] == number
             pouring = now.left > 0
@@ -140,6 +141,7 @@ class PatchyGround(GroundCover):
         """
 
         def number(value: Array, low: Array, high: Array) -> Array:
+            """Return the index of the cell that contains a coordinate, clipped to the grid."""
             metres = jnp.clip(jnp.floor(value - low), 0.0, jnp.ceil(high - low) - 1.0) + 0.5
             return jnp.clip(jnp.floor(metres * (self.side / (high - low))).astype(jnp.int32), 0, self.side - 1)
 

@@ -57,7 +57,7 @@ class Zone:
 
     @property
     def outline(self) -> tuple[Point, ...]:
-        """Corners (north, east) [m] for pictures; those of a circle lie on it."""
+        """Corners (north, east) [m] of the zone for pictures, points on it for a circle."""
         if self.rings:
             return self.rings[0]
         turns = (2.0 * math.pi * i / CIRCLE_CORNERS for i in range(CIRCLE_CORNERS))
@@ -108,7 +108,7 @@ class Zone:
         return self.over(north, east) and self.level(height_of(self, north, east, down, ground))
 
     def cuts(self, begin: Triple, end: Triple) -> list[float]:
-        """Return the parts of a way (0: begin, 1: end) at which it may enter or leave the zone."""
+        """Return the parts of a way (0: begin, 1: end) at which the way may enter or leave the zone."""
         (x, y, z), (dx, dy, dz) = begin, (end[0] - begin[0], end[1] - begin[1], end[2] - begin[2])
         found = []
         if self.rings:
@@ -150,6 +150,7 @@ class Zones:
         """Return whether a place NED [m] is allowed by all zones; without ``down`` heights are ignored."""
 
         def holds(zone: Zone) -> bool:
+            """Return whether the place is in the zone."""
             return zone.over(north, east) if down is None else zone.holds(north, east, down, ground or self.ground)
 
         if self._kept and not any(map(holds, self._kept)):
@@ -163,6 +164,7 @@ class Zones:
         cuts = [cut for zone in self._kept for cut in zone.cuts(begin, end)]
 
         def is_out(north: float, east: float, down: float) -> bool:
+            """Return whether a place is outside all zones to stay in."""
             return not any(zone.holds(north, east, down, ground or self.ground) for zone in self._kept)
 
         return _stretch(begin, end, cuts, is_out)
@@ -177,6 +179,7 @@ class Zones:
         found: list[tuple[float, Zone | None]] = []
 
         def signed(zone: Zone) -> float:
+            """Return the distance [m] of the place from the zone's limits, negative outside."""
             return zone.signed(north, east, height_of(zone, north, east, down, ground or self.ground))
 
         if self._kept:

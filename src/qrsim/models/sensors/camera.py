@@ -185,6 +185,7 @@ class Camera(Sensor):
         tick = self.tick_of(reading, around)
 
         def one(camera: Camera, reading: CameraReading, tick: Array, identity: Array) -> Picture:
+            """Return the picture of one vehicle."""
             noise = jnp.zeros((self.most_rows * self.most_columns, 1), reading.picture.dtype)
             if self.noisy:
                 draw = Draw(Stream(stream.high, stream.low, identity[None]), tick, reading.picture)
@@ -213,6 +214,7 @@ class Camera(Sensor):
         """
 
         def one(camera: Camera, reading: CameraReading) -> tuple[Array, Array]:
+            """Return grid and corners of one vehicle's picture."""
             view = camera.view(reading, around, size)
             zero = jnp.zeros_like(view.rows)
             row = jnp.stack([zero, zero, view.rows, view.rows])

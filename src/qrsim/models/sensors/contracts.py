@@ -97,7 +97,7 @@ class Sensor(Protocol):
         return {}
 
     def overfull(self, state: Any) -> Array | None:
-        """Return the number (n,) int32 of searches so far with an overflow of the neighbour list; None if it cannot.
+        """Return the number (n,) int32 of searches so far with an overflow of the neighbour list; None if impossible.
 
         Room is what ``neighbours`` of core/neighbours.py has for those around a vehicle.
         """

@@ -170,6 +170,7 @@ class _Fault:
         seconds = rounded(jnp.maximum(tick - self.start_tick, 0).astype(_dtype(reading)) * self.time_step)
 
         def change(x: Array, i: int) -> Array:
+            """Return field number ``i`` scaled, with the fault's amount added."""
             times: Any = _pick(drift, seconds, 1.0)
             if normals is not None:
                 times = _pick(noisy, normals[i], times)
@@ -206,10 +207,12 @@ class Fault(_Fault):
 
     @property
     def _order(self) -> int:
+        """Number of the fault among those of its sensor, as given."""
         return self.order
 
     @property
     def _repeats(self) -> bool:
+        """True if this kind of fault can repeat an earlier reading."""
         return self.kind in _REPEATING
 
     @property

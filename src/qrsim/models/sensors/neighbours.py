@@ -336,6 +336,7 @@ def _in_order(slots: int, distance: Array, place: Vec3, number: Array, velocity:
         selected, valid = row == first[None, :], nearest < jnp.inf
 
         def chosen(rows: Array, selected: Array = selected, valid: Array = valid) -> Array:
+            """Return the row of the selected candidate, NaN for vehicles without one."""
             return jnp.where(valid, jnp.sum(jnp.where(selected, rows, 0.0), axis=0), jnp.nan)
 
         places.append(place.map(chosen))

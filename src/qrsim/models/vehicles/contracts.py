@@ -262,7 +262,7 @@ class Vehicle(Protocol):
         """Return position, attitude, velocity and body rates (n,)."""
 
     def draw_noise(self, draw: Noise, dt: float) -> object:
-        """Draw the process noise of one step of dt [s] from ``normals`` normals."""
+        """Return the random process noise of one step of dt [s], from ``normals`` standard normals."""
         return None
 
     @abstractmethod
@@ -329,7 +329,7 @@ class Vehicle(Protocol):
         return found
 
     def pushed(self, state: Any, change_body: Vec3) -> VehicleState:
-        """Return the state after a change of velocity (n,) [m/s] in body axes; it is 0 where not ``pushable``."""
+        """Return the state after a velocity change (n,) [m/s] in body axes, 0 along axes not ``pushable``."""
         found: VehicleState = replace(state, velocity_body=state.velocity_body + change_body)
         return found
 

@@ -38,6 +38,7 @@ def move(
     """
 
     def step(position_ned: Vec3) -> tuple[VehicleState, Vec3]:
+        """Return the state one step later from this position, and the specific force."""
         # Vehicles without ``reads`` have no argument for their surroundings.
         more = () if around is None else (around,)
         return vehicle.step(replace(state, position_ned=position_ned), command, air_velocity, noise, dt, *more)

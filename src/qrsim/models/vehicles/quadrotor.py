@@ -238,6 +238,7 @@ class Quadrotor(Vehicle):
         """
 
         def slope(current: QuadrotorState) -> tuple[QuadrotorState, Vec3]:
+            """Return the time derivative of a state, and the specific force."""
             return self.derivative(current, command, air_velocity, noise, dt)
 
         return INTEGRATORS[self.integrator](slope, state, dt)  # type: ignore[return-value]

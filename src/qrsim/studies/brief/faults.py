@@ -59,7 +59,7 @@ class FaultOutcome:
 
 
 def fault_scenario(operation: OperationSpec, flights: Flights) -> Content:
-    """Return the scenario with every fault, each after the end of the missions, and a station for the link.
+    """Return the scenario content with every fault, timed after the missions, and a station for the link.
 
     Raises:
         ScenarioError: the station has no room next to the first home.
@@ -111,12 +111,12 @@ def _with_station(content: Content, flights: Flights) -> Content:
 
 
 def _never(flights: Flights) -> float:
-    """Return a time [s] near the end of a run, at which no fault changes a mission."""
+    """Return a time [s] near the end of a run, for faults that should not affect the mission."""
     return float(flights.content["duration"]) - 0.1
 
 
 def fault_study(operation: OperationSpec, flights: Flights, finished_s: float, seed: int) -> Content:
-    """Return the study: a condition for each fault and part of the mission, of the same seeds.
+    """Return the study's content: a condition for each fault and part of the mission, with the same seeds.
 
     Args:
         operation: with its faults.
@@ -148,7 +148,7 @@ def fault_study(operation: OperationSpec, flights: Flights, finished_s: float, s
 
 
 def fault_outcomes(path: Path, study: Content) -> list[FaultOutcome]:
-    """Return how the runs of each condition ended."""
+    """Return the outcome of the runs for each condition."""
     results = Results(path)
     conditions: Content = study["vary"]["fault"]["conditions"]
     found = []

@@ -64,12 +64,12 @@ class Place:
     alone: bool
 
     def path(self, number: str) -> str:
-        """Return the path of a number of this vehicle, such as ``battery.capacity``, in the scenario."""
+        """Return the scenario path of this vehicle's value of a number such as ``battery.capacity``."""
         return f"fleets.{self.fleet}.{number}" + ("" if self.alone else f".{self.row}")
 
 
 def fleets_of(missions: Sequence[MissionSpec], names: Sequence[str]) -> tuple[Fleet, ...]:
-    """Return the fleets: missions with the same vehicle and pack together, in the order of their first ones."""
+    """Return the fleets, one for missions of the same vehicle and pack (at most MOST), in order of first missions."""
     alike: dict[str, list[int]] = {}
     for number, mission in enumerate(missions):
         alike.setdefault(json.dumps([mission.vehicle, mission.battery], sort_keys=True), []).append(number)
@@ -88,7 +88,7 @@ def fleets_of(missions: Sequence[MissionSpec], names: Sequence[str]) -> tuple[Fl
 
 
 def places_of(fleets: Sequence[Fleet]) -> tuple[Place, ...]:
-    """Return the place of each vehicle, in the order of the scenario."""
+    """Return the place of each vehicle in the scenario, fleet by fleet."""
     return tuple(
         Place(fleet.name, row, len(fleet.missions) == 1) for fleet in fleets for row in range(len(fleet.missions))
     )
@@ -97,7 +97,7 @@ def places_of(fleets: Sequence[Fleet]) -> tuple[Place, ...]:
 def fleet_content(
     fleet: Fleet, operation: OperationSpec, plans: Sequence[Plan], names: Sequence[str], assumed: list[str]
 ) -> Content:
-    """Return a fleet as a scenario writes it.
+    """Return a fleet as scenario content.
 
     Args:
         fleet: which missions it flies.
@@ -148,7 +148,7 @@ def fleet_content(
 
 
 def _vehicle(mission: MissionSpec, name: str, told: str, assumed: list[str]) -> Content:
-    """Return the vehicle of a mission as a scenario writes it."""
+    """Return a mission's vehicle as scenario content."""
     if mission.vehicle.endswith((".yaml", ".yml")):
         found = read_vehicle_file(Path(mission.vehicle))
         if found["type"] != "multirotor":
@@ -167,7 +167,7 @@ def _vehicle(mission: MissionSpec, name: str, told: str, assumed: list[str]) -> 
 
 
 def number_each(fleets: Sequence[Fleet], content: Content) -> None:
-    """Turn the numbers that differ from vehicle to vehicle into lists with one for each, in place."""
+    """Replace, in place, each number that may differ between a fleet's vehicles by a list with a value for each."""
     for fleet in fleets:
         if len(fleet.missions) > 1:
             for part, key in OWN_NUMBERS:
@@ -176,7 +176,7 @@ def number_each(fleets: Sequence[Fleet], content: Content) -> None:
 
 
 def by_mission(problem: str, fleets: Sequence[Fleet], names: Sequence[str]) -> str:
-    """Return a problem of the scenario with the missions that its vehicles fly in place of their paths."""
+    """Return a message about the scenario with vehicles' paths replaced by the missions that they fly."""
     for fleet in fleets:
         for row, number in enumerate(fleet.missions):
             path = rf"\bfleets\.{re.escape(fleet.name)}\.vehicles\.{row}(?!\d)"

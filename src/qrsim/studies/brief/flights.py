@@ -69,7 +69,7 @@ class Flights:
 
     @property
     def settings(self) -> tuple[Content, ...]:
-        """Values of the scenario at each start, by path."""
+        """Path -> value that each start time sets in the scenario, one dict per start."""
         keys = ("wind", "turbulence") if self.wind.file is not None else ()
         worlds = [scenario.spec.model_dump(mode="json")["world"] for scenario in self.at_starts if keys]
         return tuple(
@@ -79,7 +79,7 @@ class Flights:
 
 
 def flights_of(operation: OperationSpec, longest_s: float = LONGEST_S) -> Flights:
-    """Return the flights of an operation.
+    """Return the flights of an operation: scenario, plans, starts and durations.
 
     Raises:
         UsageError, ScenarioError: a plan or a vehicle cannot be flown, or takes too long.
@@ -135,19 +135,19 @@ def flights_of(operation: OperationSpec, longest_s: float = LONGEST_S) -> Flight
 
 
 def wind_file(file: str) -> Content:
-    """Return the wind of a scenario that a file gives: a table is a profile, all else is of a weather model."""
+    """Return the wind content for a file: a profile for a table, else a weather model."""
     return {"type": "profile" if Path(file).suffix.lower() == ".csv" else "weather", "file": file}
 
 
 def _wind_at_start(wind: WindSpec, scenario: Scenario) -> WindSpec:
-    """Return the forecast with speed and bearing of the scenario's profile at the forecast's height."""
+    """Return the forecast with the speed and bearing of the scenario's profile at its height."""
     north, east = (float(axis[0, 0]) for axis in velocity(scenario.spec, np.array([wind.height]), [0.0]))
     bearing = math.degrees(math.atan2(-east, -north)) % 360.0
     return wind.model_copy(update={"speed": math.hypot(north, east), "from_deg": bearing})
 
 
 def plan_of(mission: MissionSpec) -> Plan:
-    """Return a plan with something to fly.
+    """Return the plan of a mission; raises UsageError if it has nothing to fly.
 
     Raises:
         UsageError: it cannot be read, or is empty.
@@ -178,12 +178,12 @@ def names_of(operation: OperationSpec) -> tuple[str, ...]:
 
 
 def speed_20ft(wind: WindSpec) -> float:
-    """Return the factor from the forecast's speed to that at 20 ft, by the logarithmic profile over grass."""
+    """Return the ratio of the wind at 20 ft to the forecast's, by the logarithmic profile over grass."""
     return math.log(6.096 / ROUGHNESS_M) / math.log(wind.height / ROUGHNESS_M)
 
 
 def bearing_deg(wind: WindSpec) -> float:
-    """Return the bearing of the wind [deg], -180 to 180, so that its errors stay within the bounds of scenarios."""
+    """Return the wind's bearing [deg] from -180 to 180, so that its errors stay within scenario bounds."""
     return ((wind.from_deg or 0.0) + 180.0) % 360.0 - 180.0
 
 
@@ -202,7 +202,7 @@ def _check_homes(operation: OperationSpec, plans: tuple[Plan, ...]) -> None:
 
 
 def _check_lift(scenario: Scenario, share: float) -> None:
-    """Refuse vehicles of which many draws of the mass, up to a relative difference, have too little thrust."""
+    """Raise UsageError if many draws of the mass, within a relative difference, exceed the available thrust."""
     for name, fleet in scenario.spec.fleets.items():
         ratio = thrust_to_weight(fleet, scenario.spec)
         if ratio is None or ratio >= LEAST_LIFT * (1.0 + share):
@@ -225,7 +225,7 @@ def _content(
     flown: tuple[tuple[Fleet, ...], tuple[str, ...]],
     assumed: list[str],
 ) -> Content:
-    """Return the content of the scenario, its places still those of the plans; ``flown``: fleets, names of missions."""
+    """Return the scenario's content, with places as in the plans; ``flown``: fleets and mission names."""
     fleets, names = flown
     below: Content = {}
     if operation.extends is not None:
@@ -254,7 +254,7 @@ def _content(
 
 
 def _planned_s(scenario: Scenario, missions: tuple[MissionSpec, ...], names: tuple[str, ...]) -> Iterator[float]:
-    """Yield the time [s] of the path of each vehicle, without wind."""
+    """Yield each vehicle's planned flight time [s] in calm."""
     spec: Any = scenario.spec
     each = zip(missions, names, strict=True)
     for fleet, built in zip(spec.fleets.values(), scenario.world().fleets, strict=True):

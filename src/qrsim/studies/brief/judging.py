@@ -62,7 +62,7 @@ class Row:
 
 
 def overall(rows: Sequence[Row]) -> tuple[Verdict, str]:
-    """Return the worst verdict, the reason of the first row that has it, and the names of the others."""
+    """Return the worst verdict, the first row's reason for it, and the names of further rows with it."""
     counted = [row for row in rows if row.decides]
     worst: Verdict = max((row.verdict for row in counted), key=ORDER.index, default="marginal")
     if not counted:
@@ -75,7 +75,7 @@ def overall(rows: Sequence[Row]) -> tuple[Verdict, str]:
 
 
 def undecided(rows: Sequence[Row]) -> bool:
-    """Return whether more runs may change the verdict."""
+    """Return whether more runs could change the verdict."""
     return overall(rows)[0] != "no-go" and any(row.name in SEQUENTIAL and row.verdict == "marginal" for row in rows)
 
 
@@ -99,14 +99,14 @@ def judge(
 
 
 def _levels(look: int | None) -> tuple[float | None, float | None]:
-    """Return the error that a look may spend on a go, and on a no-go; None: it decides nothing."""
+    """Return the error probability that a look may spend on "go" and on "no-go"; None for no decision."""
     if look is None:
         return None, None
     return (None if look == 0 else spent(look)), spent(look + 1)
 
 
 def _share(hits: int, runs: int, limit: float, look: int | None) -> tuple[Verdict, float]:
-    """Return the verdict on a share that has to be below a limit, and its upper bound."""
+    """Return the verdict on a share that must stay below a limit, and the share's upper bound."""
     for_go, for_no_go = _levels(look)
     bound = upper(hits, runs) if for_go is None else upper(hits, runs, for_go)
     if for_go is not None and bound < limit:
@@ -182,7 +182,7 @@ def _reserve(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
 
 
 def _margins(runs: Runs, criteria: CriteriaSpec) -> Iterator[Row]:
-    """Yield the rows of distances; those that no run has, such as between vehicles of one, are left out."""
+    """Yield the rows of distance margins, without those that no run has."""
     asked = {
         "fence": (("fence_horizontal_min", "ceiling_min"), criteria.fence),
         "ground": (("ground_min",), criteria.ground),

@@ -26,7 +26,7 @@ Share = Annotated[Finite, BeforeValidator(share_of)]
 
 
 def _no_percents(value: object, largest: float) -> object:
-    """Refuse a share that is meant in percent."""
+    """Raise ValueError for a share that looks like a percentage."""
     if isinstance(value, int | float) and not isinstance(value, bool) and 1.0 <= value <= 100.0:
         raise ValueError(f"{value:g} is out of range; allowed: 0 to {largest:g} ({value:g} % is {value / 100.0:g})")
     return value
@@ -199,7 +199,7 @@ class OperationSpec(Part):
         return world
 
     def to_yaml(self) -> str:
-        """Return the file of the operation, every default written out."""
+        """Return the operation as YAML, every default written out."""
         return dump_yaml(self.model_dump(mode="json", exclude_none=True))
 
 
@@ -235,7 +235,7 @@ def read_operation(path: Path, changes: Content) -> OperationSpec:
 
 
 def with_paths(content: Content, changed: Callable[[str], str]) -> Content:
-    """Return the content of an operation with every path of a file changed; names of vehicles stay."""
+    """Return an operation's content with every file path changed by a function."""
     found = copy.deepcopy(content)
 
     def change(part: Any, key: Any) -> None:
@@ -258,7 +258,7 @@ def with_paths(content: Content, changed: Callable[[str], str]) -> Content:
 
 
 def checked(content: Content, source: str) -> OperationSpec:
-    """Check the content of an operation.
+    """Return an operation's content as a checked specification; raises ScenarioError for faults.
 
     Raises:
         ScenarioError: it is wrong; the message lists the faults.

@@ -25,7 +25,7 @@ class Picture(NamedTuple):
 
 
 def write_page(brief: Brief) -> str:
-    """Return the page as text.
+    """Return the brief as an HTML page.
 
     Raises:
         MissingExtraError: Jinja is not installed.

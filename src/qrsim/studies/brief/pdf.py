@@ -47,7 +47,7 @@ def _step() -> float:
 
 
 def _room(lines: int) -> float:
-    """Return the height in the page at which so many lines at its end begin."""
+    """Return the height on the page at which ``lines`` lines at its end begin."""
     return min(0.4, 0.035 + lines * _step())
 
 
@@ -101,7 +101,7 @@ def _percents(shares: Sequence[float]) -> str:
 
 
 def _lines(page: Figure, height: float, lines: Iterator[tuple[str, str]] | list[tuple[str, str]]) -> float:
-    """Write lines from a height downwards; return where they end."""
+    """Write lines downwards from a height on the page; return the height below them."""
     for text, colour in lines:
         height -= _step()
         page.text(LEFT, height, text, fontsize=SIZE, color=colour, parse_math=False)

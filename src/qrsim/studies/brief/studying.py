@@ -58,16 +58,16 @@ class Piece:
 
     @property
     def name(self) -> str:
-        """Name of its study and store."""
+        """Name of the piece's study and store."""
         return f"nominal_{self.look}" if self.starts == 1 else f"nominal_{self.look}_{self.start}"
 
     @property
     def batch(self) -> int:
-        """Runs of a batch: at least two batches, one for each of two workers."""
+        """Runs per batch, small enough for two workers to have one each."""
         return BATCH if self.starts == 1 else min(BATCH, -(-self.runs // 2))
 
     def parts(self, starts: int) -> list[Piece]:
-        """Return the runs of each start, in nearly equal parts."""
+        """Split the piece by start times, into nearly equal numbers of runs."""
         ends = [self.first + i * self.runs // starts for i in range(starts + 1)]
         return [Piece(self.look, ends[i], ends[i + 1] - ends[i], i, starts) for i in range(starts)]
 
@@ -86,7 +86,7 @@ def pieces(p_loss: float) -> Iterator[Piece]:
 
 
 def varied(operation: OperationSpec, flights: Flights) -> Content:
-    """Return what varies from run to run, as a study writes it: the wind, and numbers of every vehicle."""
+    """Return the varied parameters as a study writes them: the wind, and parameters of every vehicle."""
     wind, factor, spec = flights.wind, speed_20ft(flights.wind), operation.uncertain
     found: Content = {}
     steady, speed = wind.file is None, wind.speed or 0.0
@@ -173,7 +173,7 @@ class Flyer:
         self.allow(1.0)
 
     def allow(self, part: float) -> bool:
-        """Let the studies that follow take this part of the time that is left; return whether a batch fits into it."""
+        """Reserve a share of the remaining time for the next studies; return whether a batch fits into it."""
         now, end = time.monotonic(), self.begun + 60.0 * self.minutes
         self.deadline = now + max(0.0, end - now) * part
         return end - now > self.batch_s
@@ -202,7 +202,7 @@ class Flyer:
         return Plan(loaded, axes, (), self._groups[start])
 
     def fly(self, study: Content) -> bool:
-        """Fly what is missing of a study; return whether it is complete.
+        """Fly the missing batches of a study; return whether it is complete.
 
         Raises:
             UsageError: the folder has a store of another study.

@@ -78,12 +78,12 @@ class Piece:
 
     @property
     def places(self) -> tuple[int, ...]:
-        """Indices of the measured channels among all channels."""
+        """Indices of this log's measured channels among all channels."""
         return tuple(PLACE[name] for name in self.channels)
 
     @property
     def gusts(self) -> tuple[int, ...]:
-        """Columns of the gust and its drift in a window's start; none if no velocity is measured."""
+        """Columns of gust and drift in a window's initial state; () if no velocity is measured."""
         return (*GUST, *DRIFT) if "velocity_north" in self.channels else ()
 
     @property
@@ -154,7 +154,7 @@ def _commands(log: FlightLog) -> tuple[Floats, NumpyArray]:
 
 
 def _runs(good: NumpyArray) -> list[tuple[int, int]]:
-    """Return (begin, end) of each run of True in a row of booleans."""
+    """Return (begin, end) of each run of True in a boolean array; end is exclusive."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
@@ -239,7 +239,7 @@ class Shooting:
         return self.starts[:, list(self.piece.gusts)]
 
     def simulated(self, values: Mapping[str, float]) -> Floats:
-        """Simulate the channels (R, n, C) from the present initial states."""
+        """Simulate the measured channels (R, n, C) from the present initial states."""
         with jax.enable_x64(True):
             return np.asarray(predict(self.piece.places, **self._arguments(values)))
 

@@ -69,7 +69,7 @@ def score(
 
 
 def lower(before: Mapping[str, float], after: Mapping[str, float]) -> dict[str, float]:
-    """Return the reduction of each error [%]; none for errors that are 0 or infinite."""
+    """Return by how much [%] each error fell from ``before`` to ``after``, without errors that are 0 or infinite."""
     names = [name for name in before if before[name] > 0.0 and math.isfinite(before[name] + after[name])]
     return {name: 100.0 * (1.0 - after[name] / before[name]) for name in names}
 

@@ -35,7 +35,7 @@ def delayed(commands: Array, delay: Array, dt: float) -> Array:
 
 
 def thrust_history(vehicle: Quadrotor, throttle: Array, battery: Array, first: Array | None, dt: float) -> Array:
-    """Simulate the thrust (T,) [N] before each row of throttle and battery (T,), by the vehicle's own equation.
+    """Simulate the thrust (T,) [N] at each row, before its command acts, from throttle and battery (T,).
 
     Without a first value it starts where the first row's command would settle.
     """

@@ -342,7 +342,7 @@ def _slam_result(
     problem: Graph,
 ) -> Slam:
     """Return the result of a flight from its solution: states, landmarks, covariances."""
-    point, base = solution.point, problem.base
+    point, base = solution.point, problem.vehicle_size
     believed = covariance(problem, point)
     spread, determined = spread_of(believed.landmarks, ranging, enough)
     return Slam(
@@ -377,7 +377,7 @@ def _ranging(
     limit: float,
     seed: int,
 ) -> Ranging:
-    """Return the ranges of a run: those given, or simulated ones to given or drawn landmarks."""
+    """Return given ranges checked, or simulated ranges to given or drawn landmarks."""
     known, guess = landmarks_given(flight.truth[:, :2], true_ned, guess_ned, ranges is not None, seed)
     if ranges is not None:
         return given_ranges(ranges, flight.time, len(guess), std, guess, known)
@@ -386,7 +386,7 @@ def _ranging(
 
 
 def check_numbers(**numbers: float | None) -> None:
-    """Refuse numbers that are neither None nor positive; raises UsageError."""
+    """Raise UsageError for numbers that are neither None nor positive."""
     for name, value in numbers.items():
         if value is not None and not (np.isfinite(value) and value > 0.0):
             raise UsageError(f"{name}: {value!r} is not a positive number")

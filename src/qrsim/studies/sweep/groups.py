@@ -41,7 +41,7 @@ class Place:
     parts: tuple[tuple[int, NumpyArray], ...]
 
     def values(self, given: NumpyArray) -> NumpyArray:
-        """Convert scenario values to the World's units, in double precision."""
+        """Convert values of the scenario to the World's units (radians, ticks), as float64."""
         return np.array([_in_world(value, self.step, self.in_degrees) for value in given], np.float64)
 
 
@@ -94,7 +94,7 @@ class Group:
         return structure, fixed, [own[i] for i in sorted(own)], which
 
     def loaded(self, numbers: Mapping[str, NumpyArray], precision: str) -> list[World]:
-        """Return the world of each point, loaded one by one."""
+        """Return the World of each point, built by loading its scenario."""
         found: dict[Hashable, World] = {}
         rows = list(zip(*(numbers[path].tolist() for path in self.paths), strict=True))
         for row in rows:
@@ -103,12 +103,12 @@ class Group:
         return [found[row] for row in rows]
 
     def scenario(self, values: Mapping[str, object]) -> Scenario:
-        """Return the scenario of a point."""
+        """Return the scenario of the point with the given values."""
         return scenario_at(self.content, values)
 
 
 def scenario_at(content: Content, values: Mapping[str, object]) -> Scenario:
-    """Return the scenario of the given content with values set.
+    """Load a scenario's content with the values of a point set.
 
     Raises:
         UsageError, ScenarioError: it cannot be.
@@ -120,7 +120,7 @@ def scenario_at(content: Content, values: Mapping[str, object]) -> Scenario:
 
 
 def faults(content: Content, values: Mapping[str, object]) -> list[str]:
-    """Return the faults of a point, one sentence each."""
+    """Return the problems of the scenario at a point, one sentence each; [] if it is valid."""
     try:
         scenario_at(content, values)
     except ScenarioError as error:
@@ -143,7 +143,7 @@ def same_structure(one: Scenario, other: Scenario, precision: str) -> bool:
 
 
 def make_group(content: Content, choices: Mapping[str, object], numbers: Iterable[Axis], precision: str) -> Group:
-    """Build the group of some structural choices; the numbers in ``numbers`` vary in it.
+    """Build the group of structural choices, in which the numbers of ``numbers`` vary.
 
     Raises:
         ScenarioError: the scenario with these choices is wrong.
@@ -169,7 +169,7 @@ def make_group(content: Content, choices: Mapping[str, object], numbers: Iterabl
 
 
 def regrouped(group: Group, content: Content, axes: tuple[Axis, ...], precision: str) -> Group:
-    """Return the group of another scenario, whose World has the numbers of ``group`` at the same places.
+    """Return the group for another scenario, reusing the places in ``group`` if they fit.
 
     Raises:
         ScenarioError: the scenario is wrong.
@@ -185,7 +185,7 @@ def regrouped(group: Group, content: Content, axes: tuple[Axis, ...], precision:
 
 
 def _mixed(axes: tuple[Axis, ...]) -> list[Content]:
-    """Return points far from the lowest: all highest, and every other one."""
+    """Return two test points: all axes highest, and lowest and highest in turn."""
     highest = {axis.path: axis.ends()[1] for axis in axes}
     other = {axis.path: axis.ends()[i % 2] for i, axis in enumerate(axes)}
     return [highest, other]
@@ -209,7 +209,7 @@ def _same_bits(one: object, other: object) -> bool:
 def _places(
     base: Content, axes: tuple[Axis, ...], lowest: Mapping[str, object], world: World, precision: str
 ) -> tuple[Place, ...] | None:
-    """Return where the World has each number, None where one of them is not simply there."""
+    """Return the place of each axis's number in the World; None if one has none, or two share one."""
     if len(axes) >= MANY and all(axis.values is None for axis in axes):
         together = _places_together(base, axes, lowest, world, precision)
         if together is not None:
@@ -231,7 +231,7 @@ def _places(
 def _places_together(
     base: Content, axes: tuple[Axis, ...], lowest: Mapping[str, object], world: World, precision: str
 ) -> tuple[Place, ...] | None:
-    """Return where the World has each number of ranges, found by changing all at once; None where that is not clear.
+    """Return the place of each range in the World, found by changing all at once; None if one is ambiguous.
 
     Two further worlds are built, in which each number has another part of its range, so that a changed element of the
     World belongs to the one number that has its three values.
@@ -270,7 +270,7 @@ def _places_together(
 
 
 def _place(base: Content, axis: Axis, lowest: Mapping[str, object], world: World, precision: str) -> Place | None:
-    """Return where in the world the number of an axis is, found by changing it; None if it is nowhere alone."""
+    """Return the elements of the World that an axis sets, found by changing its value; None without any."""
     low, high = axis.ends()
     values = [low, _middle(axis), high]
     worlds = [world, *(scenario_at(base, {**lowest, axis.path: value}).world(precision) for value in values[1:])]
@@ -283,21 +283,21 @@ def _place(base: Content, axis: Axis, lowest: Mapping[str, object], world: World
 
 
 def _in_world(value: Any, step: float, in_degrees: bool) -> Any:
-    """Return the number in the world for a value of a scenario: in radians, in ticks or unchanged."""
+    """Convert a scenario's value to its number in the World: radians, ticks or unchanged."""
     if in_degrees:
         return math.radians(value)
     return round(value / step) if step else value
 
 
 def _middle(axis: Axis) -> object:
-    """Return the value in the middle of an axis."""
+    """Return the middle value of an axis."""
     if axis.values is None:
         return float(in_ticks(np.array(0.5 * (axis.low + axis.high)), axis.step))
     return sorted(axis.values)[len(axis.values) // 2]
 
 
 def _parts(leaves: list[list[NumpyArray]], values: list[float]) -> tuple[tuple[int, NumpyArray], ...]:
-    """Return the elements of leaves that are these values; none where one changes in another way."""
+    """Return (leaf index, mask) of the elements that equal ``values`` in turn; () if others change too."""
     found = []
     for number, versions in enumerate(zip(*leaves, strict=True)):
         differs = _differs(versions)
@@ -311,7 +311,7 @@ def _parts(leaves: list[list[NumpyArray]], values: list[float]) -> tuple[tuple[i
 
 
 def _differs(versions: tuple[NumpyArray, ...]) -> NumpyArray:
-    """Return which elements of a leaf are not the same in all its versions; NaN equals NaN."""
+    """Return a mask of the elements that are not the same in all versions of a leaf; NaN equals NaN."""
     first, differs = versions[0], np.zeros(versions[0].shape, bool)
     for other in versions[1:]:
         differs = differs | ~((first == other) | ((first != first) & (other != other)))

@@ -55,7 +55,7 @@ class Report:
 
 
 def find(path: Path, metric: str | None, pair: list[str]) -> Report:
-    """Return the analysis of a store: responses, boundary, sensitivity and worst episodes.
+    """Return the analysis of a store as a ``Report``: responses, boundary, sensitivity and worst episodes.
 
     Args:
         path: of the store.
@@ -115,13 +115,13 @@ def _pair(results: Results, names: list[str]) -> tuple[Parameter, Parameter] | N
 
 
 def replay(results: Results, episode: int, folder: Path) -> str:
-    """Return the command that flies an episode again, records and shows it."""
+    """Return a command that flies an episode again, records it and shows it."""
     command, run = _flight(results, episode, folder)
     return f"{command} && qrsim view {shlex.quote(str(run))}"
 
 
 def against_best(report: Report, folder: Path) -> str | None:
-    """Return the command that flies the worst and the best episode again and shows both; None: there is no best."""
+    """Return a command that flies the worst and best episode again and shows both; None without a best."""
     if report.best is None:
         return None
     flights = [_flight(report.results, episode, folder) for episode in (report.worst[0], report.best)]
@@ -130,7 +130,7 @@ def against_best(report: Report, folder: Path) -> str | None:
 
 
 def _flight(results: Results, episode: int, folder: Path) -> tuple[str, Path]:
-    """Return the command that flies an episode again and records it, and its run folder."""
+    """Return a command that flies an episode again and records it, and the run folder that it writes."""
     values = results.values_at(episode)
     source, changes = results.source, dict(results.spec.set)
     name, counts = _scenario_name(values)
@@ -151,13 +151,13 @@ def _flight(results: Results, episode: int, folder: Path) -> tuple[str, Path]:
 
 
 def _scenario_name(values: Mapping[str, object]) -> tuple[str, Content]:
-    """Return the file of the scenario of an episode, and the numbers of vehicles that are its own there."""
+    """Return the file name of an episode's scenario, and the values that only this file holds."""
     counts = {path: value for path, value in values.items() if path.endswith(COUNT)}
     return "_".join(["scenario", *map(str, counts.values())]) + ".yaml", counts
 
 
 def _write_scenarios(report: Report, folder: Path) -> list[str]:
-    """Write the scenario, and those of episodes to fly again whose vehicles are too many words for a command."""
+    """Write the study's scenario, and those of worst episodes with too many numbers for a command; return names."""
     results = report.results
     contents = {SCENARIO: results.scenario}
     for episode in [*report.worst, *([] if report.best is None else [report.best])]:
@@ -171,7 +171,7 @@ def _write_scenarios(report: Report, folder: Path) -> list[str]:
 
 
 def write(report: Report, folder: Path, form: str = "png") -> list[Path]:
-    """Write pictures (png, pdf or svg), the tables as JSON, and the scenario; return the files."""
+    """Write pictures (png, pdf or svg), the tables as JSON, and the scenario into a folder; return the files."""
     from qrsim.runs.picture import save_picture
     from qrsim.studies.sweep import figures
 
@@ -254,7 +254,7 @@ def _worst_json(report: Report, episode: int, folder: Path) -> Content:
 
 
 def _plain(values: object) -> list[float | None]:
-    """Return numbers as a list for JSON, None for those that are not finite."""
+    """Return numbers as a list for JSON, with None for NaN and infinity."""
     return [float(value) if np.isfinite(value) else None for value in np.asarray(values, float)]
 
 
@@ -287,7 +287,7 @@ def print_report(report: Report, folder: Path) -> None:
 
 
 def _ranked_by(report: Report) -> str:
-    """Return the metrics that rank the worst episodes, in words."""
+    """Return as text which metrics rank the worst episodes."""
     parts = []
     for metric, low_is_bad in report.ranking.items():
         unit = report.results.unit(metric)

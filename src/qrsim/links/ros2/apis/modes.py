@@ -50,7 +50,7 @@ def _mode_parts(custom_mode: int) -> tuple[int, int]:
 
 
 def name_of(custom_mode: int) -> str:
-    """Return mavros's name of a custom_mode."""
+    """Return mavros's name of a custom_mode, CMODE(number) for an unknown one."""
     parts = _mode_parts(custom_mode)
     # A sub mode that it does not know counts for nothing.
     return _NAMES.get(parts) or _NAMES.get((parts[0], 0)) or f"CMODE({custom_mode})"
@@ -64,5 +64,5 @@ def number_of(name: str) -> int | None:
 
 
 def nav_state(custom_mode: int) -> int:
-    """Return the NAVIGATION_STATE of a custom_mode."""
+    """Return PX4's NAVIGATION_STATE of a custom_mode; that of loiter for an unknown one."""
     return _STATES.get(_mode_parts(custom_mode), LOITER)

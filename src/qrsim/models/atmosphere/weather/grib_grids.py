@@ -92,6 +92,7 @@ def _lambert(get: Get, file: str, request: Request, along: int, down: int) -> tu
         raise UsageError(f"{file}: its grid has the standard parallels {one:g} and {two:g}; allowed: between 0 and 90")
 
     def grown(latitude: float) -> float:
+        """Return tan(pi/4 + latitude/2), for a latitude [deg]."""
         return math.tan(0.25 * math.pi + 0.5 * math.radians(latitude))
 
     cone = math.sin(math.radians(one))
@@ -101,6 +102,7 @@ def _lambert(get: Get, file: str, request: Request, along: int, down: int) -> tu
     scale = float(get("radius")) * math.cos(math.radians(one)) * grown(one) ** cone / cone
 
     def plane(latitude: float, longitude: float) -> tuple[float, float]:
+        """Return x and y [m] on the map of a latitude and longitude [deg]."""
         angle = cone * math.radians((longitude - middle + 180.0) % 360.0 - 180.0)
         radius = scale / grown(min(max(latitude, -89.9999), 89.9999)) ** cone
         return radius * math.sin(angle), -radius * math.cos(angle)

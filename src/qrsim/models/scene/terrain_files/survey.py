@@ -248,6 +248,7 @@ def _check_near(name: str, files: Mosaic, site: Site, gdal: Gdal) -> None:
     latitude, longitude = map(np.radians, to_degrees(name, files.grid.crs, gdal, *files.grid.place(rows, columns)))
 
     def away(site_latitude: float, site_longitude: float) -> float:
+        """Return the distance [m] from a place [rad] to the nearest point of the files."""
         half = np.sin(0.5 * (latitude - site_latitude)) ** 2
         half = half + np.cos(latitude) * math.cos(site_latitude) * np.sin(0.5 * (longitude - site_longitude)) ** 2
         return float(np.nanmin(2.0 * EARTH_RADIUS * np.arcsin(np.sqrt(np.clip(half, 0.0, 1.0)))))

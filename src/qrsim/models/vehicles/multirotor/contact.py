@@ -124,7 +124,7 @@ def _friction(
     per_way = 1.0 / jnp.maximum(contact.bristle, speed * quickest)
 
     def slope(bent: Array, velocity: Array) -> Array:
-        """Return the slope of a bristle's deflection: it sticks, or straightens without load."""
+        """Return the rate of a bristle's deflection: with load it follows the sliding, without it straightens."""
         stuck = (velocity - speed * bent) * per_way
         return jnp.where(bears, stuck, -bent / STRAIGHTENING_S)
 

@@ -63,9 +63,11 @@ def fly(
     near = outside.ground.height < reach(points) + CLEAR_M + 2.0 * dt * speed
 
     def advance(motion: Motion) -> tuple[Motion, Loops, Outcome]:
+        """Return motion, loops and outcome after all substeps, from a motion with or without contact."""
         zero = jnp.zeros_like(speed)
 
         def part(_: Array, carried: Any) -> Any:
+            """Return motion, loops and outcome after one more substep."""
             motion, loops, found = carried
             targets, loops = motors(motion, loops)
             motion, now = substep(body, motion, targets, outside, dt / count)
@@ -215,7 +217,7 @@ def stabilised(
     runs = command.throttle > 0.0
 
     def speeds_for(motion: Motion, wanted: Vec3, loops: Loops) -> tuple[tuple[Array, ...], Loops]:
-        """Return the commanded rotor speeds for wanted rates, and the loops after it."""
+        """Return the commanded rotor speeds [rad/s] for wanted body rates, and the loops' new state."""
         thrusts, integral = rotor_thrusts(
             model.stabiliser, model.inertia, mixer, motion.rates, wanted, loops.integral, thrust, dt / count
         )
@@ -239,7 +241,7 @@ def stabilised(
     tilt = Quaternion.of_tilt(command.roll, command.pitch)
 
     def motors(motion: Motion, loops: Loops) -> tuple[tuple[Array, ...], Loops]:
-        """Return the commanded rotor speeds for an attitude, and the loops after it."""
+        """Return the commanded rotor speeds [rad/s] for an attitude command, and the loops' new state."""
         turned = replace(
             loops,
             cosine=loops.cosine * turn_cosine - loops.sine * turn_sine,
