@@ -18,7 +18,7 @@ from jax._src.array import ArrayImpl
 from qrsim.core.host import evaluate
 
 # Calls of a program before it is compiled: together they take about as long as the compilation.
-MOST_CALLS = 200
+MOST_CALLS = 50
 # Larger arrays are left to XLA.
 MOST_ELEMENTS = 100_000
 # Rounded once and correctly by both. XLA may join two of them.
@@ -46,6 +46,10 @@ def call(*arguments: Any, jaxpr: Any, **options: Any) -> Any:
     if left is None:
         left = MOST_CALLS if is_small(jaxpr) else 0
     _calls[jaxpr] = max(left - 1, 0)
+    if left == 1:
+        # JAX remembers of a function that nothing calls it faster; it asks again for those that it has forgotten.
+        pjit._cpp_pjit_cache_fun_only.clear()
+        pjit._cpp_pjit_cache_explicit_attributes.clear()
     if not left or not jax.config.values["jax_disable_most_optimizations"] or not all(map(is_plain, arguments)):
         return by_xla(*arguments, jaxpr=jaxpr, **options)
     given = [np.asarray(value, aval.dtype) for value, aval in zip(arguments, jaxpr.in_avals, strict=True)]

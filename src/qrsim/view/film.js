@@ -160,7 +160,8 @@
     parent.append(found);
     return found;
   };
-  const panel = make("div", document.body, "", "position:fixed;right:8px;top:8px;width:280px;max-width:calc(100vw - 16px);" +
+  const panel = make("div", document.body, "", `position:fixed;right:8px;top:${innerWidth > 600 ? 8 : 46}px;width:280px;` +
+    "max-width:calc(100vw - 16px);" +
     "max-height:calc(100vh - 60px);overflow:auto;z-index:40;background:rgba(250,250,250,.94);color:#222;padding:8px 10px;" +
     "box-sizing:border-box;border:1px solid #bbb;border-radius:4px;font:13px sans-serif");
   panel.id = "qrsim-panel";

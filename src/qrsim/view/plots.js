@@ -4,7 +4,6 @@
   const before = window.qrsimPlots;
   before?.ends();
   const film = window.qrsimFilm, units = new Map(data.quantities.map(([name, unit]) => [name, unit]));
-  const known = (names) => names.filter((name) => units.has(name));
   const state = { open: false, panels: [], group: 0, from: 0, to: data.end, time: before?.state.time ?? 0, active: 0, height: 0 };
   const make = (tag, parent, text, name) => {
     const found = document.createElement(tag);
@@ -185,9 +184,10 @@
       series.push({ scale, points: { show: false }, width: 0 }, { scale, points: { show: false }, width: 0 });
       bands.push({ series: [first + 1, first], fill: (line.hue ?? "#888888") + "38" });
     }
-    const values = (plot, ticks) => ticks.map(number4);
+    // All plots are as wide, also where only one of them has an axis on the right.
+    const values = (plot, ticks) => ticks.map(number4), two = state.panels.some(({ names }) => unitsOf(names).length > 1);
     return {
-      width, height, series, bands, legend: { show: false }, focus: { prox: -1 },
+      width, height, series, bands, legend: { show: false }, focus: { prox: -1 }, padding: [10, axes.length > 1 ? 0 : two ? 72 : 16, 0, 0],
       cursor: { drag: { x: true, y: false, dist: 6 }, sync: { key: "qrsim-plots" }, points: { show: false } },
       scales: { x: { time: false, min: state.from, max: state.to }, ...Object.fromEntries(axes.map((_, i) => ["y" + i, {}])) },
       axes: [{ stroke: ink, grid, ticks: grid, size: 30, values: (plot, ticks) => ticks.map((t) => number4(t) + " s") },
@@ -360,7 +360,7 @@
   };
   const begin = () => {
     const first = data.together[0]?.[1] ?? ["derived.height"];
-    state.panels = [{ names: known(first) }].filter(({ names }) => names.length);
+    state.panels = [{ names: first.filter((name) => units.has(name)) }].filter(({ names }) => names.length);
     if (!state.panels.length && data.quantities.length) state.panels = [{ names: [data.quantities[0][0]] }];
   };
   const toggle = (open = !state.open) => {

@@ -113,7 +113,9 @@ class Several:
         }
         arrays = [own.name for own in fields(Frame) if isinstance(getattr(frames[0], own.name), np.ndarray)]
         joined: dict[str, Any] = {name: np.concatenate([getattr(frame, name) for frame in frames]) for name in arrays}
-        return replace(frames[0], time=now, reasons=reasons, **joined | {"position_ned": np.concatenate(places)})
+        joined["position_ned"] = np.concatenate(places)
+        # What is not one value a vehicle is of the first run; of some of it layers need all vehicles.
+        return Frame(time=now, reasons=reasons, beside=frames[0].beside, links=frames[0].links, **joined)
 
     def why(self, event: Event) -> str:
         """Return in words why a vehicle has stopped, from the event of the stop."""

@@ -121,24 +121,27 @@ def _loss(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
     lost = runs["stopped"] > 0.0
     hits, total = int(lost.sum()), len(runs)
     verdict, bound = _share(hits, total, criteria.p_loss, look)
-    told = f"{total} runs, {_count(hits)} lost{_kinds(runs)}: below {_percent(bound)}"
-    worst = None
+    worst, told = None, f"{total} runs, none lost: below {_percent(bound)}"
     if hits:
-        first = int(np.nanargmin(np.where(lost, runs["stopped_s"], np.nan)))
-        worst = runs.loss(first)
-    if verdict == "no-go":
-        told = f"{total} runs, {hits} lost{_kinds(runs)}, the earliest at {worst.text() if worst else ''}"
+        worst = runs.loss(int(np.nanargmin(np.where(lost, runs["stopped_s"], np.nan))))
+        told = f"{hits} of {total} runs lost ({_percent(hits / total)}){_kinds(runs, lost)}"
+        told += f"; the earliest: {worst.text()}" if verdict == "no-go" else f"; the share is below {_percent(bound)}"
     if verdict == "marginal":
         needed = max(first_look(min(criteria.p_loss, UNFINISHED)), runs_needed(criteria.p_loss, hits, spent(1)))
         told += f"; about {needed} runs would decide {_percent(criteria.p_loss)}"
     return Row("loss", verdict, hits / total, bound, criteria.p_loss, "1", told, worst)
 
 
-def _kinds(runs: Runs) -> str:
-    """Return in words the number of runs with each kind of loss, in parentheses; "" without any."""
+def _kinds(runs: Runs, lost: NumpyArray) -> str:
+    """Return how runs were lost, each kind with its count, and what they have in common."""
     kinds = {"left the area": "left_area", "collided": "collided", "crashed": "crashed"}
     found = [f"{int((runs[name] > 0.0).sum())} {words}" for words, name in kinds.items() if (runs[name] > 0.0).any()]
-    return f" ({', '.join(found)})" if found else ""
+    empty = int((lost & (runs["charge_end"] < CHARGE_NOISE)).sum())
+    found += [f"the battery was empty in {empty}"] if empty else []
+    away = runs["left_area"] > 0.0
+    if away.any():
+        found.append(f"the strongest wind of those that left was {np.nanmedian(runs['wind_max_m_s'][away]):.0f} m/s")
+    return f": {', '.join(found)}" if found else ""
 
 
 def _finished(runs: Runs, look: int | None, low_battery: float) -> Row:
@@ -217,10 +220,6 @@ def _margin(runs: Runs, name: str, margins: tuple[str, ...], values: NumpyArray,
         f"{words[margins[part]]} was {smallest[run]:.1f} m ({worst.text()})"
     )
     return Row(name, verdict, value, low if math.isfinite(low) else None, limit, "m", told, worst)
-
-
-def _count(hits: int) -> str:
-    return "none" if hits == 0 else str(hits)
 
 
 def _percent(share: float) -> str:
