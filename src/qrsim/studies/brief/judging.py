@@ -117,6 +117,7 @@ def _share(hits: int, runs: int, limit: float, look: int | None) -> tuple[Verdic
 
 
 def _loss(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
+    """Return the row of the share of lost vehicles."""
     lost = runs["stopped"] > 0.0
     hits, total = int(lost.sum()), len(runs)
     verdict, bound = _share(hits, total, criteria.p_loss, look)
@@ -132,7 +133,7 @@ def _loss(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
 
 
 def _kinds(runs: Runs, lost: NumpyArray) -> str:
-    """Return how runs were lost, each kind with its count, and what they have in common."""
+    """Return in words how runs were lost, each kind with its count; "" without any."""
     kinds = {"left the area": "left_area", "collided": "collided", "crashed": "crashed"}
     found = [f"{int((runs[name] > 0.0).sum())} {words}" for words, name in kinds.items() if (runs[name] > 0.0).any()]
     empty = int((lost & (runs["charge_end"] < CHARGE_NOISE)).sum())
@@ -144,6 +145,7 @@ def _kinds(runs: Runs, lost: NumpyArray) -> str:
 
 
 def _finished(runs: Runs, look: int | None, low_battery: float) -> Row:
+    """Return the row of the share of runs that do not finish the mission."""
     missed = runs["not_finished"] > 0.0
     hits, total = int(missed.sum()), len(runs)
     verdict, bound = _share(hits, total, UNFINISHED, look)
@@ -161,6 +163,7 @@ def _finished(runs: Runs, look: int | None, low_battery: float) -> Row:
 
 
 def _reserve(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
+    """Return the row of the charge at the end of the worst 5 % of runs."""
     left = np.where(runs["stopped"] > 0.0, np.nan, runs["charge_end"])
     if not np.isfinite(left).any():
         return Row(
@@ -200,6 +203,7 @@ def _margins(runs: Runs, criteria: CriteriaSpec) -> Iterator[Row]:
 
 
 def _margin(runs: Runs, name: str, margins: tuple[str, ...], values: NumpyArray, limit: float) -> Row:
+    """Return the row of the smallest margin [m] over ``values``, one row per name in ``margins``."""
     smallest = np.fmin.reduce(values)
     value = quantile(smallest, WORST_MARGIN)
     low, _ = quantile_bounds(smallest, WORST_MARGIN)
