@@ -37,7 +37,7 @@ def test_cats_share_half_of_what_the_distance_costs_them() -> None:
     batch = Batch("cats_and_mouse/1A", 1, ["duration=4"])
     batch.reset([1])
     objective = objective_of(batch, 0.98)
-    # A collision is below 2 m, and a catch at twice that: a mouse 5 m, 6 m and 2.5 m away is missed by 1, 2 and 0 m.
+    # A collision is below 2 m, a catch at twice that. A mouse 5 m, 6 m or 2.5 m away is missed by 1 m, 2 m or nothing.
     for row, north in enumerate((5.0, 6.0, 2.5)):
         batch.seen[0, row, 4:6] = north, 0.0
     objective.begin(batch)

@@ -99,7 +99,7 @@ class Export:
         self._report(written, every)
 
     def _write_policy(self) -> None:
-        """Write a learned policy as C.
+        """Write a learned policy as a C file.
 
         Raises:
             UsageError: another format, options of runs, or no policy.
@@ -122,13 +122,13 @@ class Export:
         self._report([Written(target, {"inputs": policy.view.inputs, "layers": len(policy.layers)})], 1)
 
     def _usual_every(self, recorded: Run) -> int:
-        """Return N of "every Nth tick" without --every: 1 for logs, and what tracks need otherwise."""
+        """Return the default of --every, the interval in ticks: 1 for logs, larger for tracks."""
         if self.format in ("csv", "mcap", "rosbag2"):
             return 1
         return max(1, round(TRACK_PERIOD_S / recorded.info.time_step))
 
     def _write_tables(self, recorded: Run, every: int) -> list[Written]:
-        """Write a CSV file for each stream, or for the one that is asked for."""
+        """Write a CSV file for each stream, or for the chosen one."""
         from qrsim.runs.export.csv_files import write_stream
         from qrsim.runs.export.output import check_target, readable_streams
 

@@ -72,12 +72,12 @@ def gymnasium_id(scenario: str) -> str:
 
 
 def learner_id(scenario: str) -> str:
-    """Return the Gymnasium id of a scenario in the form that learners like."""
+    """Return the Gymnasium id of a scenario in the form for learners, such as "qrsim/keep_spot-learner-v0"."""
     return f"qrsim/{scenario.replace('/', '_')}-learner-v{VERSION}"
 
 
 def register() -> None:
-    """Register the environments with one vehicle in Gymnasium, if it is installed."""
+    """Register each single-vehicle task as an environment of Gymnasium, if it is installed."""
     try:
         import gymnasium
     except ModuleNotFoundError:

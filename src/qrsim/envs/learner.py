@@ -85,7 +85,7 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
         return self._inputs(seen), info
 
     def step(self, action: Any) -> tuple[NumpyArray, float, bool, bool, dict[str, Any]]:
-        """Advance by a decision; the info has ``task_reward`` too, that of the published task.
+        """Advance by one decision; return the learner's reward, and the task's own in the info as ``task_reward``.
 
         Raises:
             UsageError: as of ``SingleTask.step``.
@@ -102,6 +102,6 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
         return self._inputs(seen), float(own[0]), terminated, truncated, info | {"task_reward": reward}
 
     def _inputs(self, seen: Any) -> NumpyArray:
-        """Return the scaled inputs (F,) of an observation."""
+        """Return the scaled, clipped inputs (F,) of an observation and the last action."""
         inputs: NumpyArray = (self.view.features(np.asarray(seen)[None], self._last) / self._units).clip(-LIMIT, LIMIT)
         return inputs[0].astype(np.float32)

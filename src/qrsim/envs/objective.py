@@ -39,16 +39,16 @@ class Objective(Protocol):
     """Reward of the learner."""
 
     def begin(self, batch: Batch) -> None:
-        """Note where episodes stand after a start."""
+        """Store the batch's values at the start of episodes."""
 
     def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
-        """Return the rewards (N,) after a step with the task's rewards (B, n), and the ends (B,)."""
+        """Return the learner's rewards (N,) for a step with the task's rewards (B, n) and ends (B,)."""
 
     def state(self) -> dict[str, Floats]:
-        """Return what has been learned about rewards, for a checkpoint."""
+        """Return what was learned about rewards as arrays, for a checkpoint."""
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Take what ``state`` has returned."""
+        """Set the state that ``state`` returned."""
 
 
 def objective_of(batch: Batch, discount: float) -> Objective:
@@ -72,7 +72,7 @@ class Reached:
         self._error = np.zeros(0)
 
     def begin(self, batch: Batch) -> None:
-        """Note the errors, of those that go on again."""
+        """Store the agents' errors at the start of episodes."""
         self._error = self.errors(batch)
 
     def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
@@ -87,11 +87,11 @@ class Reached:
         return self.shared(found, reward.shape[1])
 
     def shared(self, reward: Floats, agents: int) -> Floats:
-        """Return the rewards (N,), each agent's own."""
+        """Return the rewards (N,) unchanged: each agent's own."""
         return reward
 
     def errors(self, batch: Batch) -> Floats:
-        """Return the true errors (N,) [m or m/s]."""
+        """Return the agents' true errors (N,) of position or velocity [m or m/s]."""
         seen, truth = batch.seen, batch.truth
         if self._by_velocity:
             wanted = seen[..., 9:12] + seen[..., 3:6]
@@ -100,18 +100,18 @@ class Reached:
         return _length(goal - truth["position_ned"])
 
     def state(self) -> dict[str, Floats]:
-        """Return nothing: nothing is learned."""
+        """Return {}: nothing is learned."""
         return {}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Take nothing."""
+        """Do nothing: there is no state."""
 
 
 class Caught(Reached):
     """Reward for cats near the mouse, by the offsets that they observe."""
 
     def errors(self, batch: Batch) -> Floats:
-        """Return the observed distances (N,) to the nearest mouse, beyond that of a catch [m]."""
+        """Return the observed distances (N,) [m] to the nearest mouse less that of a catch, at least 0."""
         play = batch.functional.play
         mice = sum(name.startswith("mouse_") for name in observed_names(play)) // 2
         offsets = batch.seen[..., 4 : 4 + 2 * mice].reshape(-1, mice, 2)
@@ -121,20 +121,20 @@ class Caught(Reached):
         return found
 
     def shared(self, reward: Floats, agents: int) -> Floats:
-        """Return the rewards (N,), half of each the mean of its team."""
+        """Return the rewards (N,) half as given and half averaged over each team of ``agents``."""
         teams = reward.reshape(-1, agents)
         found: Floats = (0.5 * teams + 0.5 * teams.mean(axis=1, keepdims=True)).ravel()
         return found
 
 
 def _length(vectors: Floats) -> Floats:
-    """Return the lengths of vectors (B, n, 3), as (B n,)."""
+    """Return the lengths (B n,) of vectors (B, n, 3)."""
     found: Floats = np.sqrt(np.square(vectors).sum(axis=-1)).ravel()
     return found
 
 
 def _velocity_ned(truth: dict[str, Floats]) -> Floats:
-    """Return velocities NED (B, n, 3) of those in body axes."""
+    """Rotate the true body velocities to NED, (B, n, 3)."""
     roll, pitch, yaw = np.moveaxis(truth["attitude"], -1, 0)
     x, y, z = np.moveaxis(truth["velocity_body"], -1, 0)
     right, below = np.cos(roll) * y - np.sin(roll) * z, np.sin(roll) * y + np.cos(roll) * z
@@ -154,13 +154,13 @@ class Scaled:
         self._count, self._mean, self._squares = 1e-4, 0.0, 1e-4
 
     def begin(self, batch: Batch) -> None:
-        """Make room for the sums."""
+        """Allocate the running returns, on the first call."""
         size = batch.size * len(batch.functional.agents)
         if len(self._sum) != size:
             self._sum = np.zeros(size)
 
     def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
-        """Return the rewards (N,)."""
+        """Return the task's rewards (N,), scaled by the standard deviation of discounted returns."""
         given = reward.astype(np.float64).ravel()
         self._sum = self._discount * self._sum + given
         count = len(given)
@@ -174,9 +174,9 @@ class Scaled:
         return found
 
     def state(self) -> dict[str, Floats]:
-        """Return the moments."""
+        """Return the moments of the returns."""
         return {"reward_moments": np.array([self._count, self._mean, self._squares])}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Take the moments."""
+        """Set the moments of the returns."""
         self._count, self._mean, self._squares = map(float, state["reward_moments"])

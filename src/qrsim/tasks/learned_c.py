@@ -88,7 +88,7 @@ def c_source(file: PolicyFile) -> str:
 
 
 def _table(kind: str, name: str, values: Any, rank: str = "[]", group: int = 1) -> str:
-    """Return the definition of a constant array."""
+    """Return the C definition of a constant array, in rows of ``group`` numbers."""
     shown = [_float(value) if kind == "float" else str(int(value)) for value in values]
     if group > 1:
         shown = [f"{{{', '.join(shown[at : at + group])}}}" for at in range(0, len(shown), group)]
@@ -97,6 +97,6 @@ def _table(kind: str, name: str, values: Any, rank: str = "[]", group: int = 1) 
 
 
 def _float(value: Any) -> str:
-    """Return a number as a constant of type float, exactly."""
+    """Return a number as a C constant of type float that reads back exactly."""
     text = np.format_float_scientific(np.float32(value), unique=True)
     return f"{text}f"

@@ -75,7 +75,7 @@ class Samples(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Decisions in a minibatch, (M,) each; inputs (M, F), outputs (M, K)."""
+    """Decisions (M,) of a step of the gradient; inputs (M, F), outputs (M, K)."""
 
     inputs: Any
     outputs: Any
@@ -85,7 +85,7 @@ class Rows(NamedTuple):
 
 
 def _layers(key: Array, sizes: tuple[int, ...], last: float) -> list[tuple[Array, Array]]:
-    """Return the layers of a network, orthogonal, with gain ``last`` in the last."""
+    """Return orthogonally initialised layers of a network, with gain ``last`` in the last layer."""
     keys = jax.random.split(key, len(sizes) - 1)
     gains = [2.0**0.5] * (len(sizes) - 2) + [last]
     return [
@@ -124,7 +124,7 @@ class Algorithm:
         self.improve = jax.jit(self._improve)
 
     def begin(self, seed: int) -> Learner:
-        """Return a learner whose outputs are near zero."""
+        """Return a learner whose network's outputs are near zero."""
         policy, value = jax.random.split(jax.random.key(seed))
         hidden = (self.settings.width, self.settings.width)
         weights = {
@@ -136,14 +136,14 @@ class Algorithm:
             return Learner(weights, self._adam.init(weights))
 
     def orders(self, rng: np.random.Generator, size: int) -> NumpyArray:
-        """Return the samples (epochs, minibatches, M) of each step of the gradient, in a new order in each epoch."""
+        """Return shuffled indices of ``size`` samples, (epochs, minibatches, M); the remainder is left out."""
         settings = self.settings
         count = size // settings.minibatches
         each = [rng.permutation(size)[: count * settings.minibatches] for _ in range(settings.epochs)]
         return np.array(each, np.int32).reshape(settings.epochs, settings.minibatches, count)
 
     def _improve(self, learner: Learner, samples: Samples, orders: Array) -> tuple[Learner, Array]:
-        """Return the learner after the passes over an iteration, and its mean divergence from before ()."""
+        """Return the learner after all passes over an iteration's samples, and the last pass's divergence ()."""
         settings, rows = self.settings, _rows_of(learner.weights, samples, self.settings)
 
         def minibatch(learner: Learner, chosen: Array) -> tuple[Learner, Array]:
@@ -160,18 +160,18 @@ class Algorithm:
 
 @contextmanager
 def _usual_promotion() -> Iterator[None]:
-    """Let optax mix types and ranks, which its users may have forbidden to their own code."""
+    """Context in which optax may mix types and ranks, even if the user has configured JAX otherwise."""
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         yield
 
 
 def _value(weights: Any, inputs: Array) -> Array:
-    """Return the values (...,) of inputs (..., F)."""
+    """Return the value network's outputs (...,) for inputs (..., F)."""
     return network(weights["value"], inputs.reshape(-1, inputs.shape[-1])).reshape(inputs.shape[:-1])
 
 
 def _rows_of(weights: Any, samples: Samples, settings: Settings) -> Rows:
-    """Return the decisions (T N,) of an iteration, with what the policy that made them says of them."""
+    """Return an iteration's decisions (T N,), with the densities of the policy that made them and the advantages."""
     value = _value(weights, samples.inputs)
     after = jnp.where(samples.ended, samples.beyond, value[1:])
     advantage = _advantages(samples.reward, value[:-1], after, samples.ended, settings)
@@ -182,13 +182,13 @@ def _rows_of(weights: Any, samples: Samples, settings: Settings) -> Rows:
 
 
 def _log_density(weights: Any, mean: Array, outputs: Array) -> Array:
-    """Return the logarithm of the density of outputs (N, K), up to a constant."""
+    """Return the log density of outputs (N, K), up to a constant."""
     away = (outputs - mean) * jnp.exp(-weights["log_spread"])[None]
     return -jnp.sum(0.5 * away * away + weights["log_spread"][None], axis=-1)
 
 
 def _advantages(reward: Array, value: Array, after: Array, ended: Array, settings: Settings) -> Array:
-    """Return generalised advantages (T, N); ``after`` is the value of the state that a decision led to."""
+    """Return generalised advantages (T, N); ``after``: values of the states to which the decisions led."""
     error = reward + settings.discount * after - value
 
     def back(later: Array, row: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -201,7 +201,7 @@ def _advantages(reward: Array, value: Array, after: Array, ended: Array, setting
 
 
 def _loss(settings: Settings, weights: Any, rows: Rows) -> tuple[Array, Array]:
-    """Return what is minimised over a minibatch, and the divergence of the policies."""
+    """Return the loss of a minibatch, and the divergence from the old policy."""
     advantage = (rows.advantage - jnp.mean(rows.advantage)) / (jnp.std(rows.advantage) + 1e-8)
     mean = network(weights["policy"], rows.inputs)
     change = _log_density(weights, mean, rows.outputs) - rows.log_density

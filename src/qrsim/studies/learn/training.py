@@ -80,7 +80,7 @@ class Tried:
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Order of policies: first by the part flown to the end."""
+        """Sort key of policies: first by the share of an episode that is flown to the end."""
         return self.flown_to_the_end, self.mean_return
 
 
@@ -91,7 +91,7 @@ class Moments:
         self.count, self.mean, self.squares = 0.0, np.zeros(size), np.zeros(size)
 
     def add(self, rows: Floats) -> None:
-        """Take inputs (N, F)."""
+        """Update the moments with inputs (N, F)."""
         count = len(rows)
         mean = rows.mean(axis=0, dtype=np.float64)
         away, whole = mean - self.mean, self.count + count
@@ -99,7 +99,7 @@ class Moments:
         self.mean, self.count = self.mean + away * count / whole, whole
 
     def scaling(self) -> Scaling:
-        """Return the scaling by them."""
+        """Return the scaling of inputs by their mean and standard deviation."""
         deviation = np.sqrt(self.squares / self.count) + 1e-3 if self.count else np.ones_like(self.mean)
         return Scaling(self.mean.astype(np.float32), deviation.astype(np.float32))
 
@@ -133,13 +133,13 @@ class Training:
         self.curve: list[Tried] = []
 
     def flights_of(self, episodes: int) -> Flights:
-        """Return flights of some episodes of the task, as the learner sees it."""
+        """Return flights of ``episodes`` parallel episodes, with the learner's inputs and outputs."""
         batch = batch_of(self.plan.task, episodes, list(self.plan.overrides), self.view)
         return Flights(batch, self.view, objective_of(batch, self.plan.settings.discount))
 
     @property
     def iterations(self) -> int:
-        """Iterations of a cycle: those in which an episode can end."""
+        """Iterations per cycle, enough for an episode to end."""
         return -(-self.flights.batch.functional.play.steps // self.horizon)
 
     def cycles(self, told: Callable[[int], None] = lambda steps: None) -> Iterator[Tried]:
@@ -190,7 +190,7 @@ class Training:
             yield row
 
     def _finite(self, divergence: float) -> float:
-        """Return a divergence.
+        """Return the divergence unchanged; raises RunError unless it is finite.
 
         Raises:
             RunError: it is not finite, and so are the weights.
@@ -200,7 +200,7 @@ class Training:
         return divergence
 
     def keep_untried(self) -> bool:
-        """Keep the policy as it is if a training was interrupted before any was tried; return whether it did."""
+        """Store the present policy if training was interrupted before any was tried; return whether it did."""
         if self.best is not None or not self.steps:
             return False
         unknown = float("nan")
@@ -208,7 +208,7 @@ class Training:
         return True
 
     def _fly(self, rng: np.random.Generator) -> Samples:
-        """Return the samples of an iteration, whose inputs are all scaled alike."""
+        """Fly an iteration and return its samples, all with inputs scaled alike; the moments then include them."""
         flights, weights = self.flights, self.learner.weights
         self.scaling = scaling = self.moments.scaling()
         spread = np.exp(np.asarray(weights["log_spread"]))
@@ -234,7 +234,7 @@ class Training:
         return Samples(self.scaling.scaled(rows), *(np.stack(parts) for parts in zip(*found, strict=True)))
 
     def _policy(self) -> PolicyFile:
-        """Return the policy as it is."""
+        """Return the present policy as a ``PolicyFile``."""
         layers = tuple((np.array(weights), np.array(offset)) for weights, offset in self.learner.weights["policy"])
         facts = {"seed": self.plan.seed, "steps": self.steps, "overrides": list(self.plan.overrides)}
         return PolicyFile(self.view, self.scaling, layers, facts)
