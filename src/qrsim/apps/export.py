@@ -110,6 +110,8 @@ class Export:
 
         if self.format != "c":
             raise UsageError(f"{self.run_folder} is a policy, not a run; allowed: --format c")
+        if self.run_folder.is_dir():
+            raise UsageError(f"{self.run_folder} is a folder; --format c needs a policy file, such as policy.npz")
         if self.every is not None or self.stream is not None:
             raise UsageError(f"{'--stream' if self.every is None else '--every'}: a policy has no ticks and no streams")
         policy = read_policy(self.run_folder)
