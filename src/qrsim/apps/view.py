@@ -50,6 +50,9 @@ class View:
     layers: Annotated[str | None, tyro.conf.arg(metavar="NAMES", help_behavior_hint="(default: see below)")] = None
     """Layers of the picture, separated by commas, or "all"; --layers=-gusts,-poles: the page's layers except these; by
     default those of the page."""
+    colour: Annotated[str | None, tyro.conf.arg(metavar="QUANTITY", help_behavior_hint="(default: by vehicle)")] = None
+    """Colour vehicles and true paths by a quantity: speed, height, "wind speed", "gust speed", "GNSS error",
+    "estimate error", or a column of the log such as truth.battery.charge."""
     at: Annotated[float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: see below)")] = None
     """Start time of the replay, or time of the picture; by default the start, and for a picture the end."""
     port: int = 8080
@@ -73,6 +76,8 @@ class View:
         end = recording.end
         if self.at is not None and self.at > end + 1e-6:
             raise UsageError(f"--at {self.at:g}: the recording ends at {end:g} s")
+        if self.colour is not None:
+            recording.paints.of(self.colour)
         if recording.shown > 1:
             print(f"so long a log is shown at every {recording.shown}th of its ticks", file=sys.stderr)
         if recording.run.info.state == "running":
@@ -85,7 +90,11 @@ class View:
             for line in thinned(recording):
                 print(line, file=sys.stderr)
             with progress_bar(recording.heading, 1, "{task.completed} of {task.total} frames") as update:
-                page = export(recording, self.export, lambda done, total: update(completed=done, total=total))
+
+                def told(done: int, total: int) -> None:
+                    update(completed=done, total=total)
+
+                page = export(recording, self.export, told, self.colour)
             print(page)
         if self.export is None and self.screenshot is None:
             self._serve(recording)
@@ -126,6 +135,8 @@ class View:
                 shown = {title: layer.root.visible for title, layer in scene.layers.items()}
                 for title, visible in parsed_layers(self.layers, shown).items():
                     scene.show(title, visible)
+            if self.colour is not None:
+                scene.colour(recording.paints.of(self.colour))
             frame = recording.frame(time)
             remember_paths(scene, recording, frame.time)
             scene.draw(frame, everything=True)
@@ -152,7 +163,7 @@ class View:
         clock = Clock(playing=False, speeds=SPEEDS[:-1])
         try:
             page = Page(server, recording.cast, recording.world, recording.heading, clock)
-            replay = Replay(recording, page, clock, self.at or 0.0)
+            replay = Replay(recording, page, clock, self.at or 0.0, self.colour)
             stop = threading.Event()
 
             def end() -> None:

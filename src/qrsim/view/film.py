@@ -42,13 +42,14 @@ def untold(done: int, total: int) -> None:
     """Tell nobody about the progress."""
 
 
-def export(recording: Recording, folder: Path, progress: Progress = untold) -> Path:
+def export(recording: Recording, folder: Path, progress: Progress = untold, colour: str | None = None) -> Path:
     """Write a page that plays the run, and return its path.
 
     Args:
         recording: what is played.
         folder: of the page; it may not hold anything yet.
         progress: called with the number of frames that are done, and of all.
+        colour: quantity that colours vehicles and true paths; None: none does.
 
     Raises:
         UsageError: there is something in the folder already.
@@ -62,7 +63,7 @@ def export(recording: Recording, folder: Path, progress: Progress = untold) -> P
         folder.mkdir(parents=True, exist_ok=True)
     try:
         with replacing(path) as file:
-            write_film(recording, file, progress, lambda: shutil.disk_usage(folder).free)
+            write_film(recording, file, progress, lambda: shutil.disk_usage(folder).free, colour)
     except BaseException:
         if not there:
             with suppress(OSError):
@@ -106,7 +107,11 @@ def thinned(recording: Recording) -> list[str]:
 
 
 def write_film(
-    recording: Recording, file: BinaryIO, progress: Progress = untold, free: Callable[[], int] | None = None
+    recording: Recording,
+    file: BinaryIO,
+    progress: Progress = untold,
+    free: Callable[[], int] | None = None,
+    colour: str | None = None,
 ) -> None:
     """Write the page.
 
@@ -115,13 +120,17 @@ def write_film(
         file: to write to.
         progress: called with the number of frames that are done, and of all.
         free: returns how much room there is for it [bytes].
+        colour: quantity that colours vehicles and true paths; None: none does.
 
     Raises:
         RunError: there is no room for it.
     """
     server = start_server(0)
     try:
-        found = _Film(recording, Scene(server, recording.cast, recording.world, recording.run.info.scenario))
+        scene = Scene(server, recording.cast, recording.world, recording.run.info.scenario)
+        if colour is not None:
+            scene.colour(recording.paints.of(colour))
+        found = _Film(recording, scene)
         page = found.first_page(server.get_scene_serializer)
         end = page.rindex("</body>")
         file.write(page[:end].encode("utf-8"))

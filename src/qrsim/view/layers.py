@@ -18,6 +18,7 @@ from qrsim.models.scene.contracts import Ground
 from qrsim.runs.colours import GREY, GUST, STOPPED
 from qrsim.view import shapes
 from qrsim.view.frame import Cast, Frame
+from qrsim.view.paint import Paint
 
 STOPPED_COLOUR, GUST_COLOUR, GHOST_COLOUR, POLE_COLOUR = STOPPED, GUST, GREY, GREY
 # More labels than this cannot be read.
@@ -42,6 +43,7 @@ class Stage:
         span: how large a vehicle is drawn [m].
         chosen: numbers of the vehicles that browsers have chosen.
         ground: what vehicles fly over; None: the plane z = 0.
+        paint: colours of vehicles and true paths by a quantity; None: those of the vehicles.
     """
 
     scene: SceneApi
@@ -49,6 +51,7 @@ class Stage:
     span: float
     chosen: frozenset[int] = frozenset()
     ground: Ground | None = None
+    paint: Paint | None = None
     palette: ClassVar[Floats] = shapes.PALETTE
 
     @property
@@ -197,16 +200,19 @@ class Vehicles(Layer):
 
     def begin(self) -> None:
         """Make one instance of a body for each vehicle."""
-        self._valid = np.ones(self.stage.cast.size, bool)
+        self._shown = self.stage.colours.copy()
         self.bodies = Bodies(self, self.stage.colours)
 
     def draw(self, frame: Frame) -> None:
         """Move and turn the vehicles."""
         size = self.stage.cast.size
         self.bodies.place(frame.position_ned, frame.attitude, np.full(size, self.stage.span))
-        if not np.array_equal(frame.valid, self._valid):
-            self._valid = frame.valid.copy()
-            self.bodies.paint(np.where(frame.valid[:, None], self.stage.colours, STOPPED_COLOUR).astype(np.uint8))
+        paint = self.stage.paint
+        own = self.stage.colours if paint is None else paint.colours(np.array([frame.time]))[0]
+        colours = np.where(frame.valid[:, None], own, STOPPED_COLOUR).astype(np.uint8)
+        if not np.array_equal(colours, self._shown):
+            self._shown = colours
+            self.bodies.paint(colours)
 
     def on_click(self, call: Callable[[int | None, Any], None]) -> None:
         """Call a function with the number of a vehicle that is clicked (None: not known which), and the event."""

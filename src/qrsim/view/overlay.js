@@ -44,7 +44,7 @@
   const themeTool = tool("", "dark or light", () => theme(state.theme === "dark" ? "light" : "dark"));
   tool("Legend", "what is what", () => { legendOpen = !legendOpen; touched = true; seen = ""; });
   const legend = make("div", "qrsim-legend", root);
-  const scale = make("div", "qrsim-scale", root);
+  const scale = make("div", "qrsim-scale", root), showBar = colourBarIn(root), bar = root.querySelector(".qrsim-bar");
   const scaleText = make("span", "", scale), scaleBar = make("div", "", scale);
   scale.title = "so long at the middle of the view";
   const css = (colour) => "rgb(" + colour.join(",") + ")";
@@ -97,7 +97,8 @@
     const bar = document.getElementById("qrsim-timeline")?.getBoundingClientRect();
     if (bar) bottom = Math.min(bottom, bar.top - box.top);
     const sheet = document.querySelector(".mantine-Paper-root[style*='min-height: 3.5em']")?.getBoundingClientRect();
-    if (sheet) bottom = Math.min(bottom, sheet.top - box.top);
+    // In a picture it is hidden, and has no size.
+    if (sheet?.height) bottom = Math.min(bottom, sheet.top - box.top);
     const panel = document.getElementById("qrsim-panel")?.getBoundingClientRect();
     if (panel && box.width > 700) right = Math.min(right, panel.left - box.left);
     if (legendOpen && box.width > 700) left = legend.offsetWidth + 12;
@@ -246,7 +247,7 @@
     const spots = (visible ? wanted : []).map((vehicle) => ({ vehicle, ...pixel(vehicle, box) })).filter((s) => "x" in s);
     const rank = (s) => (s.vehicle === state.chosen ? 0 : s.vehicle in reasons ? 1 : 2);
     spots.sort((a, b) => rank(a) - rank(b) || a.depth - b.depth);
-    const taken = [tools, scale, legend].filter((e) => e.offsetWidth).map((e) => {
+    const taken = [tools, scale, bar, legend].filter((e) => e.offsetWidth).map((e) => {
       const r = e.getBoundingClientRect();
       return [r.left - box.left, r.top - box.top, r.right - box.left, r.bottom - box.top];
     });
@@ -288,6 +289,7 @@
   const layLegend = (tree, box) => {
     legend.style.display = legendOpen ? "" : "none";
     legend.style.bottom = scale.style.bottom = box.height - free(box).bottom + 10 + "px";
+    bar.style.bottom = box.height - free(box).bottom + 48 + "px";
     const some = Object.keys(reasons).length > 0;
     for (const row of rows) {
       const wanted = (!row.layer || shown(tree, row.layer)) && (some || !row.ifStopped);
@@ -365,6 +367,7 @@
     follow: (vehicle) => { wish = vehicle; },
     reasons: (found) => { reasons = found; seen = ""; },
     sky: skyIn(root),
+    paint: (told) => { showBar(told); seen = ""; },
     // The box of all vehicles and routes, what panels leave free, and how much of that it fills; pixels of the page.
     box: () => {
       const box = canvasBox(), room = free(box), Vector = m.camera.position.constructor, control = m.cameraControl;

@@ -24,6 +24,8 @@ from qrsim.view.task import GOALS, LOCATIONS, SOURCES
 
 # Where pages look from at first, seen from what is looked at, NED.
 SOUTH = (-0.85, -0.3, -0.45)
+# Parts of the overlay; the last one calls the others.
+SCRIPTS = ("sky.js", "colourbar.js", "overlay.js")
 # Of the ground and the sky.
 GROUNDS = {
     "light": {"plane_color": (226, 232, 214), "cell_color": (196, 205, 186), "section_color": (168, 178, 160)},
@@ -113,7 +115,7 @@ class Overlay:
 
     def _send(self) -> None:
         """Send the overlay's scripts and their data to all browsers."""
-        scripts = "\n".join(map(_text, ("sky.js", "overlay.js")))
+        scripts = "\n".join(map(_text, SCRIPTS))
         run_script(self._server, "overlay", f"const data = {json.dumps(self._data)};\n{scripts}")
 
     def hold(self) -> None:
@@ -144,6 +146,10 @@ class Overlay:
     def sky(self, told: Mapping[str, object] | None, browser: object) -> None:
         """Show what a vehicle's receiver says of its satellites in one browser, or nothing."""
         self._tell("sky", told, browser)
+
+    def paint(self, told: Mapping[str, object] | None) -> None:
+        """Show the colour bar of a quantity in all browsers, or none."""
+        self._tell("paint", told, None)
 
     def _tell(self, what: str, content: object, browser: object) -> None:
         """Call a function of the overlay with some content, in one browser or, for None, in all."""

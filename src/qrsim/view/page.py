@@ -19,6 +19,7 @@ from qrsim.view.failing import FailingControls
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.gate import NOTABLE_S
 from qrsim.view.markdown import plain
+from qrsim.view.paint import Paint
 from qrsim.view.scene import Scene
 from qrsim.view.server import Delivery
 from qrsim.view.sky import Satellite
@@ -28,6 +29,7 @@ from qrsim.world.state import World
 # Status and plots are renewed at every so-many-th frame.
 STATUS_FRAMES, PLOT_FRAMES = 6, 15
 MOST_STOPPED = 5
+BY_VEHICLE = "(vehicle)"
 # Places in the panel.
 STATUS, STOPPED, TIME, WIND, LAYERS = 1.0, 2.0, 3.0, 5.0, 6.0
 
@@ -46,6 +48,7 @@ class Page:
         scene: in which things are drawn.
         viewers: what each browser has for itself, by viser's number of it.
         time_folder: of the panel, where there is a clock.
+        layers_folder: of the panel.
         drawn: number of frames.
         dropped: returns how many frames were not drawn, because newer ones were there already.
         note: what the panel says about the run as a whole, one line; "": nothing.
@@ -213,7 +216,8 @@ class Page:
         """Add the switches of the layers and the size of drawn vehicles."""
         gui, stage = self.server.gui, self.scene.stage
         self._shown: dict[str, Any] = {}
-        with gui.add_folder("Layers", order=LAYERS):
+        self.layers_folder = gui.add_folder("Layers", order=LAYERS)
+        with self.layers_folder:
             largest = max(40.0, round(4.0 * stage.span))
             size = gui.add_slider("Size [m]", 0.5, largest, 0.5, max(0.5, _half(stage.span)), hint="of drawn vehicles")
             true = gui.add_checkbox("True size", False, hint=f"vehicles of {stage.cast.true_span:.2g} m")
@@ -256,6 +260,21 @@ class Page:
                 if client is not None:
                     self._choices[number] = viewer.choice
                     self._come(client)
+
+    def add_colours(self, names: list[str], paint: Callable[[str], Paint], chosen: str | None = None) -> None:
+        """Let vehicles and true paths be coloured by one of some quantities, at first by ``chosen``."""
+        with self.layers_folder:
+            by = self.server.gui.add_dropdown(
+                "Colour", (BY_VEHICLE, *names), initial_value=chosen or BY_VEHICLE, hint="of vehicles and true paths"
+            )
+
+        def change(_: object) -> None:
+            """Colour the scene by the quantity that is set."""
+            self.scene.colour(None if by.value == BY_VEHICLE else paint(by.value))
+
+        by.on_update(change)
+        if chosen is not None:
+            self.scene.colour(paint(chosen))
 
     # ---- what happens ----
 

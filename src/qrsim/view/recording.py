@@ -17,6 +17,7 @@ from qrsim.runs.surroundings import surroundings_of
 from qrsim.tasks.places import Places
 from qrsim.view.columns import Columns, vector
 from qrsim.view.frame import Cast, Frame, Links, cast_of
+from qrsim.view.paint import Paints
 from qrsim.view.readings import Excerpts, quantities_of
 from qrsim.view.reasons import in_words
 from qrsim.view.rebuilt import rebuilt
@@ -42,6 +43,7 @@ class Recording:
         time: (T,) times of the true states that are kept [s].
         shown: every so-many-th tick is shown.
         stops: events of vehicles that stopped, and the number of the vehicle.
+        paints: quantities that can colour vehicles and paths.
     """
 
     def __init__(self, run: Run):
@@ -65,6 +67,7 @@ class Recording:
         self._rebuilt = rebuilt(run, self.world)
         self._links = _links(run)
         self._excerpts = Excerpts(run)
+        self.paints = Paints(run)
         self._slots = columns_of(run["measurements"].columns()) if "measurements" in run else []
 
     @property

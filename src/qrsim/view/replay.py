@@ -26,12 +26,13 @@ class Replay:
         recording: what is shown.
         page: where; its clock says how fast.
         time: to begin at [s].
+        colour: quantity that colours vehicles and true paths at first; None: none does.
 
     Attributes:
         time: simulated time that is shown [s].
     """
 
-    def __init__(self, recording: Recording, page: Page, clock: Clock, time: float = 0.0):
+    def __init__(self, recording: Recording, page: Page, clock: Clock, time: float = 0.0, colour: str | None = None):
         self.recording, self.page, self.clock = recording, page, clock
         self.time = time
         self._lock = threading.Lock()
@@ -46,6 +47,7 @@ class Replay:
             page.plotted = lambda vehicle, quantity: recording.plotted(vehicle, quantity, self.time)
             page.add_plots(recording.quantities)
         page.sky = lambda vehicle: recording.sky(vehicle, self.time)
+        page.add_colours(recording.paints.names, recording.paints.of, colour)
         self.seek(time)
 
     def _scrub(self, event: Any) -> None:

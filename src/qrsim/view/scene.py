@@ -18,6 +18,7 @@ from qrsim.view.ground import Area, Ground, Obstacles, keep_out_layers
 from qrsim.view.interference import interference_layers
 from qrsim.view.layers import Ghosts, Gusts, Layer, Names, Poles, Stage, Vehicles, Wind
 from qrsim.view.overlay import SOUTH, Overlay
+from qrsim.view.paint import Paint
 from qrsim.view.paths import EstimatedPaths, Paths, Routes
 from qrsim.view.radio import radio_layers
 from qrsim.view.task import task_layers
@@ -148,6 +149,16 @@ class Scene:
             layer.root.visible = visible
             if visible and self.frame is not None:
                 layer.draw(self.frame)
+
+    def colour(self, paint: Paint | None) -> None:
+        """Colour vehicles and true paths by a quantity, or as vehicles for None."""
+        with self._lock, self._server.atomic():
+            self.stage.paint = paint
+            self.overlay.paint(None if paint is None else paint.told())
+            self.paths[0].repaint()
+            if self.frame is not None:
+                for layer in (self.vehicles, self.paths[0]):
+                    layer.draw(self.frame)
 
     @property
     def air(self) -> Air | None:
