@@ -137,6 +137,7 @@ class View:
                     scene.show(title, visible)
             if self.colour is not None:
                 scene.colour(recording.paints.of(self.colour))
+            scene.stage.sky = lambda vehicle: recording.sky(vehicle, time)
             frame = recording.frame(time)
             remember_paths(scene, recording, frame.time)
             scene.draw(frame, everything=True)

@@ -212,7 +212,7 @@ class _Film:
         # All layers are recorded; which are shown, the page's own switches say.
         self._shown = {title: layer.root.visible for title, layer in scene.layers.items()}
         for layer in scene.layers.values():
-            layer.root.visible = True
+            layer.root.visible = layer.in_film
             if layer.most_in_film is not None:
                 layer.every = max(layer.every, len(self._times) / layer.most_in_film)
 
@@ -259,7 +259,9 @@ class _Film:
             "first": self.first,
             "vehicles": recording.cast.names,
             "layers": [
-                {"title": layer.label, "path": layer.path, "shown": self._shown[t]} for t, layer in layers.items()
+                {"title": layer.label, "path": layer.path, "shown": self._shown[t]}
+                for t, layer in layers.items()
+                if layer.in_film
             ],
             "flying": self._flying,
             "fliers": int(recording.cast.fliers.sum()),

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from qrsim.models.scene.contents import ContentsState
 from qrsim.models.sensors.camera import CameraReading
 from qrsim.models.vehicles.contracts import Outline
 from qrsim.tasks.places import Places
+from qrsim.view.details import Details, details_of_state
 from qrsim.view.reasons import code_in_words
 from qrsim.world.air import weather_at
 from qrsim.world.state import Fleet, FleetState, State, World, position_of
@@ -77,6 +79,7 @@ class Frame:
         reasons: vehicle -> why it has stopped.
         beside: what there is beside vehicles; None where that is not known.
         links: those of the radio; None where there is none.
+        details: returns further quantities, which only some layers draw; None where they are not known.
     """
 
     time: float
@@ -90,6 +93,7 @@ class Frame:
     reasons: dict[int, str] = field(default_factory=dict)
     beside: Beside | None = None
     links: Links | None = None
+    details: Callable[[], Details] | None = None
 
 
 @dataclass(frozen=True)
@@ -229,6 +233,7 @@ def frame_of(state: State, time: float, world: World) -> Frame:
         {int(i): code_in_words(int(codes[i]), float(values[i]), world.area) for i in np.flatnonzero(codes)},
         Beside(weather_at(world, tick), state.drawn, state.contents, state.fleet_keys, _pictures(state), state.field),
         _links(state, world),
+        cache(lambda: details_of_state(state, world)),
     )
 
 

@@ -19,6 +19,7 @@ from qrsim.runs.colours import GREY, GUST, STOPPED
 from qrsim.view import shapes
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.paint import Paint
+from qrsim.view.sky import Satellite
 
 STOPPED_COLOUR, GUST_COLOUR, GHOST_COLOUR, POLE_COLOUR = STOPPED, GUST, GREY, GREY
 # More labels than this cannot be read.
@@ -43,6 +44,7 @@ class Stage:
         span: how large a vehicle is drawn [m].
         chosen: numbers of the vehicles that browsers have chosen.
         ground: what vehicles fly over; None: the plane z = 0.
+        sky: returns the satellites of a vehicle, none where nothing is known of them.
         paint: colours of vehicles and true paths by a quantity; None: those of the vehicles.
     """
 
@@ -52,6 +54,7 @@ class Stage:
     chosen: frozenset[int] = frozenset()
     ground: Ground | None = None
     paint: Paint | None = None
+    sky: Callable[[int], list[Satellite]] = lambda vehicle: []
     palette: ClassVar[Floats] = shapes.PALETTE
 
     @property
@@ -86,6 +89,8 @@ class Layer:
         most: of more vehicles than these it is hidden at first.
         beside: whether it shows something about each vehicle beside the vehicle itself; of many it is drawn less often.
         most_in_film: a page without a server has it at so many times at most, None: at all that it has.
+        in_film: whether a page without a server has it.
+        of_chosen: whether it shows something else once other vehicles are chosen.
     """
 
     title = ""
@@ -93,6 +98,8 @@ class Layer:
     most = 1_000_000
     beside = False
     most_in_film: int | None = None
+    in_film = True
+    of_chosen = False
 
     def __init__(self, stage: Stage):
         self.stage = stage

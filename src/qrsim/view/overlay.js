@@ -9,7 +9,7 @@
   const saved = () => { try { return localStorage.getItem("qrsim-theme"); } catch { return null; } };
   state.theme ??= saved() ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
   document.title = data.title ? "qrsim - " + data.title : "qrsim";
-  let m = null, ended = false, reasons = {}, place = null, seen = "", touched = false, framedIn = "";
+  let m = null, ended = false, reasons = {}, states = {}, place = null, seen = "", touched = false, framedIn = "";
   let legendOpen = null, lastFollowed = null, slots = {}, toned = 0, wish;
 
   const make = (tag, name, parent, text) => {
@@ -211,8 +211,8 @@
   const made = {};
   const label = (vehicle) => {
     made[vehicle] ??= make("div", "qrsim-label", labels);
-    const found = made[vehicle], why = reasons[vehicle] ?? "", colour = data.colours[data.colourOf[vehicle]];
-    const key = why + (state.chosen === vehicle);
+    const found = made[vehicle], why = reasons[vehicle] ?? "", lines = states[vehicle] ?? [], colour = data.colours[data.colourOf[vehicle]];
+    const key = why + (state.chosen === vehicle) + lines.join();
     if (found.key !== key) {
       found.key = key;
       found.replaceChildren();
@@ -220,6 +220,7 @@
       make("b", "", found, data.names[vehicle]);
       // No number is parted from its name and unit.
       if (why) make("span", "", found, why.replace(/ = /g, "\u00a0=\u00a0").replace(/(\d) (\S+)$/, "$1\u00a0$2"));
+      for (const line of lines) make("span", "", found, line);
       found.classList.toggle("qrsim-chosen", state.chosen === vehicle);
       found.classList.toggle("qrsim-stopped", !!why);
       found.size = null;
@@ -347,7 +348,7 @@
     keepUp();
     const marks = data.layers.map((name) => shown(tree, name)).join();
     const mark = [now.at.join(), now.span, eye, box.left, box.top, box.width, box.height, free(box).bottom, marks,
-      state.chosen, JSON.stringify(reasons), legendOpen].join("|");
+      state.chosen, JSON.stringify([reasons, states]), legendOpen].join("|");
     if (mark === seen) return;
     seen = mark;
     root.style.cssText = `left:${box.left}px;top:${box.top}px;width:${box.width}px;height:${box.height}px`;
@@ -366,6 +367,7 @@
     choose: (vehicle) => { state.chosen = vehicle; seen = ""; },
     follow: (vehicle) => { wish = vehicle; },
     reasons: (found) => { reasons = found; seen = ""; },
+    states: (found) => { states = found; seen = ""; },
     sky: skyIn(root),
     paint: (told) => { showBar(told); seen = ""; },
     // The box of all vehicles and routes, what panels leave free, and how much of that it fills; pixels of the page.

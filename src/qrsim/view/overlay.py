@@ -15,12 +15,16 @@ import numpy as np
 
 from qrsim.runs import colours
 from qrsim.view.air import AIR, GUST, REACHES, WHOLE
+from qrsim.view.ellipsoids import UNCERTAINTY
 from qrsim.view.ground import KEEP_OUTS
 from qrsim.view.interference import INTERFERENCE
+from qrsim.view.jets import WAKES
 from qrsim.view.layers import MOST_LABELS, STRONG_WIND, Bodies, Layer, Stage
 from qrsim.view.radio import LINKS
+from qrsim.view.rays import RAYS
 from qrsim.view.script import run_script
 from qrsim.view.task import GOALS, LOCATIONS, SOURCES
+from qrsim.view.thermals import THERMALS
 
 # Where pages look from at first, seen from what is looked at, NED.
 SOUTH = (-0.85, -0.3, -0.45)
@@ -53,6 +57,10 @@ ROWS: dict[str, list[tuple[str, Any, str]]] = {
     ],
     LINKS: [("scale", list(colours.WIND), "radio at the receiver: no to all packets arrive; thin: last one lost")],
     INTERFERENCE: [("plate", [colours.GREY], "reach of a jammer, disc or spoofer, while it acts")],
+    UNCERTAINTY: [("ghost", [colours.VEHICLES[0]], "holds the true position with 95 %, by the estimator")],
+    RAYS: [("thin", [colours.VEHICLES[0]], "to a satellite; dashed: by a reflection; grey: hidden or jammed")],
+    WAKES: [("arrow", [colours.GUST], "wake, to half of its speed and down to 1 m/s")],
+    THERMALS: [("plate", [colours.GUST], "thermal")],
     "area": [("thin", [colours.GREY], "flight area")],
     KEEP_OUTS: [("plate", [colours.KEEP_OUT], "zone to stay out of")],
     "persons": [("pin", [colours.MISSING], "person not found"), ("pin", [colours.FOUND], "person found")],
@@ -87,6 +95,7 @@ class Overlay:
     ):
         self._server = server
         self._said: dict[int, str] | None = None
+        self._stated: dict[int, list[str]] = {}
         self._data = {
             "title": title,
             "css": _text("overlay.css"),
@@ -134,6 +143,12 @@ class Overlay:
         if found != self._said:
             self._said = found
             self._tell("reasons", found, None)
+
+    def states(self, lines: Mapping[int, list[str]]) -> None:
+        """Show lines about the states of vehicles in their labels."""
+        if lines != self._stated:
+            self._stated = dict(lines)
+            self._tell("states", self._stated, None)
 
     def choose(self, vehicle: int | None, browser: object = None) -> None:
         """Mark a vehicle, or none, in one browser or in all."""

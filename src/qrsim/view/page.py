@@ -66,6 +66,7 @@ class Page:
         self.dropped: Callable[[], int] = lambda: 0
         self.plotted: Plotted | None = None
         self.sky: Callable[[int], list[Satellite]] = lambda vehicle: []
+        self.scene.stage.sky = self._sky_now
         self.failing: Callable[[Any], FailingControls] | None = None
         self.viewers: dict[int, Viewer] = {}
         self.drawn = 0

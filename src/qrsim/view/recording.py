@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from qrsim.runs.summary import NOT_A_STOP
 from qrsim.runs.surroundings import surroundings_of
 from qrsim.tasks.places import Places
 from qrsim.view.columns import Columns, vector
+from qrsim.view.details import RecordedDetails
 from qrsim.view.frame import Cast, Frame, Links, cast_of
 from qrsim.view.paint import Paints
 from qrsim.view.readings import Excerpts, quantities_of
@@ -68,6 +70,7 @@ class Recording:
         self._links = _links(run)
         self._excerpts = Excerpts(run)
         self.paints = Paints(run)
+        self._details = RecordedDetails(run)
         self._slots = columns_of(run["measurements"].columns()) if "measurements" in run else []
 
     @property
@@ -129,6 +132,7 @@ class Recording:
             {i: self.why(event) for event, i in self.stops if event.time <= now + 1e-6},
             self._rebuilt.at(now) if self._rebuilt else None,
             self._links_at(now),
+            cache(lambda: self._details.at(now)),
         )
 
     def _links_at(self, time: float) -> Links | None:

@@ -11,17 +11,22 @@ from viser import ViserServer
 
 from qrsim.core.arrays import Floats
 from qrsim.view.air import AIR, Air, air_layers
-from qrsim.view.cameras import Cameras, camera_layers
+from qrsim.view.cameras import camera_layers
 from qrsim.view.contents import contents_layers
+from qrsim.view.ellipsoids import ellipsoid_layers
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.ground import Area, Ground, Obstacles, keep_out_layers
 from qrsim.view.interference import interference_layers
+from qrsim.view.jets import wake_layers
+from qrsim.view.labels import LabelStates
 from qrsim.view.layers import Ghosts, Gusts, Layer, Names, Poles, Stage, Vehicles, Wind
 from qrsim.view.overlay import SOUTH, Overlay
 from qrsim.view.paint import Paint
 from qrsim.view.paths import EstimatedPaths, Paths, Routes
 from qrsim.view.radio import radio_layers
+from qrsim.view.rays import ray_layers
 from qrsim.view.task import task_layers
+from qrsim.view.thermals import thermal_layers
 from qrsim.world.state import World
 
 # Spans of a drawn vehicle [m]: that of a Pelican, and the largest of a few; of many, a part of the room that each has.
@@ -65,21 +70,23 @@ class Scene:
         self.stage = Stage(scene, self.cast, _span(cast), ground=None if world is None else world.ground)
         self.vehicles = Vehicles(self.stage)
         self.paths = (Paths(self.stage), EstimatedPaths(self.stage))
-        others, names = (Poles, Ghosts, Wind, Gusts), Names(self.stage)
-        moving = [*self.paths, *(layer(self.stage) for layer in others), names]
+        others, names, states = (Poles, Ghosts, Wind, Gusts), Names(self.stage), LabelStates(self.stage)
+        moving = [*self.paths, *(layer(self.stage) for layer in others), names, states]
         solid: list[Layer] = []
         if world is not None:
             solid = [Area(self.stage, world), *keep_out_layers(self.stage, world), Obstacles(self.stage, world)]
             solid += contents_layers(self.stage, world)
             solid += [*camera_layers(self.stage, world), *air_layers(self.stage, world)]
             solid += [*interference_layers(self.stage, world), *radio_layers(self.stage, world)]
+            solid += [*ellipsoid_layers(self.stage, world), *ray_layers(self.stage, world)]
+            solid += [*wake_layers(self.stage, world), *thermal_layers(self.stage, world)]
         solid += [*task_layers(self.stage, cast.places), *([Routes(self.stage)] if any(map(len, cast.routes)) else [])]
         ground = Ground(self.stage, world)
         layers: list[Layer] = [ground, *solid, self.vehicles, *moving]
         self.layers = {layer.title: layer for layer in layers}
         marked = (ground.north, ground.cell)
         self.overlay = Overlay(server, self.stage, self.vehicles.bodies, self.layers, title, marked)
-        names.tell = self.overlay.say
+        names.tell, states.tell = self.overlay.say, self.overlay.states
         # Parts of the way to their next drawing, spread so that not all are due at the same frame.
         self._due = [1.0 - GOLDEN * number % 1.0 for number in range(len(layers))]
         self._look()
@@ -149,6 +156,8 @@ class Scene:
             layer.root.visible = visible
             if visible and self.frame is not None:
                 layer.draw(self.frame)
+            if isinstance(layer, LabelStates) and not visible:
+                layer.tell({})
 
     def colour(self, paint: Paint | None) -> None:
         """Colour vehicles and true paths by a quantity, or as vehicles for None."""
@@ -187,7 +196,7 @@ class Scene:
         with self._lock:
             self.stage.chosen = frozenset(vehicles)
             for layer in self.layers.values():
-                if isinstance(layer, Cameras) and layer.root.visible and self.frame is not None:
+                if layer.of_chosen and layer.root.visible and self.frame is not None:
                     layer.draw(self.frame)
 
     def nearest(self, origin: object, direction: object) -> int | None:
