@@ -26,7 +26,7 @@ from qrsim.view.thermals import centres
 PLACES = np.array([[0.0, 0.0, -50.0], [0.0, 60.0, -8.0]])
 STILL = np.zeros((2, 3))
 NOTHING = np.full((2, 3), np.nan)
-HOVER = Details(STILL, np.full(2, 10.0), PLACES + [1.0, 0.0, 0.0], np.full((2, 3), 2.0), np.array([0.5, np.nan]),
+HOVER = Details(STILL, np.full(2, 10.0), PLACES + np.array([1.0, 0.0, 0.0]), np.full((2, 3), 2.0), np.array([0.5, np.nan]),
                 np.zeros(2), {1: "failsafe: return"})  # fmt: skip
 FRAME = Frame(1.0, PLACES, STILL, PLACES, NOTHING, STILL, STILL, np.ones(2, bool), details=lambda: HOVER)
 
@@ -107,8 +107,8 @@ def test_labels_state_what_is_known(scene: Scene) -> None:
     drawn(scene, STATES)
     assert told == [
         {
-            0: ["0.0 m/s, 50.0 m high", "battery 50 %", "estimate 1 m off, reports 3.5 m (1 sigma)"],
-            1: ["0.0 m/s, 8.0 m high", "failsafe: return", "estimate 1 m off, reports 3.5 m (1 sigma)"],
+            0: ["0.0 m/s, 50.0 m high", "battery 50 %", "estimate 1 m off (\u03c3 3.5 m)"],
+            1: ["0.0 m/s, 8.0 m high", "failsafe: return", "estimate 1 m off (\u03c3 3.5 m)"],
         }
     ]
     nothing = Details(NOTHING, np.full(2, np.nan), NOTHING, NOTHING, np.full(2, np.nan), np.full(2, np.nan), {})

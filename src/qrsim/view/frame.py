@@ -109,6 +109,7 @@ class Cast:
         places: that a task is about; None: none are known.
         routes: of each vehicle its start and the places (W, 3) that it is sent to [m]; W is 0 where there are none.
         flown: (K, 3) places along the paths of a recording [m]; None: it has not been flown yet.
+        site: latitude [deg], longitude [deg] and height [m] of the origin on WGS 84; None where it is not known.
     """
 
     names: tuple[str, ...]
@@ -119,6 +120,7 @@ class Cast:
     places: Places | None = None
     routes: tuple[Floats, ...] = ()
     flown: Floats | None = None
+    site: tuple[float, float, float] | None = None
 
     @property
     def kinds(self) -> list[tuple[Outline | None, Floats]]:

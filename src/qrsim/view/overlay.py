@@ -29,7 +29,7 @@ from qrsim.view.thermals import THERMALS
 # Where pages look from at first, seen from what is looked at, NED.
 SOUTH = (-0.85, -0.3, -0.45)
 # Parts of the overlay; the last one calls the others.
-SCRIPTS = ("sky.js", "colourbar.js", "overlay.js")
+SCRIPTS = ("sky.js", "colourbar.js", "tools.js", "overlay.js")
 # Of the ground and the sky.
 GROUNDS = {
     "light": {"plane_color": (226, 232, 214), "cell_color": (196, 205, 186), "section_color": (168, 178, 160)},
@@ -57,9 +57,9 @@ ROWS: dict[str, list[tuple[str, Any, str]]] = {
     ],
     LINKS: [("scale", list(colours.WIND), "radio at the receiver: no to all packets arrive; thin: last one lost")],
     INTERFERENCE: [("plate", [colours.GREY], "reach of a jammer, disc or spoofer, while it acts")],
-    UNCERTAINTY: [("ghost", [colours.VEHICLES[0]], "holds the true position with 95 %, by the estimator")],
-    RAYS: [("thin", [colours.VEHICLES[0]], "to a satellite; dashed: by a reflection; grey: hidden or jammed")],
-    WAKES: [("arrow", [colours.GUST], "wake, to half of its speed and down to 1 m/s")],
+    UNCERTAINTY: [("ghost", [colours.VEHICLES[0]], "95 % region of the estimate")],
+    RAYS: [("thin", [colours.VEHICLES[0]], "satellite; dashed: reflected; grey: lost")],
+    WAKES: [("arrow", [colours.GUST], "wake, down to 1 m/s")],
     THERMALS: [("plate", [colours.GUST], "thermal")],
     "area": [("thin", [colours.GREY], "flight area")],
     KEEP_OUTS: [("plate", [colours.KEEP_OUT], "zone to stay out of")],
@@ -110,6 +110,8 @@ class Overlay:
             "ways": np.round(stage.cast.ways, 2).tolist(),
             "frame": True,
             "north": north[0],
+            "site": stage.cast.site,
+            "surface": f"{layers['ground and north'].path}/surface",
             "layers": [layer.path for layer in layers.values()],
             "themes": {
                 name: {f"{layers['ground and north'].path}/{node}": _plain(own) for node, own in parts.items()}

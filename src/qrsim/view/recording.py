@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 
@@ -11,6 +12,7 @@ from qrsim.core.arrays import Floats
 from qrsim.errors import QrsimError, RunError, warn_user
 from qrsim.models.gnss.fixes import OF_SATELLITES
 from qrsim.runs import Run
+from qrsim.runs.export.place import place_of
 from qrsim.runs.layout import EVENTS, Event
 from qrsim.runs.radio_columns import links_logged
 from qrsim.runs.summary import NOT_A_STOP
@@ -89,7 +91,7 @@ class Recording:
         start = self._truth.at("position", self.time[0])
         try:
             world = self.run.built().world(self.run.info.precision)
-            cast = replace(cast_of(world, start, self._places()), flown=self._flown())
+            cast = replace(cast_of(world, start, self._places()), flown=self._flown(), site=self._site())
             if cast.names == self.run.vehicles:
                 return world, cast
             why = "its vehicles are others"
@@ -101,7 +103,14 @@ class Recording:
         )
         count = len(self.run.vehicles)
         starts = np.nan_to_num(start).astype(np.float64)
-        return None, Cast(self.run.vehicles, np.zeros(count, int), starts, flown=self._flown())
+        return None, Cast(self.run.vehicles, np.zeros(count, int), starts, flown=self._flown(), site=self._site())
+
+    def _site(self) -> tuple[float, float, float] | None:
+        """Return latitude, longitude [deg] and height [m] of the origin; None where the scenario has none."""
+        with suppress(RunError):
+            latitude, longitude, height = place_of(self.run).geodetic(np.zeros(3)).tolist()
+            return latitude, longitude, height
+        return None
 
     def _flown(self) -> Floats:
         """Return places (K, 3) [m] along all paths."""
