@@ -26,8 +26,8 @@ from qrsim.view.thermals import centres
 PLACES = np.array([[0.0, 0.0, -50.0], [0.0, 60.0, -8.0]])
 STILL = np.zeros((2, 3))
 NOTHING = np.full((2, 3), np.nan)
-HOVER = Details(STILL, np.full(2, 10.0), PLACES + np.array([1.0, 0.0, 0.0]), np.full((2, 3), 2.0), np.array([0.5, np.nan]),
-                np.zeros(2), {1: "failsafe: return"})  # fmt: skip
+BELIEVED, STD = PLACES + np.array([1.0, 0.0, 0.0]), np.full((2, 3), 2.0)
+HOVER = Details(STILL, np.full(2, 10.0), BELIEVED, STD, np.array([0.5, np.nan]), np.zeros(2), {1: "failsafe: return"})
 FRAME = Frame(1.0, PLACES, STILL, PLACES, NOTHING, STILL, STILL, np.ones(2, bool), details=lambda: HOVER)
 
 

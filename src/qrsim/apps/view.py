@@ -53,6 +53,8 @@ class View:
     colour: Annotated[str | None, tyro.conf.arg(metavar="QUANTITY", help_behavior_hint="(default: by vehicle)")] = None
     """Colour vehicles and true paths by a quantity: speed, height, "wind speed", "gust speed", "GNSS error",
     "estimate error", or a column of the log such as truth.battery.charge."""
+    image: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Picture of the ground from above, a GeoTIFF (.tif) or MBTiles file, draped over the terrain."""
     at: Annotated[float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: see below)")] = None
     """Start time of the replay, or time of the picture; by default the start, and for a picture the end."""
     port: int = 8080
@@ -76,6 +78,11 @@ class View:
         end = recording.end
         if self.at is not None and self.at > end + 1e-6:
             raise UsageError(f"--at {self.at:g}: the recording ends at {end:g} s")
+        if self.image is not None:
+            from qrsim.view.imagery import read_imagery
+
+            with os_error_as(UsageError, f"--image {self.image}"):
+                recording.imagery = read_imagery(self.image, recording.cast, recording.world)
         if self.colour is not None:
             recording.paints.of(self.colour)
         if recording.shown > 1:
@@ -130,7 +137,7 @@ class View:
         camera = None if self.camera is None else Camera.parsed(self.camera, recording.cast.names)
         server = start_server(0)
         try:
-            scene = Scene(server, recording.cast, recording.world)
+            scene = Scene(server, recording.cast, recording.world, imagery=recording.imagery)
             if self.layers is not None:
                 shown = {title: layer.root.visible for title, layer in scene.layers.items()}
                 for title, visible in parsed_layers(self.layers, shown).items():
@@ -163,7 +170,7 @@ class View:
         server = start_server(self.port, host=self.host)
         clock = Clock(playing=False, speeds=SPEEDS[:-1])
         try:
-            page = Page(server, recording.cast, recording.world, recording.heading, clock)
+            page = Page(server, recording.cast, recording.world, recording.heading, clock, recording.imagery)
             replay = Replay(recording, page, clock, self.at or 0.0, self.colour)
             stop = threading.Event()
 

@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 
+from qrsim.control.contracts import Estimator
 from qrsim.view import shapes
 from qrsim.view.frame import Frame
 from qrsim.view.layers import Layer, Stage
-from qrsim.world.state import World
+from qrsim.world.state import Fleet, World
 
 UNCERTAINTY = "estimate, 95 %"
 # Root of the 95 % quantile of chi squared with three degrees of freedom.
@@ -41,5 +42,11 @@ class Ellipsoids(Layer):
 
 
 def ellipsoid_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return the layer of a world whose vehicles have estimators."""
-    return [Ellipsoids(stage)] if any(fleet.own_estimator is not None for fleet in world.fleets) else []
+    """Return the layer of a world with estimators that report standard deviations."""
+    return [Ellipsoids(stage)] if any(map(_states_std, world.fleets)) else []
+
+
+def _states_std(fleet: Fleet) -> bool:
+    """Return whether the estimator of a fleet reports standard deviations."""
+    own = fleet.own_estimator
+    return own is not None and type(own).std is not Estimator.std

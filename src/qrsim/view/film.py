@@ -127,7 +127,7 @@ def write_film(
     """
     server = start_server(0)
     try:
-        scene = Scene(server, recording.cast, recording.world, recording.run.info.scenario)
+        scene = Scene(server, recording.cast, recording.world, recording.run.info.scenario, recording.imagery)
         if colour is not None:
             scene.colour(recording.paints.of(colour))
         found = _Film(recording, scene)
@@ -264,6 +264,7 @@ class _Film:
                 if layer.in_film
             ],
             "flying": self._flying,
+            "others": recording.cast.others,
             "fliers": int(recording.cast.fliers.sum()),
             "stops": [(event.time, i, recording.why(event)) for event, i in recording.stops],
             "quantities": recording.quantities,

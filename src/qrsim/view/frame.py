@@ -24,6 +24,8 @@ from qrsim.world.state import Fleet, FleetState, State, World, position_of
 
 # Of a vehicle that says nothing of its looks: that of the AscTec Pelican [m].
 PELICAN_SPAN = 0.65
+# Vehicles that do not fly, by their looks.
+NOT_FLYING = {"car": "rover", "mast": "station"}
 # Places of routes and paths that a view is chosen by; a route that ends this near to its start [m] is none.
 MOST_WAYS, NO_WAY = 300, 1.0
 
@@ -135,6 +137,14 @@ class Cast:
         of_fleets = self.outlines or (None,) * (int(self.fleets.max(initial=0)) + 1)
         flies = np.array([look is None or bool(look.rotors) or look.kind == "plane" for look in of_fleets])
         return np.asarray(flies[self.fleets])
+
+    @property
+    def others(self) -> str:
+        """How many vehicles do not fly, in words, such as "2 rovers, 1 station"; "" if all do."""
+        of_fleets = self.outlines or (None,) * (int(self.fleets.max(initial=0)) + 1)
+        kinds = [None if look is None or look.rotors else look.kind for look in of_fleets]
+        counts = {word: sum(kinds[own] == kind for own in self.fleets.tolist()) for kind, word in NOT_FLYING.items()}
+        return ", ".join(f"{count} {word}{'s' * (count > 1)}" for word, count in counts.items() if count)
 
     @property
     def true_span(self) -> float:

@@ -18,6 +18,7 @@ from qrsim.view.clock import Clock
 from qrsim.view.failing import FailingControls
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.gate import NOTABLE_S
+from qrsim.view.imagery import Imagery
 from qrsim.view.markdown import plain
 from qrsim.view.paint import Paint
 from qrsim.view.scene import Scene
@@ -43,6 +44,7 @@ class Page:
         world: what there is; None where that is not known.
         heading: what is shown, one line that begins with the scenario's name and a comma.
         clock: of time; None where somebody else moves it.
+        imagery: picture of the ground; None: none.
 
     Attributes:
         scene: in which things are drawn.
@@ -57,12 +59,20 @@ class Page:
         failing: adds to a browser's panel what lets parts of its chosen vehicle fail; None: nothing can.
     """
 
-    def __init__(self, server: ViserServer, cast: Cast, world: World | None, heading: str, clock: Clock | None):
+    def __init__(
+        self,
+        server: ViserServer,
+        cast: Cast,
+        world: World | None,
+        heading: str,
+        clock: Clock | None,
+        imagery: Imagery | None = None,
+    ):
         self.server, self.heading, self.clock = server, heading, clock
         title = heading.partition(",")[0]
         server.gui.set_panel_label(f"qrsim - {title}")
         server.gui.main_panel.dock_right()
-        self.scene = Scene(server, cast, world, title)
+        self.scene = Scene(server, cast, world, title, imagery)
         self.dropped: Callable[[], int] = lambda: 0
         self.plotted: Plotted | None = None
         self.sky: Callable[[int], list[Satellite]] = lambda vehicle: []
@@ -309,6 +319,7 @@ class Page:
         stopped = f", {len(frame.reasons)} stopped" if frame.reasons else ""
         fliers = self.scene.cast.fliers
         flying = f"{int((frame.valid & fliers).sum())} of {int(fliers.sum())} vehicles fly{stopped}"
+        flying += f", {self.scene.cast.others}" if self.scene.cast.others else ""
         paused = "" if self.clock is None or self.clock.playing else " (paused)"
         frames = f"{self.drawn} frames drawn, {self.dropped() + self._delivery.missed} dropped"
         if (lag := self._delivery.lag_s) > NOTABLE_S:

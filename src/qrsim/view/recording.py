@@ -21,6 +21,7 @@ from qrsim.tasks.places import Places
 from qrsim.view.columns import Columns, vector
 from qrsim.view.details import RecordedDetails
 from qrsim.view.frame import Cast, Frame, Links, cast_of
+from qrsim.view.imagery import Imagery
 from qrsim.view.paint import Paints
 from qrsim.view.readings import Excerpts, quantities_of
 from qrsim.view.reasons import in_words
@@ -48,6 +49,7 @@ class Recording:
         shown: every so-many-th tick is shown.
         stops: events of vehicles that stopped, and the number of the vehicle.
         paints: quantities that can colour vehicles and paths.
+        imagery: picture of the ground to show with it; None: none.
     """
 
     def __init__(self, run: Run):
@@ -72,6 +74,7 @@ class Recording:
         self._links = _links(run)
         self._excerpts = Excerpts(run)
         self.paints = Paints(run)
+        self.imagery: Imagery | None = None
         self._details = RecordedDetails(run)
         self._slots = columns_of(run["measurements"].columns()) if "measurements" in run else []
 

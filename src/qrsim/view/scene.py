@@ -16,6 +16,7 @@ from qrsim.view.contents import contents_layers
 from qrsim.view.ellipsoids import ellipsoid_layers
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.ground import Area, Ground, Obstacles, keep_out_layers
+from qrsim.view.imagery import Image, Imagery
 from qrsim.view.interference import interference_layers
 from qrsim.view.jets import wake_layers
 from qrsim.view.labels import LabelStates
@@ -46,6 +47,7 @@ class Scene:
         cast: who is in it.
         world: what there is; None where that is not known, and only vehicles and ground are drawn.
         title: of the page, beside "qrsim".
+        imagery: picture of the ground; None: none.
 
     Attributes:
         cast: who is in it.
@@ -55,7 +57,9 @@ class Scene:
         lag_s: returns how far behind the slowest browser is [s].
     """
 
-    def __init__(self, server: ViserServer, cast: Cast, world: World | None, title: str = ""):
+    def __init__(
+        self, server: ViserServer, cast: Cast, world: World | None, title: str = "", imagery: Imagery | None = None
+    ):
         self._server = server
         self.cast = cast
         self.frame: Frame | None = None
@@ -65,7 +69,12 @@ class Scene:
         self._lock = threading.RLock()
         scene = server.scene
         scene.set_up_direction((0.0, 0.0, -1.0))
-        scene.add_light_ambient("/light", intensity=1.2)
+        hilly = world is not None and not world.ground.at_zero
+        scene.add_light_ambient("/light", intensity=0.8 if hilly else 1.2)
+        scene.configure_default_lights(enabled=not hilly, cast_shadow=False)
+        if hilly:
+            # A low sun in the north-west, as on maps: it shades the slopes.
+            scene.add_light_directional("/light/sun", intensity=3.4, position=(1.0, -1.0, -1.0))
         scene.add_frame("/world", show_axes=False)
         self.stage = Stage(scene, self.cast, _span(cast), ground=None if world is None else world.ground)
         self.vehicles = Vehicles(self.stage)
@@ -82,7 +91,8 @@ class Scene:
             solid += [*wake_layers(self.stage, world), *thermal_layers(self.stage, world)]
         solid += [*task_layers(self.stage, cast.places), *([Routes(self.stage)] if any(map(len, cast.routes)) else [])]
         ground = Ground(self.stage, world)
-        layers: list[Layer] = [ground, *solid, self.vehicles, *moving]
+        picture = [] if imagery is None else [Image(self.stage, imagery)]
+        layers: list[Layer] = [ground, *picture, *solid, self.vehicles, *moving]
         self.layers = {layer.title: layer for layer in layers}
         marked = (ground.north, ground.cell)
         self.overlay = Overlay(server, self.stage, self.vehicles.bodies, self.layers, title, marked)
