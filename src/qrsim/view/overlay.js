@@ -365,6 +365,7 @@
     colour: (vehicle) => css(data.colours[data.colourOf[vehicle]]),
     choose: (vehicle) => { state.chosen = vehicle; seen = ""; },
     follow: (vehicle) => { wish = vehicle; },
+    ride: (told) => { state.ride = told; },
     reasons: (found) => { reasons = found; seen = ""; },
     states: (found) => { states = found; seen = ""; },
     sky: skyIn(root), tools: extra,

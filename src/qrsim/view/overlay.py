@@ -160,6 +160,10 @@ class Overlay:
         """Follow a vehicle, or none, in one browser or in all."""
         self._tell("follow", vehicle, browser)
 
+    def ride(self, vehicle: int, kind: str) -> None:
+        """Let the camera of all browsers go with a vehicle, behind it ("chase") or at its nose ("onboard")."""
+        self._tell("ride", {"vehicle": vehicle, "kind": kind}, None)
+
     def sky(self, told: Mapping[str, object] | None, browser: object) -> None:
         """Show what a vehicle's receiver says of its satellites in one browser, or nothing."""
         self._tell("sky", told, browser)

@@ -49,16 +49,16 @@ def photograph(server: ViserServer, caption: str, size: tuple[int, int] = (WIDTH
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
         )
         browser.open(f"{address(server)}/?fixedDpr=1")
-        _wait_for_client(server)
+        wait_for_client(server)
         browser.evaluate(SCENE_ONLY)
-        picture = _settled(browser)
+        picture = settled(browser)
     ImageDraw.Draw(picture).text((16, 12), caption, fill="black", font_size=20)
     found = io.BytesIO()
     picture.save(found, "PNG", optimize=True)
     return found.getvalue()
 
 
-def _wait_for_client(server: ViserServer) -> None:
+def wait_for_client(server: ViserServer) -> None:
     """Wait until a browser has opened the page; raise RunError if none does in time."""
     deadline = time.monotonic() + PATIENCE_S
     while not server.get_clients():
@@ -67,7 +67,7 @@ def _wait_for_client(server: ViserServer) -> None:
         time.sleep(0.05)
 
 
-def _settled(browser: Browser) -> Image.Image:
+def settled(browser: Browser) -> Image.Image:
     """Return the picture once it does not change any more, and shows something."""
     before, changed = b"", time.monotonic()
     deadline = changed + PATIENCE_S
