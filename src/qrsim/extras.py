@@ -14,6 +14,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "data": ("pooch",),
     "export": ("mcap", "simplekml", "gpxpy"),
     "serve": ("google.protobuf",),
+    "rerun": ("rerun",),
     "identify": ("pyulog", "pymavlink", "deap", "sympy"),
     "validate": ("jinja2",),
     "view": ("viser",),
@@ -76,6 +77,8 @@ def _package(module: str) -> str:
     """Return the name of the package that has a module."""
     if module == "zenoh":
         return "eclipse-zenoh"
+    if module == "rerun":
+        return "rerun-sdk"
     return "protobuf" if module == "google.protobuf" else module.partition(".")[0]
 
 
