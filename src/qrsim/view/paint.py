@@ -165,3 +165,41 @@ def _length(parts: dict[str, Floats], time: Floats) -> Floats:
 def _upwards(parts: dict[str, Floats], time: Floats) -> Floats:
     """Return the height (T, n) of down coordinates."""
     return -parts["z"][..., 0]
+
+
+class JoinedPaints:
+    """The quantities of several runs, with one range for all of them.
+
+    Args:
+        parts: of each run its quantities, how much later it is shown [s], and its number of vehicles.
+
+    Attributes:
+        names: those of the first run.
+    """
+
+    def __init__(self, parts: list[tuple[Paints, float, int]]):
+        self._parts, self.names = parts, parts[0][0].names
+
+    def of(self, name: str) -> Paint:
+        """Return the colours of a quantity of all runs; grey for runs without it.
+
+        Raises:
+            UsageError: the first run has no such quantity.
+        """
+        first = self._parts[0][0].of(name)
+        found = [(own.of(name) if name in own.names else None, shift, size) for own, shift, size in self._parts]
+        known = [paint for paint, _, _ in found if paint is not None]
+        low, high = min(paint.low for paint in known), max(paint.high for paint in known)
+
+        def values(times: Floats) -> Floats:
+            """Return the last values of all vehicles up to each time."""
+            times = np.asarray(times)
+            nothing = np.full((len(times), 1), np.nan)
+            parts = [
+                np.repeat(nothing, size, axis=1) if paint is None else paint.values(times - shift)
+                for paint, shift, size in found
+            ]
+            return np.concatenate(parts, axis=1)
+
+        beyond = (any(paint.beyond[0] for paint in known), any(paint.beyond[1] for paint in known))
+        return Paint(first.title, first.unit, low, high, beyond, values)
