@@ -133,7 +133,7 @@ def _loss(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
 
 
 def _kinds(runs: Runs, lost: NumpyArray) -> str:
-    """Return in words how runs were lost, each kind with its count; "" without any."""
+    """Return in words how runs were lost, with counts, empty batteries and the wind of departures; "" without any."""
     kinds = {"left the area": "left_area", "collided": "collided", "crashed": "crashed"}
     found = [f"{int((runs[name] > 0.0).sum())} {words}" for words, name in kinds.items() if (runs[name] > 0.0).any()]
     empty = int((lost & (runs["charge_end"] < CHARGE_NOISE)).sum())
