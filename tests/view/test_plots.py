@@ -117,6 +117,18 @@ def test_lines_that_there_are_not_are_null(plots: Plots):
     assert len(parts) == 1
 
 
+@pytest.mark.filterwarnings("ignore:.*cannot be built:UserWarning")
+def test_a_damaged_part_has_no_line(plots: Plots, tmp_path: Path):
+    copy = shutil.copytree(plots._recording.run.folder, tmp_path / "copy")
+    for part in (copy / "commands").glob("*.parquet"):
+        part.write_bytes(b"not a table")
+    other = Plots(Recording(open_run(copy)))
+    head, parts = asked(other, ["commands.estimate.position_ned.y", 0], ["truth.position_ned.y", 1])
+    assert head["lines"][0] is None
+    assert head["lines"][1]["high"] == 5.0
+    assert len(parts) == 2
+
+
 def test_bins_outside_of_a_run_are_empty():
     time, values = np.arange(10.0), np.arange(10.0)
     found = binned(time, values, np.linspace(-5.0, 20.0, 26))
