@@ -96,6 +96,8 @@ QUICKLY_COMPILED = (
     "tasks",
     "world",
 )
+# Counts what is compiled, as users would see it.
+AS_FOR_USERS = ("simulation/test_rollout.py",)
 options_of_xla = compiler.get_compile_options
 
 
@@ -114,7 +116,9 @@ mlir.make_ir_context = lru_cache(maxsize=1)(mlir.make_ir_context)
 @pytest.fixture(autouse=True, scope="module")
 def _quick_xla(request: pytest.FixtureRequest) -> Iterator[None]:
     """Have XLA compile without the passes that take longer than what they save in a test."""
-    quick = any(request.path.is_relative_to(Path(__file__).parent / room) for room in QUICKLY_COMPILED)
+    tests = Path(__file__).parent
+    quick = any(request.path.is_relative_to(tests / room) for room in QUICKLY_COMPILED)
+    quick &= request.path.relative_to(tests).as_posix() not in AS_FOR_USERS
     if quick:
         # Asks XLA, by a program, for the options that it knows.
         quick_to_compile()

@@ -159,6 +159,7 @@ class Brief:
         return {"speed": round(speed, 3), "from_deg": bearing}
 
     def _write(self, operation: OperationSpec) -> int:
+        """Write the operation as the YAML file of --write, with relative paths, and return exit code 0."""
         import os
 
         from qrsim.files.atomic import write_atomically
@@ -225,6 +226,7 @@ class Brief:
             )
 
     def _brief(self, operation: OperationSpec, flights: Flights, folder: Path) -> int:
+        """Fly and judge the operation's stages and print the brief; return the exit code of its verdict."""
         from qrsim.studies.brief.briefing import STAGES, exit_code, fly, keep, prepared, record_worst
 
         with os_error_as(RunError, f"{folder}: cannot write there"):
@@ -249,6 +251,7 @@ class Brief:
         return exit_code(brief.verdict[0])
 
     def _flyer(self, opened: ExitStack, folder: Path, told: Callable[[str, int, int], None]) -> Flyer:
+        """Return what flies the studies, by worker processes that ``opened`` ends."""
         from qrsim.engine.settings import available_cores
         from qrsim.studies.brief.studying import Flyer
         from qrsim.studies.sweep.cluster import workers_of

@@ -48,6 +48,7 @@ class Emitter(Loops):
                 self._nest(step, stored)
 
     def _compute(self, node: Node, lanes: int) -> str:
+        """Write the computation of a node for ``lanes`` elements, and return its value."""
         if node.op == "iota":
             return self._iota(node, lanes)
         if node.op == "pick":
@@ -82,6 +83,7 @@ class Emitter(Loops):
             self.scalars[node.number] = value, lanes
 
     def _iota(self, node: Node, lanes: int) -> str:
+        """Write the values of an iota, from the loop's counter, and return them."""
         axis = node.attributes[0]
         element, counter = scalar_type(node.dtype), self.scope.variables[axis]
         if node.dtype.kind not in "iu":
@@ -198,6 +200,7 @@ class Emitter(Loops):
         return 1 if self.scope.lane_axis is None else self.lanes
 
     def _accumulator(self, node: Node) -> str:
+        """Allocate a reduction's accumulator with neutral elements in it, and return its pointer."""
         lanes, pointer = self._reduced_width(node), self.name("sum")
         of = vector(stored_type(node.dtype), lanes)
         self.entry.append(f"  {pointer} = alloca {of}, align 64")

@@ -105,6 +105,7 @@ class _Half:
         return replace(place, pointer=pointer)
 
     def _address(self, rows: _Rows, row: int) -> str:
+        """Return the pointer to a row of ``rows``."""
         if row == 0:
             return rows.pointer
         return self.writer.emit(f"getelementptr i8, ptr {rows.pointer}, i64 {row * rows.stride}")

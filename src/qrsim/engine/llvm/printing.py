@@ -17,7 +17,7 @@ FORMS = ("graph", "steps", "llvm")
 
 
 def printed(closed: ClosedJaxpr, inputs: Sequence[Input], mode: Mode, form: str) -> str:
-    """Return a form of a program as text.
+    """Return a program as text, in a form of FORMS.
 
     Args:
         closed, inputs, mode: see ``program.build``.

@@ -191,6 +191,7 @@ class SharedNeighbours(Neighbours):
         self.writer.start_block(f"{label}.after")
 
     def _some(self, number: str) -> tuple[str, ...]:
+        """Return the end (i32) and the start (i64) of the present thread's part of ``number`` points."""
         wide, bounds = self.emit(f"zext i32 {number} to i64"), []
         for turn in ("%thread", "%thread.next"):
             bounds.append(self.emit(f"udiv i64 {self.emit(f'mul i64 {wide}, {turn}')}, %threads"))

@@ -155,6 +155,7 @@ class Writer:
         return pointer if fixed == 0 else self.once(f"getelementptr i8, ptr {pointer}, i64 {fixed}")
 
     def _moved(self, pointer: str, variable: str, stride: int) -> str:
+        """Return a pointer moved by ``variable`` times ``stride`` bytes, computed once."""
         key = (pointer, variable, stride)
         # What lies in one row is read from one address, which is computed once.
         if key not in self.scope.offsets:
@@ -315,6 +316,7 @@ class Writer:
         return self.emit(f"call {of} @{name}({places} {pointers}, i32 {align}, {mask} {every}, {of} poison)")
 
     def _width(self, node: Node) -> int:
+        """Return the number of lanes in which the present loop computes a node."""
         if self.side_by_side:
             return self._lanes_of(node)
         return 1 if self.scope.lane_axis is None else self.lanes

@@ -241,7 +241,7 @@ def _timestamp(time_ns: int) -> dict[str, int]:
 
 
 def _origin(run: Run, place: Place) -> dict[str, str]:
-    """Return the metadata of the file's origin."""
+    """Return as text the run's scenario, seed and version, and the latitude, longitude and height of its origin."""
     latitude, longitude, height = place.geodetic(np.zeros(3)).tolist()
     return {
         "scenario": run.info.scenario,

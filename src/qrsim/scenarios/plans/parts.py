@@ -103,6 +103,7 @@ def _begin_of(path: str, part: object, begins: Mapping[int, int]) -> int | None:
 
 
 def _without_twins(pairs: list[tuple[str, Any]]) -> Content:
+    """Return the pairs of a JSON object as a dict; raise PlanFaultError for a key that occurs twice."""
     found: Content = {}
     for key, value in pairs:
         if key in found:

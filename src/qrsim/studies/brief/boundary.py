@@ -178,6 +178,7 @@ def _posterior(trials: Sequence[Trial], directions: int, top: float) -> tuple[Nu
 
 
 def _quantiles(weights: NumpyArray, speeds: NumpyArray, shares: Sequence[float]) -> list[float]:
+    """Return the wind speeds [m/s] below which these shares of the weights lie."""
     step = float(speeds[1] - speeds[0])
     ends = np.concatenate([[0.0], speeds + 0.5 * step])
     return [float(each) for each in np.interp(shares, np.concatenate([[0.0], np.cumsum(weights)]), ends)]

@@ -92,6 +92,7 @@ def fault_scenario(operation: OperationSpec, flights: Flights) -> Content:
 
 
 def _with_station(content: Content, flights: Flights) -> Content:
+    """Return the scenario's content with a fixed radio station by the first start; ScenarioError if none fits."""
     north, east, _ = content["fleets"][flights.places[0].fleet]["vehicles"][0]["position_ned"]
     problems: list[str] = []
     for away_north, away_east in BESIDE:
@@ -162,6 +163,8 @@ def fault_outcomes(path: Path, study: Content) -> list[FaultOutcome]:
 
 
 def _outcome(results: Results, here: NumpyArray, fault: str, part: float, begun: float) -> FaultOutcome:
+    """Return the shares of outcomes of the runs ``here`` after a fault at ``part`` of the mission, ``begun`` [s]."""
+
     def of(metric: str) -> NumpyArray:
         return results.metric(metric)[here]
 

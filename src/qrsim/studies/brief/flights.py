@@ -273,6 +273,7 @@ def _planned_s(scenario: Scenario, missions: tuple[MissionSpec, ...], names: tup
 
 
 def _time(seconds: float) -> str:
+    """Return a time [s] as text in seconds, minutes or hours."""
     if seconds < 120.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 3600.0:.1f} h" if seconds >= 3600.0 else f"{seconds / 60.0:.0f} min"

@@ -69,12 +69,14 @@ class WindSpec(Part):
     @model_validator(mode="before")
     @classmethod
     def _from(cls, data: object) -> object:
+        """Rename the key ``from`` to ``from_deg``."""
         if isinstance(data, dict) and "from" in data and "from_deg" not in data:
             return {("from_deg" if key == "from" else key): value for key, value in data.items()}
         return data
 
     @model_validator(mode="after")
     def _one_way(self) -> WindSpec:
+        """Raise ValueError unless the wind is given either by speed and direction or by a file."""
         for name in ("speed", "from_deg"):
             if (getattr(self, name) is None) == (self.file is None):
                 given = f"'{name}' and 'file'" if self.file is not None else f"neither '{name}' nor 'file'"
@@ -92,6 +94,7 @@ class UncertainSpec(Part):
 
     @model_validator(mode="after")
     def _ordered(self) -> UncertainSpec:
+        """Raise ValueError unless the charge's bounds ascend from above 0 to at most 1."""
         low, high = self.initial_charge
         if not 0.0 < low <= high <= 1.0:
             raise ValueError(f"initial_charge: {low:g} to {high:g}; allowed: ascending, above 0, at most 1")
@@ -158,6 +161,7 @@ class SiteSpec(Part):
 
     @model_validator(mode="after")
     def _place(self) -> SiteSpec:
+        """Raise ValueError for a latitude without longitude, or a height without both."""
         if (self.latitude_deg is None) != (self.longitude_deg is None):
             raise ValueError("gives one of latitude_deg and longitude_deg; give both, or neither")
         if self.latitude_deg is None and self.height_amsl is not None:
@@ -192,6 +196,7 @@ class OperationSpec(Part):
     @field_validator("world")
     @classmethod
     def _without_wind(cls, world: dict[str, Any]) -> dict[str, Any]:
+        """Raise ValueError if ``world`` has a wind; otherwise return it."""
         if "wind" in world:
             raise ValueError(
                 "the wind of an operation is its own key, such as wind: {speed: 7, from: 250}; leave world.wind out"

@@ -33,7 +33,7 @@ class Moment:
 
     def text(self) -> str:
         """Return the moment as text: vehicle, leg and time."""
-        parts = [self.vehicle, "" if self.leg is None else f"leg {self.leg}"]
+        parts = [self.vehicle and f"vehicle {self.vehicle}", "" if self.leg is None else f"leg {self.leg}"]
         parts += ["" if self.at_s is None else f"{self.at_s:.0f} s", f"seed {self.seed}"]
         return ", ".join(part for part in parts if part)
 

@@ -108,6 +108,7 @@ def ground_of(site: SiteSpec) -> Content:
 
 
 def _box(plans: tuple[Plan, ...]) -> Content:
+    """Return the bounds [m] of an area that contains the plans' homes and waypoints with AROUND to spare."""
     home = plans[0].home
     site = Site.from_degrees(home.latitude_deg, home.longitude_deg, home.altitude_amsl)
     places = [(plan.home.latitude_deg, plan.home.longitude_deg) for plan in plans]

@@ -87,6 +87,7 @@ def outlines(scenario: Scenario, volumes: Volumes) -> dict[str, NumpyArray]:
 
 
 def _around(places: NumpyArray, distance: float) -> NumpyArray:
+    """Return the corners (N, 2) of the convex hull of all points within ``distance`` of places (M, 2) [m]."""
     angles = np.arange(CORNERS) * math.tau / CORNERS
     # The sides of the polygon, not its corners, are on the circle.
     circle = distance / math.cos(math.pi / CORNERS) * np.stack([np.cos(angles), np.sin(angles)], axis=-1)

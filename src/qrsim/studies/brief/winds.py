@@ -129,6 +129,7 @@ def boundary_of(
 
 
 def _trials(path: Path, points: Sequence[Point], reserve: float | None) -> list[Trial]:
+    """Return the runs and good runs of each point in a study's results; [] if nothing has been flown yet."""
     try:
         results = Results(path) if path.exists() else None
     except RunError:  # nothing has been flown yet

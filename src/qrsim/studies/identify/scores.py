@@ -41,7 +41,7 @@ def score(
     nuisances: Mapping[str, float],
     separate: bool,
 ) -> dict[str, object]:
-    """Compare constants on a part of a log, open loop from its first row (again from the first row after a gap).
+    """Return open-loop errors on a part of a log with the constants before and after, restarted after a gap.
 
     The constants at the start have the same delay, once with neither wind nor trims and once with those of the fit.
 

@@ -49,7 +49,7 @@ class Coverage:
         self._seen[index[:, 0], index[:, 1]] += WINDOWS * self.evidence(distance)
 
     def left(self) -> NumpyArray:
-        """Return the missing share of each sector's evidence."""
+        """Return the share, 0 to 1, of the wanted evidence that each sector of the grid still lacks."""
         return np.where(self._wanted, np.clip(1.0 - self._seen / ENOUGH, 0.0, 1.0), 0.0)
 
     def heading(self, i: int, places: NumpyArray, velocity: NumpyArray, swath: float, yaw: float) -> NumpyArray:
