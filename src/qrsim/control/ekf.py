@@ -292,7 +292,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         for what, scalars, new, due in self._groups(state, readings, fresh, dt):
             believe = partial(self._believed, what, scalars, new)
             # Nothing is computed between two readings of a sensor. If vehicles have different times, all are computed.
-            carry = lax.cond(due, believe, _unchanged, carry) if due.ndim == 0 else believe(carry)
+            carry = lax.cond(due, believe, lambda carry: carry, carry) if due.ndim == 0 else believe(carry)
         covariance, errors, since_fix, innovations, slow = carry
         state = replace(state, covariance=covariance, since_fix=since_fix, innovations=innovations, slow=slow)
         return injected(state, errors, dt)
@@ -390,11 +390,6 @@ def _shares(readings: Mapping[str, object]) -> tuple[Any, Any]:
         return 1.0 / 3.0, 1.0 / 3.0
     level, down = jnp.maximum(level * level, 1e-6), jnp.maximum(down * down, 1e-6)
     return 0.5 * level / (level + down), down / (level + down)
-
-
-def _unchanged(carry: Corrected) -> Corrected:
-    """Return the argument unchanged, for a tick without a reading."""
-    return carry
 
 
 def _estimate(state: KalmanState) -> Estimate:

@@ -292,7 +292,6 @@ def _slowed_setpoint(due: PathSetpoint, rate: Array, grounded: tuple[Array, Arra
     velocity, acceleration = due.velocity_ned * rate, due.acceleration_ned * (rate * rate)
 
     def upright(vector: Vec3) -> Vec3:
-        """Return a vector, only its vertical part where ``low``."""
         return replace(vector, x=jnp.where(low, 0.0, vector.x), y=jnp.where(low, 0.0, vector.y))
 
     return PathSetpoint(due.position_ned, upright(velocity), upright(acceleration), due.yaw, *grounded)
@@ -358,7 +357,6 @@ def _leg_of(route: Mission, index: Array) -> Mission:
     own = jnp.arange(index.shape[0], dtype=jnp.int32)
 
     def pick(values: Array) -> Array:
-        """Return the values of each vehicle's leg, from a table (legs, n)."""
         return values if values.ndim == 1 else jnp.asarray(values).at[index, own].get(mode="promise_in_bounds")
 
     return map_tree(pick, route)

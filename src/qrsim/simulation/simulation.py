@@ -35,7 +35,7 @@ from qrsim.simulation.radios import Radios, no_seen_state
 from qrsim.simulation.snapshot import SavedState, fingerprint, write
 from qrsim.world.draws import keys_of
 from qrsim.world.episode import refuse_unplaced
-from qrsim.world.state import State, World, WorldKeys
+from qrsim.world.state import State, World
 
 # Ticks that a program of ``record`` is for where the user does not say.
 CAPACITY = 50
@@ -142,14 +142,10 @@ class Simulation(Radios, Injecting, Tabled):
             self.seed = checked_seed(seed)
         self._clear_all()
         with self.precision_context():
-            self._layout, self._state = self._ticks.reset(self._keys(self.seed, self.number))
+            self._layout, self._state = self._ticks.reset(keys_of(self.world, Key.root(self.seed, self.number)))
             self.tick, self._now = 0, no_seen_state
             refuse_unplaced(self.world, cast(State, self._seen()).placed)
         return self.reading
-
-    def _keys(self, seed: int, number: int) -> WorldKeys:
-        """Return the random keys of an episode, by seed and number of the world."""
-        return keys_of(self.world, Key.root(seed, number))
 
     # Here and in ``advance`` what ``alone`` does is written out: called so often, its own call counts.
     def step(self, command: object = None, ticks: int = 1, estimate: Estimate | None = None) -> Reading:
@@ -297,7 +293,7 @@ class Simulation(Radios, Injecting, Tabled):
         saved = SavedState.of(source)
         saved.check(self.name, self._fingerprint())
         with self.precision_context():
-            keys = self._keys(saved.seed, saved.number)
+            keys = keys_of(self.world, Key.root(saved.seed, saved.number))
             layout, own = self._running() if self._layout is not None else self._ticks.reset(keys)
             buffers = saved.buffers(layout, own)
             saved.check_state(self.world, layout.unpack(buffers), keys)
