@@ -15,8 +15,8 @@ import numpy as np
 from evidence.returns import fly
 from evidence.tasks import summary
 from qrsim.envs.batch import Batch
+from qrsim.envs.objective import Reached
 from qrsim.envs.scoring import HOVER, maker
-from qrsim.studies.learn.objective import Reached
 from qrsim.studies.learn.training import Plan, Training
 from qrsim.tasks.learned import forward
 

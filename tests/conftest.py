@@ -6,12 +6,14 @@ import gc
 import os
 import signal
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import jax
 import pytest
 from jax._src import compiler
+from jax._src.interpreters import mlir
 
 from qrsim.engine.settings import quick_to_compile
 
@@ -24,6 +26,7 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 def pytest_configure(config: pytest.Config) -> None:
     """Count the programs that tests compile."""
+    from tests import one_by_one
     from tests.programs_made import ProgramsMade
 
     from qrsim.engine import by_llvm, by_xla
@@ -32,6 +35,7 @@ def pytest_configure(config: pytest.Config) -> None:
     made.watch(by_llvm, "build")
     made.watch(by_xla, "make")
     config.pluginmanager.register(made, "programs_made")
+    one_by_one.install()
     # Tracing makes many objects. By Python's defaults, a sixth of the time went to looking through those that stay.
     gc.set_threshold(100_000, 50, 100)
 
@@ -74,7 +78,26 @@ def resident_bytes() -> int:
 
 
 # Rooms whose tests compile many programs that run for a moment.
-QUICKLY_COMPILED = ("control", "core", "envs", "laws", "models", "studies/slam", "tasks")
+QUICKLY_COMPILED = (
+    "apps/test_cli_openloop.py",
+    "apps/test_cli_validate.py",
+    "control",
+    "core",
+    "envs",
+    "interface",
+    "laws",
+    "models",
+    "scenarios",
+    "simulation",
+    "studies/flight_logs",
+    "studies/identify",
+    "studies/slam",
+    "studies/validate",
+    "tasks",
+    "world",
+)
+# Counts what is compiled, as users would see it.
+AS_FOR_USERS = ("simulation/test_rollout.py",)
 options_of_xla = compiler.get_compile_options
 
 
@@ -86,12 +109,16 @@ def quick_options(*given: Any, env_options_overrides: dict[str, Any] | None = No
 
 # JAX has no setting for it. It takes half the time.
 compiler.get_compile_options = quick_options
+# One context for all programs: to make one, with all its dialects, takes longer than to lower a small program.
+mlir.make_ir_context = lru_cache(maxsize=1)(mlir.make_ir_context)
 
 
 @pytest.fixture(autouse=True, scope="module")
 def _quick_xla(request: pytest.FixtureRequest) -> Iterator[None]:
     """Have XLA compile without the passes that take longer than what they save in a test."""
-    quick = any(request.path.is_relative_to(Path(__file__).parent / room) for room in QUICKLY_COMPILED)
+    tests = Path(__file__).parent
+    quick = any(request.path.is_relative_to(tests / room) for room in QUICKLY_COMPILED)
+    quick &= request.path.relative_to(tests).as_posix() not in AS_FOR_USERS
     if quick:
         # Asks XLA, by a program, for the options that it knows.
         quick_to_compile()

@@ -122,7 +122,7 @@ def test_planted_failures_are_found(tmp_path: Path, capsys: pytest.CaptureFixtur
 
     code, found = brief(write(tmp_path / "mast", mast=ON_THE_LEG))
     assert (code, found["verdict"]) == (1, "no-go")
-    assert "lost (" in found["why"]
+    assert " runs lost (" in found["why"]
     assert "collided" in found["why"]
     assert rows(found)["loss"]["value"] > 0.9
     row = rows(found)["obstacle"]
@@ -160,7 +160,7 @@ def test_a_hill_on_a_leg_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[
     code, found = brief(file)
     assert (code, found["verdict"], found["runs"]) == (1, "no-go", 32)
     row = rows(found)["loss"]
-    assert "lost (32 crashed), the earliest at a, leg 2, " in row["why"]
+    assert row["why"].startswith("32 of 32 runs lost (100 %): 32 crashed; the earliest: vehicle a, leg 2, ")
     # The vehicle is up at 12 m after about 8 s.
     assert (row["worst"]["leg"], row["worst"]["vehicle"]) == (2, "a")
     assert 5.0 < row["worst"]["at_s"] < 20.0

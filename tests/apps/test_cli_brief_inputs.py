@@ -154,7 +154,7 @@ def test_wrong_plans(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         capsys, "a.plan", "far.plan", *X500, *WIND, *AT
     )
     write_plan(Path("near.plan"), home=(HOME[0] + 1.0 / 111_250.0, *HOME[1:]))
-    assert "starts 1 m from fleets.a.vehicles.0; allowed: at least 2 m (world.collision_distance)" in refused(
+    assert "starts 1 m from missions.a; allowed: at least 2 m (world.collision_distance)" in refused(
         capsys, "a.plan", "near.plan", *X500, *WIND, *AT
     )
     assert "o.yaml: no such file" in refused(capsys, "o.yaml")

@@ -188,6 +188,7 @@ class TestTable:
         assert re.search(rf" 0 +0.0 % +0.0 to +{100 * scipy.stats.beta.ppf(0.975, 1, 3):.1f} %", row)
         assert "to fly the first failed run" not in printed
 
+    @pytest.mark.long
     def test_a_mission_that_no_run_finishes(self, tmp_path, capsys):
         file = tmp_path / "short.yaml"
         legs = "[{to_ned: [90, 0, -20]}, {to_ned: [0, 0, -20]}]"

@@ -88,13 +88,6 @@ class TestRecording:
         assert recording.world is None
         assert recording.cast.names == recording.run.vehicles
 
-    def test_plots_are_of_the_minute_before(self, flown: Flight):
-        recording = Recording(open_run(flown.folder))
-        times, measured, true = recording.plotted(2, "barometer.height", 4.0)
-        assert (times[0], times[-1]) == (0.0, pytest.approx(4.0))
-        np.testing.assert_allclose(true, -open_run(flown.folder)["truth"]["position_ned.z"][: len(times), 2], rtol=1e-6)
-        assert 0.0 < np.abs(measured - true).max() < 5.0
-
 
 class TestRefused:
     @pytest.mark.parametrize(

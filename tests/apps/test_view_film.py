@@ -19,7 +19,7 @@ import qrsim
 from qrsim import cli
 from qrsim.errors import RunError, UsageError
 from qrsim.runs import open_run
-from qrsim.view import film, readings
+from qrsim.view import film, plots
 from qrsim.view.recording import Recording
 
 BODIES = "/world/vehicles/bodies"
@@ -101,11 +101,12 @@ def test_it_keeps_heading_layers_marks_and_readings(page: str, flown: Flight):
     run = open_run(flown.folder)
     shape = (len(about["quantities"]), -1)
     assert about["period"] == pytest.approx(0.1)
-    assert about["units"][about["quantities"].index("barometer.height")] == "m"
+    assert '["measurements.barometer.height", "m", "height above the site' in page
     for vehicle in range(5):
-        values = unpacked(found[f"readings-{vehicle}"])
-        height = about["quantities"].index("barometer.height")
-        measured, true = (values[name].reshape(shape)[height] for name in ("measured", "true"))
+        values = unpacked(found[f"plots-{vehicle}"])["values"].reshape(shape)
+        measured, true = (
+            values[about["quantities"].index(name)] for name in ("measurements.barometer.height", "derived.height")
+        )
         # Every 0.1 s of ticks of 0.02 s.
         np.testing.assert_array_equal(measured, run["measurements"]["barometer.height"][::5, vehicle])
         np.testing.assert_array_equal(true, -run["truth"]["position_ned.z"][::5, vehicle].astype(np.float32))
@@ -125,10 +126,10 @@ def test_hidden_layers_are_recorded_and_hidden(recording: Recording, monkeypatch
 def test_what_is_left_out_of_a_long_run_is_said(recording: Recording, monkeypatch: pytest.MonkeyPatch):
     assert film.thinned(recording) == []
     monkeypatch.setattr(film, "MOST_FRAMES", 21)
-    monkeypatch.setattr(readings, "MOST_VALUES", 5 * 200)
+    monkeypatch.setattr(plots, "MOST_VALUES", 5 * 200)
     lines = film.thinned(recording)
     assert lines[0] == "so long a run is exported at every 0.5 s"
-    assert lines[1].startswith("its readings are plotted at every ")
+    assert lines[1].startswith("its quantities are plotted at every ")
     assert len(film.times_of(recording)) == 21
 
 

@@ -85,3 +85,16 @@ def test_keys_and_the_mouse_in_a_browser(replay: Any):
         browser.click(400.0, browser.evaluate("innerHeight") - 17.0)
         eventually(lambda: 0.3 * DURATION < replay.time < 0.7 * DURATION)
         assert "2 x" in browser.evaluate("document.getElementById('qrsim-timeline').innerText")
+
+
+def test_while_the_bar_is_dragged_paths_wait(replay: Any):
+    """They are most of what a jump sends."""
+    wish, paths = replay._timeline.wish, replay.page.scene.paths[0]
+    wish({"time": 5.0})
+    assert not paths._changed
+    for time_s in (2.0, 8.0):
+        wish({"time": time_s, "drag": True})
+    assert replay.page.scene.frame.time == pytest.approx(8.0)
+    assert paths._changed
+    wish({"time": 8.0})
+    assert not paths._changed

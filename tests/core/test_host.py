@@ -17,6 +17,8 @@ from qrsim.core.noise import Key
 from qrsim.core.quaternions import Quaternion
 from qrsim.core.vectors import Euler, Vec3
 
+# By XLA: other tests of this folder compute single operations by what is tested here.
+pytestmark = pytest.mark.usefixtures("optimised")
 rng = np.random.default_rng(5)
 X, Y = rng.normal(size=(2, 3, 40)).astype(np.float32)
 WHOLE = rng.integers(-50, 50, 40).astype(np.int32)
@@ -26,6 +28,7 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
     "choices": lambda x, y, i: (jnp.where(x > y, x, 0.0), jnp.clip(x, -0.5, 0.25), jnp.minimum(x, y), jnp.sign(i)),
     "steps": lambda x, y, i: (jnp.round(3.0 * x), jnp.floor(x), jnp.ceil(y), lax.round(2.0 * x), x.astype(int)),
     "shapes": lambda x, y, i: (x[1:, ::2], x.T, jnp.concatenate([x, y]), jnp.stack([i, i]), x[:, 3], x.reshape(4, 30)),
+    "moved": lambda x, y, i: (x[i[0] // 50 + 1], lax.dynamic_slice(y, (i[1], i[2]), (2, 39))),
     "spread": lambda x, y, i: (jnp.broadcast_to(x[0], (5, 40)), jnp.zeros_like(x), jnp.full_like(y, 2.0)),
     "over": lambda x, y, i: (jnp.max(x, axis=0), jnp.min(y), jnp.any(x > 2.0), jnp.all(i > -60)),
     "bits": lambda x, y, i: (lax.bitcast_convert_type(x, jnp.int32) >> 3, i & 7, i | 1, i ^ 5, ~(x > 0.0)),

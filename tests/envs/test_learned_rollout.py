@@ -10,9 +10,9 @@ import pytest
 import qrsim
 from qrsim.envs.batch import Batch
 from qrsim.envs.learned import rollout_policy
+from qrsim.envs.viewing import view_of
 from qrsim.errors import CompilerWarning, UsageError
 from qrsim.scenarios.scenario import load_scenario
-from qrsim.studies.learn.viewing import view_of
 from qrsim.tasks.learned import PolicyFile, Scaling
 
 SHORT = ["duration=1"]

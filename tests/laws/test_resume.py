@@ -175,7 +175,8 @@ def test_a_resumed_task_is_the_uninterrupted_one_bit_for_bit(name: str) -> None:
     assert resumed.save() == whole.save()
 
 
-@pytest.mark.parametrize("number", [pytest.param(i, marks=[pytest.mark.long] * (i > 0)) for i in WORLDS])
+@pytest.mark.long
+@pytest.mark.parametrize("number", WORLDS)
 @pytest.mark.filterwarnings("ignore:fleets.*hand list")
 def test_a_resumed_run_is_the_uninterrupted_one_bit_for_bit(number: int) -> None:
     whole = simulation(number, seed=5)

@@ -198,6 +198,7 @@ class TestSpeaking:
         rows = {int(who): row for row, who in enumerate(last["sender"][0])}
         np.testing.assert_allclose(last["heard"][0, rows[3], :3], [-16.0, 16.0, -30.0], atol=3.0)
 
+    @pytest.mark.long
     @pytest.mark.parametrize(
         ("given", "message"),
         [

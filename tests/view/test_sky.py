@@ -19,6 +19,7 @@ from qrsim.runs import open_run
 from qrsim.view import film
 from qrsim.view.browser import INSTALL, Browser, find_browser
 from qrsim.view.page import Page
+from qrsim.view.plots import Plots
 from qrsim.view.recording import Recording
 from qrsim.view.sky import columns_of, of_satellites, satellites, sky_of_state
 
@@ -101,7 +102,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.long
 def test_a_recording_a_page_and_a_state_say_the_same(folder: Path) -> None:
     recording = Recording(open_run(folder))
-    assert not any("cn0" in name for name in recording.quantities)
+    assert not any("cn0" in name for name in Plots(recording).quantities)
     clear, jammed = recording.sky(0, 3.0), recording.sky(1, 3.0)
     assert 25 < len(clear) < 50
     assert {state for *_, state in recording.sky(1, 1.0)} <= {0, 1}

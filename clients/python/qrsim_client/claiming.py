@@ -38,7 +38,7 @@ class SharedCalls(ABC):
         self._pushed: deque[pb.Readings] = deque(maxlen=MOST_PUSHED)
 
     def claim(self, *vehicles: str, on_silence: str | None = None, hold: float | None = None) -> Claim:
-        """Claim the exclusive command of vehicles, all of them or none; without names all that are free.
+        """Claim the exclusive command of vehicles, all or none; without names all that are free.
 
         Args:
             vehicles: names.
@@ -63,11 +63,11 @@ class SharedCalls(ABC):
         )
 
     def release(self, *vehicles: str) -> None:
-        """Give claimed vehicles back to the guidance of their scenario; without names all."""
+        """Return claimed vehicles to their scenario's guidance; without names all of them."""
         self._call(Message(type=Message.RELEASE, release=pb.Release(vehicle=vehicles)), Message.ACK)
 
     def command(self, orders: Mapping[str, object], *, computed_from: int | None = None) -> int:
-        """Have claimed vehicles fly by orders until the next ones; return the tick from which they do (pace "free").
+        """Send orders, which vehicles fly until the next ones; return the tick at which they start (pace "free").
 
         Args:
             orders: vehicle -> (kind, numbers), as ``{"a": ("waypoint", [8.0, -6.0, -10.0, 0.0])}``; see ``KINDS``.
@@ -85,8 +85,7 @@ class SharedCalls(ABC):
         computed_from: int | None = None,
         truth: bool = False,
     ) -> Sensed:
-        """Give orders, wait until all who fly here have come to a tick, and return what one's vehicles sense there
-        (pace "barrier").
+        """Send orders, wait until all clients reach a tick, and return the readings there (pace "barrier").
 
         Args:
             orders: as in ``command``; those left out fly on by their last order.
@@ -107,7 +106,7 @@ class SharedCalls(ABC):
         return sensed_of(self._call(Message(type=Message.COMMAND, command=request), Message.READINGS).readings)
 
     def subscribe(self, *vehicles: str, rate: float | None = None, truth: bool = False, stop: bool = False) -> None:
-        """Have the readings of vehicles pushed; ``sensed`` returns them.
+        """Start or stop the server's pushing of readings; ``sensed`` returns them.
 
         Args:
             vehicles: names; none: those that one has claimed, at any time.
@@ -121,7 +120,7 @@ class SharedCalls(ABC):
             self._pushed.clear()
 
     def sensed(self, timeout: float | None = None, *, newest: bool = True) -> Sensed:
-        """Return what was pushed, and wait for it where nothing is there that was not returned before.
+        """Return pushed readings; waits if all that arrived were returned before.
 
         Args:
             timeout: how long to wait [s]; default: for ever.
@@ -136,7 +135,7 @@ class SharedCalls(ABC):
         return sensed_of(found)
 
     def say(self, words: Mapping[str, object], *, to: str | None = None) -> None:
-        """Hand messages to the radios of vehicles, which send them as soon as their turns come; all or none.
+        """Send messages by the radios of vehicles, in their next turns; all or none.
 
         In a shared world of claimed vehicles only, and of several messages of one in a tick the last one counts.
 
@@ -150,7 +149,7 @@ class SharedCalls(ABC):
         self._call(Message(type=Message.SAY, say=request), Message.ACK)
 
     def inbox(self) -> dict[str, tuple[Heard, ...]]:
-        """Return vehicle -> what it has heard over the radio, the newest message of each sender, the newest first."""
+        """Return vehicle -> the newest radio message received from each sender, the newest first."""
         found = self._call(Message(type=Message.GET_READINGS, get_readings=pb.GetReadings()), Message.READINGS).readings
         return {vehicle.name: heard_of(vehicle.heard) for vehicle in found.vehicle}
 
@@ -163,7 +162,7 @@ class SharedCalls(ABC):
         duration: float | None = None,
         **numbers: Any,
     ) -> str:
-        """Let something fail from the next tick on, and return what the server says of it.
+        """Inject a fault or a change of the weather from the next tick on; return the server's note about it.
 
         Args:
             target: name of a sensor, ``rotor N``, ``battery``, ``radio`` or ``body`` that is injectable; ``link``; or
@@ -194,7 +193,7 @@ class SharedCalls(ABC):
         return str(self._call(Message(type=Message.INJECT, inject=request), Message.ACK).ack.msg)
 
     def clear(self, target: str | None = None, vehicles: object = None) -> str:
-        """End injected faults of a target, None: of all, and return what the server says.
+        """End the injected faults of a target, None: of all targets; return the server's note about it.
 
         Args:
             target: as in ``inject``.
@@ -211,7 +210,7 @@ class SharedCalls(ABC):
         return self.inject("world", "wind", speed_20ft=speed, wind_from_deg=from_deg)
 
     def status(self) -> Status:
-        """Return who flies what, how old the orders are, and how the pace is kept."""
+        """Return each vehicle's controller, the age of its order, and the pace statistics."""
         found = self._call(Message(type=Message.GET_STATUS, get_status=pb.GetStatus()), Message.STATUS).status
         vehicles = {
             each.name: VehicleStatus(
@@ -229,7 +228,7 @@ class SharedCalls(ABC):
         return Status(found.pace, found.tick, found.t, pacing, vehicles)
 
     def describe(self) -> dict[str, Any]:
-        """Return what the world is made of: area, obstacles, ground, wind, fleets with their sensors and commands."""
+        """Return a description of the world: area, obstacles, ground, wind, fleets with sensors and commands."""
         found = self._call(Message(type=Message.DESCRIBE, describe=pb.Describe()), Message.WORLD).world
         parts = {name: _part(getattr(found, name)) for name in ("area", "ground", "wind", "turbulence", "gust")}
         parts.update({"radio": _part(found.radio)} if found.HasField("radio") else {})
@@ -259,7 +258,7 @@ class SharedCalls(ABC):
 
     @abstractmethod
     def _decode_pushed(self) -> None:
-        """Take in what was pushed and has arrived."""
+        """Queue the pushed readings that have arrived, without waiting."""
 
 
 def sensed_of(found: pb.Readings) -> Sensed:
@@ -285,7 +284,7 @@ def _sensed_vehicle(found: Any) -> SensedVehicle:
 
 
 def _vehicle_list(vehicles: Any) -> list[str]:
-    """Return vehicle names as a list; None is the empty list, a string one name."""
+    """Return vehicle names as a list; None gives [], and a string one name."""
     return [] if vehicles is None else [vehicles] if isinstance(vehicles, str) else list(vehicles)
 
 
@@ -295,7 +294,7 @@ def _optional_field(found: Any, name: str) -> Any:
 
 
 def numbers_of(vehicle: str, said: object) -> list[float]:
-    """Convert a user's value to an array of floats; raises UsageError for other values."""
+    """Convert a message for a vehicle's radio to a list of floats; raises UsageError unless it is one-dimensional."""
     try:
         values = np.asarray(said, np.float64)
     except (TypeError, ValueError):
@@ -307,7 +306,7 @@ def numbers_of(vehicle: str, said: object) -> list[float]:
 
 
 def _order_messages(orders: Mapping[str, Any]) -> list[pb.Order]:
-    """Convert vehicle -> (kind, numbers) to messages; raises UsageError for orders of another form."""
+    """Convert {vehicle: (kind, numbers)} to protobuf orders; raises UsageError for other forms."""
     messages = []
     for vehicle, order in orders.items():
         try:
@@ -329,7 +328,7 @@ def kind_of(name: str) -> Step.Type:
 
 
 def _part(found: Any) -> dict[str, Any]:
-    """Return a component from its message: its type, its numbers, and their units."""
+    """Return the description of a component as a dict of its type, its parameters and their "units"."""
     values: dict[str, Any] = {"type": found.type}
     for each in found.quantity:
         numbers = list(each.value)

@@ -52,8 +52,7 @@ __all__ = [
     "SensedVehicle", "Session", "State", "Status", "VehicleStatus",
 ]  # fmt: skip
 
-# A state of 200 000 vehicles.
-LARGEST_REPLY = 1 << 26
+LARGEST_REPLY = 1 << 26  # a state of 200 000 vehicles
 INVALID = "invalid uav state"
 
 
@@ -79,8 +78,7 @@ class Client(SharedCalls):
         self._where = f"{host}:{port}"
         self._timeout = timeout
         self._deframer = Deframer(LARGEST_REPLY)
-        self.time_step = 0.0
-        self.size = 0
+        self.time_step, self.size = 0.0, 0
         try:
             self._socket: socket.socket | None = socket.create_connection((host, port), timeout)
         except (OSError, OverflowError) as error:
@@ -98,20 +96,20 @@ class Client(SharedCalls):
         return state
 
     def reset(self) -> None:
-        """Start the next episode of the task; ``restart`` does it too, and returns its seed and its state."""
+        """Start the next episode of the task and return nothing; ``restart`` returns its seed and state."""
         self._call(Message(type=Message.RESET, reset=pb.Reset(value=True)), Message.ACK)
 
     def set_state(self, state: object) -> None:
-        """Set the vehicles' states (n, 13), (n, 12), (n, 6) or (n, 3); see ``Simulation.set_state``."""
+        """Set the vehicles' states, rows of 13, 12, 6 or 3 numbers; see ``Simulation.set_state``."""
         rows = pb.SetState(X=_vectors("state", state, (3, 6, 12, 13)))
         self._call(Message(type=Message.SETSTATE, setsState=rows), Message.ACK)
 
     def step_waypoint(self, dt: float, waypoints: object) -> State:
-        """Fly to waypoints (n, 4), x, y, z NED [m] and yaw [rad], for a simulated time [s]."""
+        """Fly to waypoints (n, 4), x, y, z NED [m] and yaw [rad], for ``dt`` [s] of simulated time."""
         return self._step(dt, Step.WP, waypoints, 4)
 
     def step_control(self, dt: float, commands: Any) -> State:
-        """Fly commands for a simulated time [s], one row for each vehicle.
+        """Fly commands, one row for each vehicle, for ``dt`` [s] of simulated time.
 
         A quadrotor's row (5,) is pitch, roll [rad], throttle, yaw rate [rad/s], battery [V]; other vehicles have the
         fields of their own command, and one that takes none an empty row.
@@ -124,11 +122,11 @@ class Client(SharedCalls):
         return self._send_step(Step(dt=dt, type=Step.CTRL, cmd=vectors))
 
     def step_velocity(self, dt: float, velocities: object) -> State:
-        """Fly at velocities NED (n, 3) [m/s], heading north, for a simulated time [s]."""
+        """Fly at velocities NED (n, 3) [m/s], heading north, for ``dt`` [s] of simulated time."""
         return self._step(dt, Step.VEL, velocities, 3)
 
     def step_setpoint(self, dt: float, kind: str, setpoints: object) -> State:
-        """Fly set-points of a kind of ``claiming.KINDS``, one row for each vehicle, for a simulated time [s]."""
+        """Fly set-points of a kind in ``claiming.KINDS``, one row a vehicle, for ``dt`` [s] of simulated time."""
         return self._send_step(Step(dt=dt, type=kind_of(kind), cmd=_vectors("set-point", setpoints)))
 
     def disconnect(self) -> None:
@@ -136,7 +134,7 @@ class Client(SharedCalls):
         self._send_disconnect(quit_server=False)
 
     def quit(self) -> str:
-        """End the session and ask the server to quit; return "" or the reason it goes on."""
+        """End the session and ask the server to stop; return "" or the reason why it does not."""
         return self._send_disconnect(quit_server=True)
 
     def _send_disconnect(self, quit_server: bool) -> str:
@@ -154,7 +152,7 @@ class Client(SharedCalls):
     # ---- extensions ----
 
     def hello(self) -> dict[str, Any]:
-        """Return version, capabilities, tasks and running sessions; afterwards invalid vehicles have reasons."""
+        """Return the server's version, capabilities, tasks and sessions; from then on it explains invalid vehicles."""
         found = self._call(Message(type=Message.HELLO, hello=pb.Hello()), Message.SERVER).server
         return {
             "version": found.version,
@@ -173,7 +171,7 @@ class Client(SharedCalls):
         realtime: float | None = None,
         events: bool = False,
     ) -> Session:
-        """Start a session.
+        """Start a session of a task or of an uploaded scenario.
 
         Args:
             task: name; or
@@ -186,7 +184,7 @@ class Client(SharedCalls):
         return self._open_session(Message(type=Message.OPEN, open=request))
 
     def restart(self, seed: int | None = None) -> Session:
-        """Start the next episode of the task, or that of a seed."""
+        """Start the next episode of the task, or an episode with a given seed."""
         return self._open_session(Message(type=Message.RESTART, restart=pb.Restart(seed=_checked_seed(seed))))
 
     def _open_session(self, request: Message) -> Session:
@@ -250,7 +248,7 @@ class Client(SharedCalls):
         )  # fmt: skip
 
     def act(self, action: object, answer: object = None, say: Any = None) -> Outcome:
-        """Advance the episode by a step.
+        """Advance the episode by a step; return its observation, reward, end flags and info.
 
         Args:
             action: (n, A) numbers in [-1, 1].
@@ -363,11 +361,13 @@ class Client(SharedCalls):
             raise self._close_with(f"this is no qrsim server: {error}") from None
 
     def _open_socket(self) -> socket.socket:
+        """Return the socket; raises ConnectionFailed if this client is closed."""
         if self._socket is None:
             raise ConnectionFailed(f"{self._where}: this client is closed")
         return self._socket
 
     def _close_with(self, why: str) -> ConnectionFailed:
+        """Close the connection and return the error to raise, with the reason ``why``."""
         self.close()
         return ConnectionFailed(f"{self._where}: {why}")
 
@@ -379,7 +379,7 @@ def _checked_seed(seed: int | None) -> int | None:
 
 
 def _vectors(what: str, rows: object, widths: tuple[int, ...] = ()) -> list[pb.Arrayd]:
-    """Return one vector for each vehicle, of one of the widths; none: the server knows which."""
+    """Convert rows to one message vector for each vehicle; raises UsageError for other widths (none: any)."""
     try:
         array = np.atleast_2d(np.asarray(rows, np.float64))
     except (TypeError, ValueError):

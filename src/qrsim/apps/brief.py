@@ -118,7 +118,7 @@ class Brief:
             raise UsageError(f"--seed {self.seed}: expected an integer from 0 to 2**62 - 1")
 
     def _operation(self) -> OperationSpec:
-        """Return the operation of the command line, with a note on the time where none was given."""
+        """Return the operation of the command line, noting an assumed time if none was given."""
         from qrsim.studies.brief.operation import FAULTS, checked, read_operation
         from qrsim.studies.brief.words import NEEDED, battery_of, now_rounded, time_of, vehicles_of
 
@@ -159,6 +159,7 @@ class Brief:
         return {"speed": round(speed, 3), "from_deg": bearing}
 
     def _write(self, operation: OperationSpec) -> int:
+        """Write the operation as the YAML file of --write, with relative paths, and return exit code 0."""
         import os
 
         from qrsim.files.atomic import write_atomically
@@ -177,7 +178,7 @@ class Brief:
         return 0
 
     def _check_precision(self, flights: Flights) -> None:
-        """Refuse a precision that needs far more runs than there is time for."""
+        """Raise UsageError for a precision that needs far more runs than the time allows."""
         from qrsim.studies.brief.statistics import runs_for
 
         if self.precision is None:
@@ -191,7 +192,7 @@ class Brief:
             )
 
     def _clear(self, folder: Path, operation: OperationSpec) -> None:
-        """Empty the folder with --again; else refuse that of another operation."""
+        """Empty the folder with --again; otherwise raise UsageError if it holds another operation."""
         import shutil
 
         from qrsim.files.yaml_text import parse_yaml
@@ -225,6 +226,7 @@ class Brief:
             )
 
     def _brief(self, operation: OperationSpec, flights: Flights, folder: Path) -> int:
+        """Fly and judge the operation's stages and print the brief; return the exit code of its verdict."""
         from qrsim.studies.brief.briefing import STAGES, exit_code, fly, keep, prepared, record_worst
 
         with os_error_as(RunError, f"{folder}: cannot write there"):
@@ -249,6 +251,7 @@ class Brief:
         return exit_code(brief.verdict[0])
 
     def _flyer(self, opened: ExitStack, folder: Path, told: Callable[[str, int, int], None]) -> Flyer:
+        """Return what flies the studies, by worker processes that ``opened`` ends."""
         from qrsim.engine.settings import available_cores
         from qrsim.studies.brief.studying import Flyer
         from qrsim.studies.sweep.cluster import workers_of
@@ -291,7 +294,7 @@ class Brief:
 
 
 def _differing(mine: object, theirs: object, path: str = "") -> Iterator[str]:
-    """Yield the keys in which two operations differ, with both values."""
+    """Yield "path: mine, theirs" for the keys in which two operations differ."""
     if isinstance(mine, Mapping) and isinstance(theirs, Mapping):
         for key in dict.fromkeys([*mine, *theirs]):
             yield from _differing(mine.get(key), theirs.get(key), f"{path}.{key}".lstrip("."))
@@ -305,7 +308,7 @@ def _print_flights(operation: OperationSpec, flights: Flights) -> None:
     wind = flights.wind
     blows = f"{wind.speed:.3g} m/s from {wind.from_deg:.3g} deg at {wind.height:g} m"
     print(f"{operation.operation}: {operation.at}, wind {blows}")
-    for name, mission, planned in zip(flights.names, operation.missions, flights.planned_s, strict=True):
+    for name, mission, planned in zip(flights.names, flights.missions, flights.planned_s, strict=True):
         print(f"  {name:<20} {mission.plan}, {mission.vehicle}: {planned:.0f} s planned")
     if len(flights.names) > MANY:
         each = len(flights.names) * max(flights.planned_s) / USUAL_SPEED
@@ -331,7 +334,7 @@ def _print_verdict(brief: Briefing) -> None:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[str, int, int], None]]:
-    """Show a bar of the study that is flown, on a terminal only."""
+    """Show a bar of the present study in the context, on a terminal only; yield its update function."""
     with progress_bar("starting", 1.0, "{task.completed:.0f} of {task.total:.0f} runs") as update:
 
         def told(study: str, done: int, planned: int) -> None:

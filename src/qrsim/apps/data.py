@@ -34,7 +34,7 @@ class Fetch:
     """Folder to save to."""
 
     def run(self) -> None:
-        """Fetch file by file and say what happened to each."""
+        """Fetch the recordings file by file and print the outcome of each."""
         import shlex
 
         folder = recordings.data_folder() if self.dest is None else Path(os.path.expanduser(self.dest)).absolute()
@@ -76,7 +76,7 @@ class Where:
 
 
 def _bring(status: recordings.FileStatus, wanted: list[str]) -> None:
-    """Fetch one file unless it is good; ``wanted`` names all files that were not, for the advice on failure."""
+    """Fetch a file unless it is complete; ``wanted`` lists all incomplete files, for the advice on failure."""
     if status.condition == "good":
         print(f"kept     {status.name}")
         return
@@ -134,7 +134,7 @@ class _RichBar:
 
     @property
     def total(self) -> int:
-        """Bytes to come."""
+        """Number of bytes to fetch."""
         return self._total
 
     @total.setter
@@ -144,12 +144,12 @@ class _RichBar:
         self._progress.update(self._task, total=count or None)
 
     def update(self, count: int) -> None:
-        """Add bytes that came."""
+        """Add ``count`` fetched bytes."""
         self._progress.advance(self._task, count)
 
     def reset(self) -> None:
-        """Start counting anew."""
+        """Set the count back to zero."""
         self._progress.update(self._task, completed=0)
 
     def close(self) -> None:
-        """Do nothing: the context takes the bar away."""
+        """Do nothing: the context closes the bar."""

@@ -21,12 +21,14 @@ TRACK_PERIOD_S = 0.2
 
 @dataclass(frozen=True)
 class Export:
-    """Write a recorded run for other programs: csv, geojson, gpx, kml, mcap or rosbag2.
+    """Write a recorded run for other programs: csv, geojson, gpx, kml, mcap or rosbag2; or a learned policy as C.
 
     Format csv has one table per stream, every column with its unit, in full precision. Formats geojson, gpx and kml
     have the true and the GNSS-reported track of every vehicle and the events, on WGS-84. Format mcap has poses, fixes,
     sensors, commands, wind, scene and events for Foxglove, east-north-up, and a layout for it in NAME.layout.json.
     Format rosbag2 has the topics of 'qrsim ros2', as ROS 2 records them.
+
+    Format c is for a policy of 'qrsim train': a function without dependencies, from an observation to an action.
 
     Heights are above the WGS-84 ellipsoid. Those of gpx are above mean sea level (EGM96), and those of kml above the
     ground unless --heights is given. A run that is in progress, was interrupted or was killed is exported up to its
@@ -36,15 +38,18 @@ class Export:
       qrsim export runs/first --format csv
       qrsim export runs/first --format csv --stream truth --every 10 --out truth.csv
       qrsim export runs/first --format kml --out first.kml
+      qrsim export runs/goto/policy.npz --format c --out policy.c
     """
 
     run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
-    """Run folder."""
-    format: Literal["csv", "geojson", "gpx", "kml", "mcap", "rosbag2"]
+    """Run folder; for c a policy.npz."""
+    format: Literal["csv", "geojson", "gpx", "kml", "mcap", "rosbag2", "c"]
     """File format."""
     out: Annotated[
         Path | None,
-        tyro.conf.arg(metavar="PATH", help_behavior_hint="(default: RUN/export/NAME.FORMAT, csv: RUN/export)"),
+        tyro.conf.arg(
+            metavar="PATH", help_behavior_hint="(default: RUN/export/NAME.FORMAT, csv: RUN/export, c: NAME.c)"
+        ),
     ] = None
     """File to write; for csv of all streams, the folder of its files; for rosbag2 the folder of the bag."""
     stream: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")] = None
@@ -69,6 +74,7 @@ class Export:
         """Check, write, and print the files written."""
         from qrsim.runs import open_run
         from qrsim.runs.layout import LARGEST_EVERY
+        from qrsim.tasks.learned import is_policy_file
 
         if self.every is not None and not 1 <= self.every <= LARGEST_EVERY:
             raise UsageError(f"--every {self.every}: expected an integer from 1 to 2**31 - 1")
@@ -79,6 +85,9 @@ class Export:
             raise UsageError(f"--stream chooses among the tables of csv; {self.format} has no such choice")
         if self.distro != "jazzy" and self.format != "rosbag2":
             raise UsageError(f"--distro {self.distro}: only rosbag2 is of a distribution of ROS 2, not {self.format}")
+        if is_policy_file(self.run_folder) or self.format == "c":
+            self._write_policy()
+            return
         recorded = open_run(self.run_folder, skip_damaged=True, code=self.code)
         if recorded.unfinished:
             print(recorded.unfinished, file=sys.stderr)
@@ -89,14 +98,35 @@ class Export:
             written = [(self._write_bag if self.format == "rosbag2" else self._write_file)(recorded, every)]
         self._report(written, every)
 
+    def _write_policy(self) -> None:
+        """Write a learned policy as a C file.
+
+        Raises:
+            UsageError: another format, options of runs, or no policy.
+        """
+        from qrsim.runs.export.output import Written, check_target, replacing
+        from qrsim.tasks.learned import read_policy
+        from qrsim.tasks.learned_c import c_source
+
+        if self.format != "c":
+            raise UsageError(f"{self.run_folder} is a policy, not a run; allowed: --format c")
+        if self.every is not None or self.stream is not None:
+            raise UsageError(f"{'--stream' if self.every is None else '--every'}: a policy has no ticks and no streams")
+        policy = read_policy(self.run_folder)
+        target = self.out or self.run_folder.with_suffix(".c")
+        check_target(target, self.force)
+        with replacing(target) as file:
+            file.write(c_source(policy).encode())
+        self._report([Written(target, {"inputs": policy.view.inputs, "layers": len(policy.layers)})], 1)
+
     def _usual_every(self, recorded: Run) -> int:
-        """Return N of "every Nth tick" without --every: 1 for logs, and what tracks need otherwise."""
+        """Return the default of --every, the interval in ticks: 1 for logs, larger for tracks."""
         if self.format in ("csv", "mcap", "rosbag2"):
             return 1
         return max(1, round(TRACK_PERIOD_S / recorded.info.time_step))
 
     def _write_tables(self, recorded: Run, every: int) -> list[Written]:
-        """Write a CSV file for each stream, or for the one that is asked for."""
+        """Write a CSV file for each stream, or for the chosen one."""
         from qrsim.runs.export.csv_files import write_stream
         from qrsim.runs.export.output import check_target, readable_streams
 

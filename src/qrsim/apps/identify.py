@@ -174,14 +174,14 @@ class Identify:
         return Question(names, start, self.separate, priors, self.delay, self.loss == "robust", ignored)
 
     def _say(self, *lines: str) -> None:
-        """Print lines of progress at once, unless --quiet or --json is given."""
+        """Print progress lines at once, unless --quiet or --json is given."""
         if not (self.quiet or self.json):
             for line in lines:
                 print(line, flush=True)
 
 
 def _number(option: str, text: str) -> float:
-    """Return a finite number from the text of an option; raise UsageError for other texts."""
+    """Parse the finite number of an option; raises UsageError for other texts."""
     try:
         value = float(text)
     except ValueError:
@@ -192,7 +192,7 @@ def _number(option: str, text: str) -> float:
 
 
 def _prior(option: str, text: str, form: str) -> Any:
-    """Return the prior in a text VALUE:STD; ``form`` is the expected form in the error."""
+    """Parse a prior VALUE:STD; raises UsageError that shows the expected ``form``."""
     from qrsim.studies.identify.fit import Prior
 
     value, colon, std = text.partition(":")
@@ -235,7 +235,7 @@ def _print(found: Result, out: Path, folder: Path) -> None:
 
 
 def _print_signals(found: Result, i: int) -> None:
-    """Print of log i how much each signal moves compared with its noise."""
+    """Print how much each signal of log ``i`` moves compared with its noise."""
     print(f"\n{found.pieces[i].log.source.name}, fitted part: how much its signals move")
     print(f"  {'signal':<17} {'std':>10} {'noise':>10} {'std/noise':>10}  unit")
     for name, each in found.channels(i).items():

@@ -171,7 +171,7 @@ class Mavlink:
         return address
 
     def _describe(self, world: FlownWorld, ports: Ports, ground: str, say: Callable[[str], None]) -> None:
-        """Tell the user the systems and the UDP and TCP ports on which programs reach them."""
+        """Print the systems, and the UDP and TCP ports on which they are reached."""
         from qrsim.links.mavlink.ports import GROUND, GROUND_PEER, ONBOARD, TCP
 
         systems = world.systems
@@ -193,7 +193,7 @@ class Mavlink:
 
 
 def _warn() -> None:
-    """Print a warning that other machines can fly the vehicles."""
+    """Warn that other machines can fly the vehicles."""
     print(
         "warning: every machine that can reach this one can fly these vehicles; nothing is encrypted", file=sys.stderr
     )

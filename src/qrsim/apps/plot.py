@@ -111,7 +111,7 @@ class Plot:
             raise UsageError(f"--from {self.start:g} is after --to {self.end:g}")
 
     def _draw(self, recorded: Run, path: Path) -> None:
-        """Save the figure that the options ask for: the overview, or sky, estimate, radio or panels."""
+        """Draw and save the figure that the options choose: overview, sky, estimate, radio or panels."""
         if not self.panel:
             from qrsim.runs.figure import save_figure
 

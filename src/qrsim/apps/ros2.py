@@ -149,7 +149,7 @@ class Ros2:
             log.close()
 
     def _world(self, scenario: Scenario, say: Callable[[str], None]) -> tuple[Types, Simulation, Flown | None]:
-        """Return types, the simulation, and the vehicles that flight stacks fly, if the API has them."""
+        """Return the message types, the simulation, and the vehicles flown by flight stacks (None without)."""
         from qrsim.links.ros2.typestore import Types
 
         if self.api == "qrsim":
@@ -169,7 +169,7 @@ class Ros2:
         return types, world.simulation, Flown(types, world, self.api, self.namespaces, self.rate)  # type: ignore[arg-type]
 
     def _node(self, types: Types, domain: int, say: Callable[[str], None]) -> Node:
-        """Return the node of the chosen transport: over zenoh, or a participant of DDS."""
+        """Return the node of the chosen transport, zenoh or DDS."""
         if self.transport == "zenoh":
             from qrsim.links.ros2.zenoh_node import ZenohNode
 
@@ -209,7 +209,7 @@ class Ros2:
             raise UsageError(f"--duration {self.duration:g}: expected more than 0 seconds")
 
     def _domain(self) -> int:
-        """Return the domain that is given, or that of the environment."""
+        """Return the ROS domain: the option's, else that of ROS_DOMAIN_ID."""
         import os
 
         if self.domain is not None:

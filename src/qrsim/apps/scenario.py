@@ -48,7 +48,7 @@ class List:
             print(f"{row['name']:<{width}}  {counts}  {row['description']}")
 
     def _components(self) -> None:
-        """Print the components that scenarios may name, with where each comes from."""
+        """Print the components that scenarios can name, and the origin of each."""
         from qrsim.scenarios.registry import components
 
         rows = components()
@@ -94,7 +94,7 @@ class Show:
     their order ('steps'), or the text that LLVM compiles ('llvm')."""
 
     def run(self) -> None:
-        """Print the resolved scenario, and what follows from the parameters of its vehicles."""
+        """Print the resolved scenario, and quantities derived from its vehicles."""
         import json
 
         from qrsim.scenarios.derived import derived_of, heights_line

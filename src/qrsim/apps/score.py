@@ -92,7 +92,7 @@ class Score:
         self._tell(batch.functional.name, found, kept)
 
     def _makers(self, functional: Functional) -> dict[str, Any]:
-        """Return a function that makes each policy, by the name of the policy."""
+        """Return policy name -> function that builds the policy."""
         from qrsim.envs import VERSION
         from qrsim.envs.scoring import BASELINE, BUILT_IN, HOVER, maker
         from qrsim.interface.policies import load_function
@@ -122,7 +122,7 @@ class Score:
         return False
 
     def _tell(self, task: str, found: list[Any], kept: Path | None) -> None:
-        """Print the scores of the policies as a table or JSON."""
+        """Print the policies' scores as a table or JSON."""
         rows = [_row(each, found[0]) for each in found]
         if self.json:
             import json
@@ -191,19 +191,19 @@ def _row(each: Any, first: Any) -> dict[str, Any]:
 
 
 def _told(interval: Any) -> dict[str, float | None]:
-    """Return an interval for JSON, which has no NaN."""
+    """Return an interval as a dict for JSON, with NaN as None."""
     numbers = {"mean": interval.mean, "low": interval.low, "high": interval.high}
     return {name: value if value == value else None for name, value in numbers.items()}
 
 
 def _span(row: Mapping[str, object]) -> str:
-    """Return the interval of a score in brackets; "" without one."""
+    """Return the interval of a score in brackets as text; "" without one."""
     return "" if row["low"] is None else f"({row['low']:.4g} to {row['high']:.4g})"
 
 
 @contextmanager
 def _progress(policies: int, steps: int) -> Iterator[Callable[[str, int], None]]:
-    """Show how far the flights are, unless nobody looks."""
+    """Show a bar of the flights in the context, on a terminal only; yield its update function."""
     with progress_bar("", policies * steps) as update:
         names: list[str] = []
 

@@ -138,7 +138,7 @@ class Serve:
             log.close()
 
     def _options(self) -> Options:
-        """Return the options of the server; raise UsageError for those out of range."""
+        """Return the server's options; raises UsageError for values out of range."""
         from qrsim.links.pacing import checked_factor
         from qrsim.links.reference.roles import Options
         from qrsim.links.reference.seeds import EPISODES
@@ -178,7 +178,7 @@ class Serve:
         )
 
     def _shared(self) -> dict[str, Any]:
-        """Return the options of a world that clients share."""
+        """Return the options of a shared world as keyword arguments."""
         from qrsim.links.contracts import PACES
         from qrsim.links.shared.plant import checked_silence
 
@@ -212,7 +212,7 @@ class Serve:
         return LiveView(self.view_port, host=self.view_host)
 
     def _check_host(self) -> None:
-        """Refuse a host that other machines can reach without --allow-remote; warn with it."""
+        """Raise UsageError for a host that other machines reach, unless --allow-remote; then warn."""
         if self.host == "localhost":
             return
         try:
@@ -231,7 +231,7 @@ class Serve:
         )
 
     def _scenario(self) -> Scenario | None:
-        """Return the scenario to serve; None if none is named, and then refuse options that need one."""
+        """Return the scenario to serve; None if none is named, after refusing options that need one."""
         if self.scenario is None:
             if self.set:
                 raise UsageError("--set: there is no SCENARIO to change")
@@ -251,7 +251,7 @@ class Serve:
 
 
 def _prepare(tasks: object, options: Options) -> None:
-    """Compile what the operator's scenario needs, so that its first client need not wait."""
+    """Compile the operator's scenario, so that its first client does not wait."""
     from qrsim.links.reference.protocol.framing import LARGEST_FOR_REFERENCE_CLIENT
     from qrsim.links.reference.readout import largest_fleet, state_size
     from qrsim.links.reference.seeds import Seeds

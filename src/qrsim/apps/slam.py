@@ -83,7 +83,7 @@ class SlamCommand:
             self._study()
 
     def _make_out(self) -> None:
-        """Make the folder, so that what cannot be written is known before anything is flown."""
+        """Create the output folder, so that an unwritable one is reported before anything is flown."""
         if self.out is None:
             return
         with os_error_as(RunError, f"--out {self.out}"):
@@ -172,7 +172,7 @@ class SlamCommand:
         self._report(result, text_of_study(result))
 
     def _report(self, result: Mapping[str, object], text: str) -> None:
-        """Write the numbers beside the figures, and print them."""
+        """Write the numbers next to the figures, and print them."""
         if self.out is not None:
             _write(self.out / "result.json", result)
         if self.json:
@@ -229,7 +229,7 @@ def _draw(found: Study, swept: Sweep | None, folder: Path) -> None:
 
 
 def _of_run(found: Slam) -> dict[str, Any]:
-    """Return the numbers of a run's estimate; None where there is no number."""
+    """Return the numbers of a run's estimate as a dict, None for undefined ones."""
     import math
 
     import numpy as np
@@ -292,12 +292,12 @@ def _print_study(result: dict[str, Any]) -> None:
 
 
 def _metres(value: float | None, width: int = 8) -> str:
-    """Return a number of metres, or a dash where there is none."""
+    """Return a length [m] as text, a dash for None."""
     return f"{'-':>{width}}" if value is None else f"{value:{width}.3f}"
 
 
 def _interval(found: dict[str, float], name: str = "mean", unit: float = 1.0) -> str:
-    """Return a number times ``unit`` with its 95 % interval, if it has one, in words."""
+    """Return a mean times ``unit`` with its 95 % interval, if it has one, as text."""
     if "low" not in found:
         return f"{unit * found[name]:.3g}"
     return f"{unit * found[name]:.3g} (95 %: {unit * found['low']:.3g} to {unit * found['high']:.3g})"

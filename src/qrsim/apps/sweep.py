@@ -174,7 +174,7 @@ def _sentence(plan: Plan) -> str:
 
 
 def _episodes(plan: Plan, done: NumpyArray) -> int:
-    """Return the number of episodes in the batches that are marked in ``done``."""
+    """Return the number of episodes in the batches marked in ``done``."""
     import math
 
     import numpy as np
@@ -184,7 +184,7 @@ def _episodes(plan: Plan, done: NumpyArray) -> int:
 
 
 def _simulated(plan: Plan) -> float:
-    """Return the simulated time of all episodes [s]; groups have as many points each."""
+    """Return the simulated time [s] of all episodes together."""
     durations = [group.ticks * group.time_step for group in plan.groups.values()]
     return plan.episodes * sum(durations) / len(durations)
 

@@ -93,7 +93,7 @@ class Train:
         self._tell(training, folder)
 
     def _check(self) -> None:
-        """Refuse options out of range.
+        """Raise UsageError for options out of range.
 
         Raises:
             UsageError: one is.
@@ -108,14 +108,14 @@ class Train:
             raise UsageError(f"--envs {self.envs}: expected 1 to {MOST_ENVS}")
 
     def _tell_row(self, row: Tried) -> None:
-        """Print a cycle."""
+        """Print one row of the training's progress: a cycle."""
         if self.json:
             return
         text = f"cycle {row.cycle}, {row.steps} steps, {row.seconds:.0f} s: mean return {row.mean_return:.4g}, "
         print(f"{text}flown to the end {row.flown_to_the_end:.3g}", flush=True)
 
     def _tell(self, training: Training, folder: Path) -> None:
-        """Print the result."""
+        """Print the result of the training as text or JSON."""
         policy = folder / "policy.npz"
         if self.json:
             best = None if training.best is None else asdict(training.best[1])
@@ -133,14 +133,14 @@ class Train:
 
 
 def _name_of(plan: Plan) -> str:
-    """Return the name of a task for a folder; raises as ``Functional.of`` for a task that cannot be learned."""
+    """Return a task's name for a folder; raises as ``Functional.of`` for a task that cannot be learned."""
     from qrsim.envs.functional import Functional
 
     return Functional.of(plan.task, plan.overrides).name.replace("/", "_")
 
 
 def _shown(best: Any) -> str:
-    """Return the scores of the best policy for a line."""
+    """Return the scores of the best policy as text."""
     if best is None:
         return "none yet"
     row = best[1]

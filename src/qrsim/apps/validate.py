@@ -92,7 +92,7 @@ class Validate:
 
 
 def to_json(results: list[Result]) -> dict[str, object]:
-    """Return the whole report without its pictures."""
+    """Return the report as a dict for JSON, without pictures."""
     import datetime
     import platform
     from importlib.metadata import version
@@ -140,7 +140,7 @@ def _print_part(result: Result) -> None:
 
 
 def _check_folder(folder: Path) -> None:
-    """Make the folder and write into it, before anything is computed.
+    """Create the folder and test that it is writable, before anything is computed.
 
     Raises:
         RunError: this is not possible.

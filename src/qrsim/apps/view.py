@@ -17,15 +17,19 @@ from qrsim.files.interruptions import calling
 
 if TYPE_CHECKING:
     from qrsim.view.recording import Recording
+    from qrsim.view.several import Several
 
 
 @dataclass(frozen=True)
 class View:
-    """Replay a recorded run in three dimensions, in a browser.
+    """Replay a recorded run, or several over each other, in three dimensions, in a browser.
 
     Opens a web page, by default for this machine alone: vehicles, true and estimated paths, GNSS positions, wind and
-    gusts, area and obstacles. It has a time slider, layers, a camera that follows, and plots of readings against the
-    truth. Works on running, interrupted and killed runs too, up to the last flush. Ctrl-C ends it.
+    gusts, area and obstacles. It has a time slider, layers, a camera that follows, and plots of all logged quantities.
+    Works on running, interrupted and killed runs too, up to the last flush. Ctrl-C ends it.
+
+    With several runs the first is shown whole. Vehicles and true paths of the others are drawn over it, in a colour for
+    each run, with the distance between the same vehicle of two runs.
 
     Needs viser: pip install 'qrsim[view]'. Pictures need a browser too: apt-get install chromium.
 
@@ -34,10 +38,14 @@ class View:
       qrsim view runs/first --screenshot first.png --at 12.5
       qrsim view runs/first --screenshot first.png --camera above --size 1920x1080 --layers "vehicles, true paths"
       qrsim view runs/first --export first_page
+      qrsim view runs/first runs/second --align took_off
     """
 
-    run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
-    """Run folder."""
+    run_folders: Annotated[tyro.conf.Positional[list[Path]], tyro.conf.arg(metavar="RUN [RUN ...]")]
+    """Run folders, at most 6."""
+    align: Annotated[str | None, tyro.conf.arg(metavar="EVENT", help_behavior_hint="(default: the start)")] = None
+    """With several runs, the event that all show at the same time: take-off, stop (the first vehicle that stopped) or
+    the kind of an event, such as collision; the first of each run counts. The time shown is that of the first run."""
     export: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: no export)")] = None
     """Write a page into this folder that plays the run without qrsim, and end."""
     screenshot: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
@@ -61,22 +69,27 @@ class View:
     """Load the Python files and modules that the recorded scenario names; only if you trust its author."""
 
     def run(self) -> None:
-        """Check, and show."""
+        """Check, then serve the page, save a picture or write a film."""
         from qrsim.view.server import require_viser
 
         require_viser()
         self._check()
         from qrsim.runs import open_run
-        from qrsim.view.recording import Recording
+        from qrsim.view.several import open_several
 
-        recording = Recording(open_run(self.run_folder, code=self.code))
+        opened = lambda folder: open_run(folder, code=self.code)  # noqa: E731
+        recording, lines = open_several(self.run_folders, opened, self.align)
+        for line in lines:
+            print(line, file=sys.stderr)
         end = recording.end
         if self.at is not None and self.at > end + 1e-6:
             raise UsageError(f"--at {self.at:g}: the recording ends at {end:g} s")
         if recording.shown > 1:
             print(f"so long a log is shown at every {recording.shown}th of its ticks", file=sys.stderr)
-        if recording.run.info.state == "running":
-            print(f"the run has not ended; shown up to {end:g} s, the last flush", file=sys.stderr)
+        for member in recording.members:
+            if member.recording.run.info.state == "running":
+                which = f"{member.letter}: " if member.letter else ""
+                print(f"{which}the run has not ended; shown up to {member.end:g} s, the last flush", file=sys.stderr)
         if self.screenshot is not None:
             self._photograph(recording, self.screenshot, end if self.at is None else self.at)
         if self.export is not None:
@@ -92,6 +105,10 @@ class View:
 
     def _check(self) -> None:
         """Raise UsageError for options that are out of range or do not go together."""
+        if not self.run_folders:
+            raise UsageError("RUN: expected the folder of a run, or of several")
+        if self.align is not None and len(self.run_folders) == 1:
+            raise UsageError(f"--align {self.align}: only for several runs")
         if self.at is not None and not (math.isfinite(self.at) and self.at >= 0.0):
             raise UsageError(f"--at {self.at:g}: expected a number of seconds from 0")
         given = {"--camera": self.camera, "--size": self.size, "--layers": self.layers}
@@ -107,8 +124,8 @@ class View:
 
             check_name(self.screenshot)
 
-    def _photograph(self, recording: Recording, path: Path, time: float) -> None:
-        """Save a picture of the recording at a time [s], as camera, size and layers ask for."""
+    def _photograph(self, recording: Recording | Several, path: Path, time: float) -> None:
+        """Save a picture of the recording at a time [s], by the options for camera, size and layers."""
         from qrsim.files.atomic import write_atomically
         from qrsim.view.picture import photograph
         from qrsim.view.replay import remember_paths
@@ -141,7 +158,7 @@ class View:
             write_atomically(path, picture)
         print(path)
 
-    def _serve(self, recording: Recording) -> None:
+    def _serve(self, recording: Recording | Several) -> None:
         """Serve the page of a recording until Ctrl-C."""
         from qrsim.view.clock import SPEEDS, Clock
         from qrsim.view.page import Page

@@ -47,7 +47,7 @@ class Consistency:
 
 
 def normalised(covariance: Array, errors: Array) -> Array:
-    """Return e' P^-1 e over the number of errors, (..., n), by elimination.
+    """Return the normalised squared error e' P^-1 e divided by the number m of errors, (..., n).
 
     Args:
         covariance: P, (..., m, m, n).
@@ -68,14 +68,14 @@ def normalised(covariance: Array, errors: Array) -> Array:
 
 
 def turned(true: Euler, estimated: Quaternion) -> Vec3:
-    """Return the small rotation in NED that takes an estimated attitude to the true one [rad]."""
+    """Return the small rotation vector (n,) in NED [rad] from the estimated to the true attitude."""
     between = Quaternion.of(true) * estimated.conjugate()
     twice = jnp.where(between.w < 0.0, -2.0, 2.0)
     return Vec3(twice * between.x, twice * between.y, twice * between.z)
 
 
 def of_blocks(covariance: Array, errors: list[Array], known_biases: bool) -> Consistency:
-    """Return the squares of each block of 3, 3, 3 and 6 errors (..., n); the covariance has others after them."""
+    """Return normalised squared errors (..., n): of all errors, position, velocity, attitude and biases."""
 
     def block(first: int, end: int) -> Array:
         """Return the normalised squared error (...) of the errors from ``first`` to ``end``."""

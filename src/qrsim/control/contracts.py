@@ -36,24 +36,24 @@ class Controller(Protocol):
     feed: Literal["measurements", "truth", "filter"] = "measurements"
 
     def fitted(self, vehicle: Any) -> Controller:
-        """Return the controller for a nominal vehicle, as a fleet is built; what it flies may differ from that."""
+        """Return the controller fitted to a nominal vehicle; the vehicle that it flies may differ."""
         return self
 
     def estimator(self) -> Estimator | None:
-        """Return the estimator that belongs to it, which runs in flight; None without one."""
+        """Return the controller's own estimator, run in flight; None without one."""
         return None
 
     def idle_command(self, command: Any) -> object:
-        """Return the command (n,) before the first one, of the vehicle's own ``idle_command``."""
+        """Return the command (n,) before the first one, made from the vehicle's idle ``command``."""
         return command
 
     @abstractmethod
     def init(self, estimate: Estimate) -> object:
-        """Return the state of a controller of n vehicles that has not run."""
+        """Return the initial state of a controller of n vehicles."""
 
     @abstractmethod
     def step(self, state: Any, estimate: Estimate, setpoint: Any, dt: float) -> tuple[object, object]:
-        """Return the new state and the command (n,), for a set-point (n,) of a kind that it takes; dt in [s]."""
+        """Return the new state and the command (n,) for an estimate and a set-point (n,); dt in [s]."""
 
     def shown(self, setpoint: Any) -> object:
         """Return a set-point as stored in a world's state: one structure for all kinds."""
@@ -89,7 +89,7 @@ class Guidance(Protocol):
 
     @abstractmethod
     def step(self, state: Any, route: Any, position_ned: Vec3, others_ned: Vec3 | None = None) -> tuple[Any, object]:
-        """Return the new state and the set-point for vehicles with estimated positions position_ned (n,) [m]."""
+        """Return the new state and the set-point (n,) for vehicles at estimated positions position_ned (n,) [m]."""
 
     @abstractmethod
     def setpoint(self, state: Any, route: Any) -> object:
@@ -123,7 +123,7 @@ class Estimator(Protocol):
     first_normals: int = 0
 
     def fitted(self, ages: Mapping[str, int], earth_field_ned: Vec3 | None = None) -> Estimator:
-        """Return the estimator for a fleet's sensors, of how many ticks ago each reading is, by name.
+        """Return the estimator fitted to a fleet's sensors; ``ages``: delay [ticks] of each sensor's readings.
 
         ``earth_field_ned`` [uT] is the magnetic field of the site; None where no sensor knows it.
         """
@@ -139,14 +139,14 @@ class Estimator(Protocol):
         """
 
     def begin(self, readings: Mapping[str, object], start: Estimate, preflight: Preflight) -> tuple[Any, Estimate]:
-        """Return the state and the estimate (n,) at the start, of an estimator with ``first_normals``."""
+        """Return state and estimate (n,) at the start, for an estimator that draws ``first_normals``."""
         return self.init(readings, start)
 
     @abstractmethod
     def step(
         self, state: Any, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
     ) -> tuple[Any, Estimate]:
-        """Advance one tick of dt [s], and return the estimate (n,).
+        """Return the state dt [s] later, and the estimate (n,).
 
         Args:
             state: before it.
@@ -155,17 +155,17 @@ class Estimator(Protocol):
         """
 
     def std(self, state: Any) -> Estimate | None:
-        """Return the standard deviations (n,) of its estimate, None if it states none."""
+        """Return the standard deviations (n,) that the estimator reports, None without."""
         return None
 
     def inner(self, state: Any) -> tuple[object, object] | None:
-        """Return further estimated quantities, a record of (n,), and their std; None without any."""
+        """Return further estimated quantities as a record of (n,), and their standard deviations; None without."""
         return None
 
     def consistency(self, state: Any, truth: Truth) -> Consistency | None:
-        """Return the errors relative to the reported covariance (n,); None if it reports none."""
+        """Return squared errors (n,) normalised by the reported covariance; None without a covariance."""
         return None
 
     def innovations(self, state: Any) -> object | None:
-        """Return the innovations of the last readings, a record of (n,); None if it has none."""
+        """Return the innovations of the last readings as a record of (n,); None without."""
         return None

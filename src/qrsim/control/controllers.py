@@ -29,7 +29,7 @@ Feed = Literal["measurements", "truth"]
 
 
 def _tilt_limit() -> Array:
-    """Return the declaration of the parameter tilt limit [rad]."""
+    """Return the declaration of the parameter for the tilt limit [rad]."""
     return parameter(default=0.34, unit="rad", doc="largest commanded tilt per axis", above=0.0, maximum=0.9)
 
 
@@ -49,14 +49,14 @@ def _battery() -> Array:
 
 
 def _feed() -> Any:
-    """Return the declaration of the setting that chooses the controller's input."""
+    """Return the declaration of the setting that chooses the controller's input, readings or truth."""
     return setting(default="measurements", doc="input of the controller: the sensors' readings, or the truth")
 
 
 def _hold(
     loop: HeightLoop, state: HeightState, estimate: Estimate, z_wanted: Array, dt: float
 ) -> tuple[HeightState, Array]:
-    """Return the new state and the throttle (n,) that hold a height, of all that is known of the present one."""
+    """Return the new state of the height loop, and the throttle (n,) that holds ``z_wanted`` (n,) [m]."""
     low = estimate.position_low_ned
     return loop.step(state, estimate.position_ned.z, z_wanted, dt, None if low is None else low.z)
 
@@ -70,10 +70,10 @@ class QuadrotorController(Controller):
     @property
     @abstractmethod
     def hover_throttle(self) -> Array:
-        """Throttle that carries the weight."""
+        """Throttle, 0 to 1, that carries the weight."""
 
     def idle_command(self, command: Command) -> Command:
-        """Return the vehicle's own, at this controller's throttle and voltage."""
+        """Return the vehicle's idle command with this controller's hover throttle and voltage."""
         own = (self.hover_throttle, self.battery)
         throttle, battery = (jnp.broadcast_to(jnp.asarray(value), command.throttle.shape) for value in own)
         return replace(command, throttle=throttle, battery=battery)
@@ -86,7 +86,7 @@ class HeightController(QuadrotorController):
 
     @property
     def hover_throttle(self) -> Array:
-        """Throttle that carries the weight."""
+        """Throttle, 0 to 1, that carries the weight."""
         return self.height.hover_throttle
 
 
@@ -109,7 +109,7 @@ class WaypointController(HeightController):
     setpoints: ClassVar[tuple[type, ...]] = (WaypointSetpoint,)
 
     def init(self, estimate: Estimate) -> HeightState:
-        """Return the state of a controller that has not run."""
+        """Return the initial state of the controller."""
         return self.height.init(estimate.position_ned.z)
 
     def step(
@@ -120,7 +120,7 @@ class WaypointController(HeightController):
         sine, cosine = sincos(estimate.attitude.yaw)
 
         def to_heading(north: Array, east: Array) -> tuple[Array, Array]:
-            """Return the parts of a horizontal vector ahead and to the right of the heading."""
+            """Return the components of a horizontal vector along the heading and to its right."""
             return cosine * north + sine * east, cosine * east - sine * north
 
         ahead, right = to_heading(error.x, error.y)
@@ -158,11 +158,11 @@ class VelocityController(QuadrotorController):
 
     @property
     def hover_throttle(self) -> Array:
-        """Throttle that carries the weight."""
+        """Throttle, 0 to 1, that carries the weight."""
         return self.climb.hover_throttle
 
     def init(self, estimate: Estimate) -> VelocityControllerState:
-        """Return the state of a controller that has not run."""
+        """Return the initial state of the controller."""
         z = estimate.position_ned.z
         return VelocityControllerState(self.velocity.init(z), jnp.zeros_like(z))
 
@@ -181,7 +181,7 @@ class VelocityController(QuadrotorController):
 
 
 def _body_error(estimate: Estimate, wanted_ned: Vec3, speed_limit: Array) -> Vec3:
-    """Return wanted minus actual velocity (n,) [m/s] in body axes, the wanted one clipped on each of them."""
+    """Return wanted minus actual velocity (n,) [m/s] in body axes, each wanted component clipped to ``speed_limit``."""
     direction = rotation(estimate.attitude)
     wanted = direction.to_body(wanted_ned).map(lambda axis: jnp.clip(axis, -speed_limit, speed_limit))
     return wanted - direction.to_body(estimate.velocity_ned)
@@ -210,7 +210,7 @@ class VelocityHeightController(HeightController):
     setpoints: ClassVar[tuple[type, ...]] = (VelocityHeightSetpoint,)
 
     def init(self, estimate: Estimate) -> VelocityHeightState:
-        """Return the state of a controller that has not run."""
+        """Return the initial state of the controller."""
         z = estimate.position_ned.z
         return VelocityHeightState(self.velocity.init(z), self.height.init(z))
 
@@ -246,7 +246,7 @@ class AttitudeHeightController(HeightController):
     setpoints: ClassVar[tuple[type, ...]] = (AttitudeHeightSetpoint,)
 
     def init(self, estimate: Estimate) -> HeightState:
-        """Return the state of a controller that has not run."""
+        """Return the initial state of the controller."""
         return self.height.init(estimate.position_ned.z)
 
     def step(
@@ -280,10 +280,10 @@ class AttitudeController(QuadrotorController):
     setpoints: ClassVar[tuple[type, ...]] = (AttitudeSetpoint,)
 
     def init(self, estimate: Estimate) -> None:
-        """Return nothing: there is no memory."""
+        """Return None: the controller has no state."""
 
     def step(self, state: None, estimate: Estimate, setpoint: AttitudeSetpoint, dt: float) -> tuple[None, Command]:
-        """Return no state and the command (n,)."""
+        """Return None as state, and the command (n,)."""
         turn = yaw_rate(estimate.attitude.yaw, setpoint.yaw, self.yaw_gain, self.yaw_rate_limit)
         pitch = jnp.clip(setpoint.pitch, -self.tilt_limit, self.tilt_limit)
         roll = jnp.clip(setpoint.roll, -self.tilt_limit, self.tilt_limit)
@@ -327,7 +327,7 @@ class OffboardController(HeightController):
     )
 
     def init(self, estimate: Estimate) -> OffboardState:
-        """Return the state of a controller that has not run."""
+        """Return the initial state of the controller."""
         z = estimate.position_ned.z
         return OffboardState(self.height.init(z), self.velocity.init(z), jnp.zeros_like(z))
 

@@ -43,13 +43,13 @@ class Measured(NamedTuple):
 
 
 def variances(covariance: Covariance) -> list[Array]:
-    """Return the variance (..., n) of each of the m errors; in NumPy where the covariance is."""
+    """Return the variance (..., n) of each of m errors; NumPy for a NumPy covariance."""
     size = size_of(covariance.shape[-2])
     return [covariance[..., place_of(i, i, size), :] for i in range(size)]
 
 
 def matrix(covariance: Covariance) -> Array:
-    """Return the covariance whole, (..., m, m, n)."""
+    """Return the covariance as full matrices (..., m, m, n)."""
     size = size_of(covariance.shape[-2])
     rows, zero = [], jnp.zeros_like(covariance[..., :size, :])
     for i in range(size):
@@ -68,7 +68,7 @@ def independent(variances: Sequence[Array]) -> Covariance:
 
 
 def propagated(covariance: Covariance, moves: Moves, noise: Sequence[Array]) -> Covariance:
-    """Return F P F' + Q.
+    """Return the covariance one step later, F P F' + Q.
 
     Args:
         covariance: P.
@@ -90,7 +90,7 @@ def variance_of(covariance: Covariance, sensitivity: Sparse) -> Array:
 
 
 def crossed(covariance: Covariance, scalars: Sequence[Measured]) -> list[Array]:
-    """Return the covariance (m, n) of all errors with each of some measurements."""
+    """Return the covariance (m, n) of all errors with each measurement, P H'."""
     return [times(covariance, scalar.sensitivity) for scalar in scalars]
 
 
@@ -101,7 +101,7 @@ def corrected(
     used: Array,
     known: Sequence[Array] | None = None,
 ) -> tuple[Covariance, Array]:
-    """Return covariance and errors after scalar measurements with independent noise, in turn (Kalman 1960).
+    """Return covariance and mean errors after a sequence of scalar measurements (Kalman 1960).
 
     Args:
         covariance: before.
@@ -126,12 +126,12 @@ def corrected(
 
 
 def expected(errors: Array, sensitivity: Sparse) -> Array:
-    """Return the change (n,) of a scalar measurement by errors (m, n), to first order."""
+    """Return the first-order change (n,) of a scalar measurement caused by errors (m, n)."""
     return _sum([factor * errors[k] for k, factor in sensitivity.items()])
 
 
 def forgotten(covariance: Covariance, variances: Sparse, where: Array) -> Covariance:
-    """Return a covariance in which some errors are independent of all others, with new variances, where (n,) bool."""
+    """Return the covariance with chosen errors made independent, with new variances, where ``where`` (n,) is True."""
     size = size_of(covariance.shape[-2])
     rows, columns = np.triu_indices(size)
     gone = np.isin(rows, list(variances)) | np.isin(columns, list(variances))
@@ -140,5 +140,5 @@ def forgotten(covariance: Covariance, variances: Sparse, where: Array) -> Covari
 
 
 def widened(covariance: Covariance, variances: Sparse) -> Covariance:
-    """Return a covariance with variances (n,) added to some errors, by their numbers."""
+    """Return the covariance with ``variances`` (n,) added to the errors with these numbers."""
     return transformed(covariance, (), (), variances)

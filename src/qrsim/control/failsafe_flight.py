@@ -99,7 +99,7 @@ class FailsafeState:
 
     @staticmethod
     def start(home_ned: Vec3, yaw: Array, rally: bool = False) -> FailsafeState:
-        """Return the state before any failure.
+        """Return the state of vehicles without any failure so far.
 
         Args:
             home_ned: home positions (n,) [m].
@@ -192,7 +192,7 @@ class Failsafes:
     def step(
         self, state: FailsafeState, seen: Watched, setpoint: PathSetpoint, dt: float
     ) -> tuple[FailsafeState, PathSetpoint]:
-        """Return the new state and the set-point (n,): the guidance's, or the failsafe's where one acts.
+        """Return the new state and the set-point (n,): the given one, or a failsafe's where one acts.
 
         Args:
             state: state of the last tick.
@@ -207,7 +207,7 @@ class Failsafes:
         acts = state.action > NOTHING
 
         def taken_over() -> tuple[FailsafeState, PathSetpoint]:
-            """Return state and set-point with those of the failsafe for vehicles in which one acts."""
+            """Return state and set-point, from the failsafe for vehicles in which one acts."""
             away = acts & ((state.place_ned - seen.estimate.position_ned).norm() > BEGINS_AGAIN)
             begun = select(begins | away, self._begun(state, seen.estimate), state)
             flown, asked = self._flown(begun, seen, dt)
@@ -217,7 +217,7 @@ class Failsafes:
         return result
 
     def _decided(self, state: FailsafeState, seen: Watched, dt: float) -> tuple[FailsafeState, Array]:
-        """Return the state with the present action, and flags (n,) of the vehicles that begin an action."""
+        """Return the state with the present action, and (n,) bool: the vehicle begins a new action."""
         flies = ~seen.standing & ~state.landed
         latched, lost = state.latched, jnp.zeros_like(state.landed)
         if seen.charge is not None:
@@ -244,7 +244,7 @@ class Failsafes:
         return replace(state, latched=latched, action=action), begins
 
     def _begun(self, state: FailsafeState, estimate: Estimate) -> FailsafeState:
-        """Return the state (n,) at the begin of an action."""
+        """Return the state (n,) as if each vehicle began its action now."""
         here, going, home = estimate.position_ned, estimate.velocity_ned, state.home_ned
         level = root(going.x * going.x + going.y * going.y)
         braking = 0.5 * level / self.MPC_ACC_HOR
@@ -265,12 +265,19 @@ class Failsafes:
         phase = jnp.where(state.action == HOLD, STAY, jnp.where(state.action == RETURN, CLIMB, DOWN))
         zero = jnp.zeros_like(state.since)
         return replace(
-            state, place_ned=here, speed_ned=going, goal_ned=goal, yaw=estimate.attitude.yaw,
-            phase=phase.astype(jnp.int32), since=zero, waited=zero, rally_ned=safe if self.rally else None,
-        )  # fmt: skip
+            state,
+            place_ned=here,
+            speed_ned=going,
+            goal_ned=goal,
+            yaw=estimate.attitude.yaw,
+            phase=phase.astype(jnp.int32),
+            since=zero,
+            waited=zero,
+            rally_ned=safe if self.rally else None,
+        )
 
     def _nearest(self, home: Vec3, here: Vec3) -> tuple[Vec3, Array]:
-        """Return where a return lands (n,), on the ground, and the largest down coordinate of the way there [m]."""
+        """Return the place (n,) where a return lands, and the largest down coordinate [m] allowed on the way."""
         safe, least, distance = home, home.z, _level_distance(home, here)
         for point in self.rally:
             away = _level_distance(point.place_ned, here)
@@ -313,7 +320,7 @@ class Failsafes:
         return state, PathSetpoint(place, along, Vec3(zero, zero, zero), yaw, idle, level, blind)
 
     def _next_phase(self, state: FailsafeState, here: Vec3, dt: float) -> FailsafeState:
-        """Return the state with the next phase (n,) of a return, where its condition is met."""
+        """Return the state with the phase (n,) of a return advanced where the present phase is done."""
         phase, home, top = state.phase, state.safe_ned, state.goal_ned.z
         up = (phase == CLIMB) & (here.z - top < CLIMBED)
         there = (phase == FLY) & (_level_distance(home, here) < ABOVE)
@@ -325,7 +332,7 @@ class Failsafes:
         return replace(state, phase=jnp.where(moved, phase + 1, phase), since=jnp.where(moved, 0, since))
 
     def _speed(self, state: FailsafeState, goal: Vec3, down: Array, sinks: Array, dt: float) -> Vec3:
-        """Return the velocity (n,) of the path point, which brakes in front of its goal."""
+        """Return the velocity (n,) [m/s] NED of the path point, braking before its goal."""
         place, before, most = state.place_ned, state.speed_ned, self.MPC_ACC_HOR
         north, east, below = goal.x - place.x, goal.y - place.y, goal.z - place.z
         distance = root(north * north + east * east)
@@ -347,12 +354,12 @@ class Failsafes:
 
 
 def _seconds(ticks: Array, state: FailsafeState, dt: float) -> Array:
-    """Return ticks (n,) as times [s], half a tick too long, so that rounding delays no comparison by a tick."""
+    """Return ticks (n,) as times [s], plus half a tick so that rounding never delays a comparison."""
     return (ticks.astype(state.yaw.dtype) + 0.5) * dt
 
 
 def _level_distance(one: Vec3, other: Vec3) -> Array:
-    """Return the horizontal distance (n,) [m] of two places."""
+    """Return the horizontal distance (n,) [m] between two places."""
     north, east = one.x - other.x, one.y - other.y
     return root(north * north + east * east)
 
@@ -360,7 +367,7 @@ def _level_distance(one: Vec3, other: Vec3) -> Array:
 def _on_the_ground(
     state: FailsafeState, seen: Watched, down: Array, share: Array, dt: float
 ) -> tuple[FailsafeState, Array, Array]:
-    """Return the state with the time on the ground, and flags ``idle`` and ``level`` (n,), by the rules of missions.
+    """Return the state with its time on the ground, and flags ``idle`` and ``level`` (n,) as for missions.
 
     Args:
         state: state after this step.

@@ -31,7 +31,7 @@ _ON_FIX = {1: RETURN, 2: LAND}
 
 
 def battery_level(charge: Any, low: Any, critical: Any, emergency: Any) -> Any:
-    """Return the level of a battery, an index of ``LEVELS``; 0 where the charge is NaN.
+    """Return a battery's level, an index of ``LEVELS``, by its charge; 0 if the charge is NaN.
 
     Args:
         charge: charge of the battery, 0 to 1.
@@ -41,33 +41,33 @@ def battery_level(charge: Any, low: Any, critical: Any, emergency: Any) -> Any:
 
 
 def battery_action(level: Any, low_bat_act: int) -> Any:
-    """Return the action at a level of the battery, by the number of COM_LOW_BAT_ACT."""
+    """Return the failsafe action at a battery level, for a value of COM_LOW_BAT_ACT."""
     at_critical, at_emergency = _ON_BATTERY.get(low_bat_act, (NOTHING, NOTHING))
     return _as_int(level == CRITICAL) * at_critical + _as_int(level >= EMERGENCY) * at_emergency
 
 
 def link_action(lost: Any, dll_act: int) -> Any:
-    """Return the action if the link is ``lost``, by the number of NAV_DLL_ACT or NAV_RCL_ACT."""
+    """Return the failsafe action if a link is ``lost``, for a value of NAV_DLL_ACT or NAV_RCL_ACT."""
     return _as_int(lost) * _ON_LINK.get(dll_act, NOTHING)
 
 
 def fix_action(lost: Any, gnssloss_act: int) -> Any:
-    """Return the action of a vehicle that has ``lost`` its GNSS fix, by the number of COM_GNSSLOSS_ACT."""
+    """Return the failsafe action if the GNSS fix is ``lost``, for a value of COM_GNSSLOSS_ACT."""
     return _as_int(lost) * _ON_FIX.get(gnssloss_act, NOTHING)
 
 
 def position_action(lost: Any) -> Any:
-    """Return the action if the position is ``lost``: a descent, which needs no position."""
+    """Return the failsafe action if the position is ``lost``: a descent, which needs none."""
     return _as_int(lost) * DESCEND
 
 
 def is_lost(silence: Any, after: Any) -> Any:
-    """Return whether a source is lost, by the time of its silence and the limit ``after`` [s]."""
+    """Return whether a source has been silent for longer than ``after`` [s]."""
     return silence > after
 
 
 def graver(one: Any, other: Any) -> Any:
-    """Return the graver of two actions."""
+    """Return the more severe of two actions, the one with the larger number."""
     return one + _as_int(other > one) * (other - one)
 
 

@@ -87,7 +87,7 @@ class FixedWingController(Controller):
     reads_airspeed: ClassVar[bool] = True
 
     def fitted(self, vehicle: object) -> FixedWingController:
-        """Return the controller that knows the trim of a vehicle.
+        """Return the controller with the trim (level flight) of a nominal vehicle.
 
         Raises:
             UsageError: the vehicle has no wings.
@@ -99,12 +99,12 @@ class FixedWingController(Controller):
         return replace(self, nominal=vehicle)
 
     def init(self, estimate: Estimate) -> FixedWingControllerState:
-        """Return the state of a controller that has not run."""
+        """Return the initial state of the controller."""
         zero = jnp.zeros_like(estimate.position_ned.z)
         return FixedWingControllerState(self._airspeed_of(estimate), zero, zero, zero)
 
     def shown(self, setpoint: Any) -> TrackSetpoint:
-        """Return a set-point as stored in a world's state: a waypoint is the circle round it."""
+        """Return a set-point as stored in a world's state; a waypoint becomes a circle around it."""
         if isinstance(setpoint, TrackSetpoint):
             return setpoint
         place, zero = setpoint.position_ned, jnp.zeros_like(setpoint.yaw)
@@ -120,7 +120,7 @@ class FixedWingController(Controller):
         return state, AttitudeCommand(roll, pitch, throttle)
 
     def _vehicle(self) -> Aeroplane:
-        """Return the vehicle that the controller was fitted to; raise UsageError if to none."""
+        """Return the vehicle that the controller was fitted to; raise UsageError if not fitted."""
         if self.nominal is None:
             raise UsageError("this controller knows no vehicle; fit it first: controller.fitted(vehicle)")
         found: Aeroplane = self.nominal
@@ -136,7 +136,7 @@ class FixedWingController(Controller):
     def _energy(
         self, state: FixedWingControllerState, estimate: Estimate, track: TrackSetpoint, dt: float
     ) -> tuple[FixedWingControllerState, Array, Array]:
-        """Return the new state, the pitch [rad] and the throttle (n,) for height and airspeed (W12)."""
+        """Return the new state, pitch [rad] and throttle (n,) commands for height and airspeed (W12)."""
         vehicle = self._vehicle()
         trim_pitch, _, trim_throttle = cruise(vehicle, jnp.asarray(vehicle.cruise_airspeed))
         usual = jnp.where(jnp.asarray(self.airspeed) > 0.0, self.airspeed, vehicle.cruise_airspeed)
@@ -163,7 +163,7 @@ class FixedWingController(Controller):
         return FixedWingControllerState(speed, grown, integral, leant), pitch, jnp.clip(throttle, 0.0, 1.0)
 
     def _roll(self, estimate: Estimate, track: TrackSetpoint) -> Array:
-        """Return the roll (n,) [rad] that keeps to a line or circle (W11)."""
+        """Return the roll command (n,) [rad] that tracks a line or circle (W11)."""
         acceleration = jnp.where(track.radius == 0.0, self._on_line(estimate, track), self._on_circle(estimate, track))
         roll = jnp.arctan(acceleration / self._vehicle().gravity)
         return jnp.clip(roll, -self.roll_limit, self.roll_limit)
@@ -173,12 +173,12 @@ class FixedWingController(Controller):
         return self.l1_period * self.l1_damping / math.pi * over_ground
 
     def _turned(self, speed: Array, eta: Array) -> Array:
-        """Return the acceleration to the right (n,) [m/s^2] of the L1 law for an angle (n,) [rad] to the goal."""
+        """Return the lateral acceleration (n,) [m/s^2], right positive, of the L1 law for an angle (n,) [rad]."""
         sine = sincos(jnp.clip(eta, -0.5 * math.pi, 0.5 * math.pi))[0]
         return 4.0 * self.l1_damping * self.l1_damping * speed * speed / self._reach(speed) * sine
 
     def _on_line(self, estimate: Estimate, track: TrackSetpoint) -> Array:
-        """Return the acceleration (n,) [m/s^2] to the right that leads to a line, or to its end if it has no length."""
+        """Return the lateral acceleration (n,) [m/s^2], right positive, along a line; without a length, to its end."""
         v, away = estimate.velocity_ned, estimate.offset_from(track.position_ned)
         speed = jnp.maximum(root(v.x * v.x + v.y * v.y), SLOWEST)
         way_north, way_east = (track.position_ned.x - track.begin_ned.x, track.position_ned.y - track.begin_ned.y)
@@ -194,7 +194,7 @@ class FixedWingController(Controller):
         return self._turned(speed, wrap_angle(bearing - _course(v.x, v.y)))
 
     def _on_circle(self, estimate: Estimate, track: TrackSetpoint) -> Array:
-        """Return the acceleration (n,) [m/s^2] to the right on a circle, and far outside towards its centre."""
+        """Return the lateral acceleration (n,) [m/s^2], right positive, on a circle; far outside, to its centre."""
         v, out = estimate.velocity_ned, estimate.offset_from(track.position_ned)
         speed = jnp.maximum(root(v.x * v.x + v.y * v.y), SLOWEST)
         side = jnp.where(track.radius < 0.0, -1.0, 1.0)
@@ -215,5 +215,5 @@ class FixedWingController(Controller):
 
 
 def _course(north: Array, east: Array) -> Array:
-    """Return the direction [rad] of a horizontal vector; 0 for none."""
+    """Return the direction [rad] of a horizontal vector; 0 for a zero vector."""
     return arctan2(east, jnp.where((north == 0.0) & (east == 0.0), 1.0, north))

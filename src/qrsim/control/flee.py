@@ -29,7 +29,7 @@ class FleeGuidance(RouteGuidance):
     def step(
         self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
     ) -> tuple[RouteState, VelocityHeightSetpoint]:
-        """Return the state unchanged, and the set-point (n,).
+        """Return the state unchanged, and the velocity set-point (n,) away from pursuers.
 
         Args:
             state, route: as of every guidance.
@@ -50,6 +50,6 @@ class FleeGuidance(RouteGuidance):
         return state, VelocityHeightSetpoint(scale * away_north, scale * away_east, still.z, still.yaw)
 
     def setpoint(self, state: RouteState, route: Route) -> VelocityHeightSetpoint:
-        """Return the set-point (n,) without pursuers in sight: hold position."""
+        """Return the set-point (n,) for no pursuer in sight: hold position."""
         zero = jnp.zeros_like(route.yaw[0])
         return VelocityHeightSetpoint(zero, zero, route.position_ned.z[0], route.yaw[0])

@@ -21,10 +21,10 @@ from qrsim.core.vectors import Vec3
 
 @record
 class Route:
-    """Waypoints of each vehicle, padded to the longest route: W waypoints, n vehicles."""
+    """Waypoints of each vehicle, padded to the longest route: P waypoints, n vehicles."""
 
-    position_ned: Vec3 = quantity(unit="m", doc="(W, n) waypoints")
-    yaw: Array = quantity(unit="rad", doc="(W, n) heading towards and at each waypoint")
+    position_ned: Vec3 = quantity(unit="m", doc="(P, n) waypoints")
+    yaw: Array = quantity(unit="rad", doc="(P, n) heading towards and at each waypoint")
     count: Array = quantity(doc="(n,) int32 number of waypoints")
 
 
@@ -41,7 +41,7 @@ class RouteState:
 
     @staticmethod
     def start(route: Route) -> RouteState:
-        """Return the start of each route."""
+        """Return the state at the start of each route (n,)."""
         zero = jnp.zeros(route.count.shape, jnp.int32)
         return RouteState(zero, zero)
 
@@ -50,7 +50,7 @@ class RouteGuidance(Guidance):
     """Base of guidances with a ``RouteState``; by default ``step`` returns the same set-point at every tick."""
 
     def init(self, route: Route) -> RouteState:
-        """Return the start of each route."""
+        """Return the state at the start of each route (n,)."""
         return RouteState.start(route)
 
     def step(
@@ -61,7 +61,7 @@ class RouteGuidance(Guidance):
 
 
 def after_arrival(state: RouteState, route: Route, arrived: Array, repeat: bool) -> RouteState:
-    """Return the state in which vehicles that have arrived (n,) go on to the next waypoint, the first if repeated."""
+    """Return the state with vehicles that have ``arrived`` (n,) sent on to the next waypoint; ``repeat`` restarts."""
     following = state.index + 1
     last = jnp.zeros_like(following) if repeat else route.count - 1
     following = jnp.where(following >= route.count, last, following)
@@ -103,7 +103,7 @@ class RouteFollower(RouteGuidance):
 
 
 def _per_vehicle(value: Array, route: Route) -> Array:
-    """Return a parameter for each vehicle (n,)."""
+    """Return a parameter broadcast to each vehicle (n,)."""
     return jnp.broadcast_to(jnp.asarray(value), route.count.shape)
 
 

@@ -40,7 +40,7 @@ class HeightLoop:
     )
 
     def init(self, z: Array) -> HeightState:
-        """Return the state before the first set-point; z is (n,) [m]."""
+        """Return the initial state of the loop at a down coordinate z (n,) [m]."""
         return HeightState(jnp.zeros_like(z), jnp.zeros_like(z), jnp.full_like(z, NEVER))
 
     def step(
@@ -111,14 +111,14 @@ class VelocityLoop:
     )
 
     def init(self, like: Array) -> VelocityState:
-        """Return the state before the first set-point; like is any array (n,)."""
+        """Return the initial state of the loop; ``like`` is any array (n,)."""
         zero, none = jnp.zeros_like(like), jnp.full_like(like, NEVER)
         return VelocityState(zero, zero, zero, zero, Vec3(none, none, none))
 
     def step(
         self, state: VelocityState, error: tuple[Array, Array], wanted_ned: Vec3, tilt_limit: Array, dt: float
     ) -> tuple[VelocityState, tuple[Array, Array]]:
-        """Return the new state and the tilts (n,) [rad] that accelerate forward and to the right.
+        """Return the new state, and the forward and right tilts (n,) [rad] that reduce a velocity error.
 
         Args:
             state: of the last step.
@@ -144,6 +144,6 @@ class VelocityLoop:
 
 
 def _integrate(windup: Windup, integral: Array, change: Array, further: Array) -> Array:
-    """Return an integral (n,) plus its change; held where it would drive a clipped output further (further > 0)."""
+    """Return an integral (n,) plus its change, held where ``further`` > 0: the change would worsen saturation."""
     grown = integral + change
     return grown if windup == "published" else jnp.where(further > 0.0, integral, grown)

@@ -29,7 +29,7 @@ LIFTED = 0.5
 
 @record
 class Orbits:
-    """Circles among the legs, (W, n)."""
+    """Circles among the legs, (L, n)."""
 
     flown: Array = quantity(doc="bool: the leg is a circle")
     arm_north: Array = quantity(unit="m", doc="from the centre to where the circle begins")
@@ -40,7 +40,7 @@ class Orbits:
 
 @record
 class Facing:
-    """Legs during which a vehicle's heading points at a place, (W, n)."""
+    """Legs during which a vehicle's heading points at a place, (L, n)."""
 
     faced: Array = quantity(doc="bool: the leg has one")
     north: Array = quantity(unit="m", doc="of the place")
@@ -49,38 +49,38 @@ class Facing:
 
 @record
 class Mission:
-    """Legs of each vehicle as planned (paths.py), padded to the longest mission: W legs, n vehicles."""
+    """Legs of each vehicle as planned (paths.py), padded to the longest mission: L legs, n vehicles."""
 
-    position_ned: Vec3 = quantity(unit="m", doc="(W, n) where each leg ends")
-    yaw: Array = quantity(unit="rad", doc="(W, n) heading")
+    position_ned: Vec3 = quantity(unit="m", doc="(L, n) where each leg ends")
+    yaw: Array = quantity(unit="rad", doc="(L, n) heading")
     count: Array = quantity(doc="(n,) int32 number of legs")
     following: Array = quantity(doc="(n,) int32 leg that follows the last; itself: none does")
-    begin_ned: Vec3 = quantity(unit="m", doc="(W, n) where the straight line begins")
-    direction: Vec3 = quantity(unit="1", doc="(W, n) of the line")
-    onward: Vec3 = quantity(unit="1", doc="(W, n) direction after the turn at its end")
-    enter: Array = quantity(unit="m/s", doc="(W, n) speed at the begin")
-    peak: Array = quantity(unit="m/s", doc="(W, n) largest speed; of a polynomial the mean")
-    leave: Array = quantity(unit="m/s", doc="(W, n) speed at the end")
-    rise_s: Array = quantity(unit="s", doc="(W, n) time of the ramp to the largest speed")
-    cruise_s: Array = quantity(unit="s", doc="(W, n) time at this speed")
-    fall_s: Array = quantity(unit="s", doc="(W, n) time of the ramp from it")
-    turn_s: Array = quantity(unit="s", doc="(W, n) time of the turn into the next leg")
-    accept_radius: Array = quantity(unit="m", doc="(W, n) distance at which the end counts as reached")
-    hold_s: Array = quantity(unit="s", doc="(W, n) time to stay there")
-    limit_s: Array = quantity(unit="s", doc="(W, n) time after which a leg is reported as not reached")
-    stops: Array = quantity(doc="(W, n) bool: the leg ends at rest")
-    lands: Array = quantity(doc="(W, n) bool: the leg ends on the ground")
-    number: Array = quantity(doc="(W, n) int32 number of the leg as its author counts")
-    last: Array = quantity(doc="(W, n) bool: the last part of what its author wrote as one leg")
+    begin_ned: Vec3 = quantity(unit="m", doc="(L, n) where the straight line begins")
+    direction: Vec3 = quantity(unit="1", doc="(L, n) of the line")
+    onward: Vec3 = quantity(unit="1", doc="(L, n) direction after the turn at its end")
+    enter: Array = quantity(unit="m/s", doc="(L, n) speed at the begin")
+    peak: Array = quantity(unit="m/s", doc="(L, n) largest speed; of a polynomial the mean")
+    leave: Array = quantity(unit="m/s", doc="(L, n) speed at the end")
+    rise_s: Array = quantity(unit="s", doc="(L, n) time of the ramp to the largest speed")
+    cruise_s: Array = quantity(unit="s", doc="(L, n) time at this speed")
+    fall_s: Array = quantity(unit="s", doc="(L, n) time of the ramp from it")
+    turn_s: Array = quantity(unit="s", doc="(L, n) time of the turn into the next leg")
+    accept_radius: Array = quantity(unit="m", doc="(L, n) distance at which the end counts as reached")
+    hold_s: Array = quantity(unit="s", doc="(L, n) time to stay there")
+    limit_s: Array = quantity(unit="s", doc="(L, n) time after which a leg is reported as not reached")
+    stops: Array = quantity(doc="(L, n) bool: the leg ends at rest")
+    lands: Array = quantity(doc="(L, n) bool: the leg ends on the ground")
+    number: Array = quantity(doc="(L, n) int32 number of the leg as its author counts")
+    last: Array = quantity(doc="(L, n) bool: the last part of what its author wrote as one leg")
     polynomial: Array | None = quantity(
-        default=None, doc="(W, n) bool: a polynomial of fifth degree, from rest to rest"
+        default=None, doc="(L, n) bool: a polynomial of fifth degree, from rest to rest"
     )
     circle: Orbits | None = quantity(default=None, doc="circles, None without any")
     facing: Facing | None = quantity(default=None, doc="points that the heading follows, None without any")
 
     @property
     def rises(self) -> Array:
-        """Which legs go straight up, as a take-off does, (W, n) bool."""
+        """(L, n) bool: the leg goes straight up, as a take-off does."""
         return self.direction.z < -0.9999
 
 
@@ -106,7 +106,7 @@ class MissionState:
 
 
 def _ramp(first: Array, last: Array, seconds: Array, time: Array) -> tuple[Array, Array, Array]:
-    """Return way, speed and acceleration at a time of a ramp between two speeds, held before and after it."""
+    """Return distance, speed and acceleration at a time of a ramp between two speeds, constant before and after it."""
     whole = jnp.maximum(seconds, 1e-6)
     x = jnp.clip(time / whole, 0.0, 1.0)
     change = last - first
@@ -156,7 +156,7 @@ class MissionGuidance(Guidance):
     sees_ground: ClassVar[bool] = True
 
     def init(self, route: Mission) -> MissionState:
-        """Return the start of each mission."""
+        """Return the state at the start of each mission (n,)."""
         count, zero = jnp.zeros(route.count.shape, jnp.int32), jnp.zeros_like(route.enter[0])
         no = jnp.zeros(count.shape, bool)
         return MissionState(count, count, zero, zero, count, count, no, no, count, zero, no, Vec3(zero, zero, zero), no)
@@ -242,7 +242,7 @@ class MissionGuidance(Guidance):
         )
 
     def setpoint(self, state: MissionState, route: Mission) -> PathSetpoint:
-        """Return the point of the path that is due (n,)."""
+        """Return the set-point (n,) of the path at the present time."""
         leg = _leg_of(route, state.index)
         due = self._due(state, leg)[0]
         return PathSetpoint(
@@ -251,7 +251,7 @@ class MissionGuidance(Guidance):
         )  # fmt: skip
 
     def _due(self, state: MissionState, leg: Mission) -> tuple[PathSetpoint, Array]:
-        """Return the point (n,) of the path that is due, and when each leg ends (n,) [s]."""
+        """Return the path's set-point (n,) at the present time, and the time (n,) [s] at which the leg ends."""
         time = state.time
         rises, falls = leg.rise_s, leg.rise_s + leg.cruise_s
         turns = falls + leg.fall_s
@@ -283,22 +283,23 @@ class MissionGuidance(Guidance):
 
 
 def _seconds(ticks: Array, state: MissionState, dt: float) -> Array:
-    """Return ticks as time [s], in the precision of the state."""
+    """Return ticks as time [s], in the dtype of the state."""
     return ticks.astype(state.time.dtype) * dt
 
 
 def _slowed_setpoint(due: PathSetpoint, rate: Array, grounded: tuple[Array, Array], low: Array) -> PathSetpoint:
-    """Return the set-point (n,) that is due, with its motion slower by ``rate``; vehicles that are low only climb."""
+    """Return the set-point (n,) with its motion slowed by the factor ``rate``, only vertical where ``low``."""
     velocity, acceleration = due.velocity_ned * rate, due.acceleration_ned * (rate * rate)
 
     def upright(vector: Vec3) -> Vec3:
+        """Return a vector, only its vertical part where ``low``."""
         return replace(vector, x=jnp.where(low, 0.0, vector.x), y=jnp.where(low, 0.0, vector.y))
 
     return PathSetpoint(due.position_ned, upright(velocity), upright(acceleration), due.yaw, *grounded)
 
 
 def _ahead(state: MissionState, leg: Mission, ends: Array, near: Array, by: Array) -> tuple[Array, Array]:
-    """Return the time (n,) on the path ``by`` later, in two parts."""
+    """Return the path time (n,) [s] ``by`` later, as sum and remainder; held at stops, and at corners until near."""
     # At a waypoint without a stop the path waits in the middle of the corner until the vehicle is near.
     corner = jnp.where(near, jnp.inf, ends - 0.5 * leg.turn_s)
     most = jnp.where(leg.stops, jnp.where(leg.lands, jnp.inf, ends), corner)
@@ -321,7 +322,7 @@ def held(above: Array, sinking: Array) -> Array:
 
 
 def _progress(now: MissionState, route: Mission, leg: Mission, arrives: Array, ends: Array, dt: float) -> MissionState:
-    """Return the state (n,) with its counters; vehicles that have waited long enough at the end begin the next leg.
+    """Return the state (n,) with counters updated; vehicles done waiting at the end of a leg begin the next one.
 
     Args:
         now: state at the end of the step.
@@ -353,17 +354,18 @@ def _progress(now: MissionState, route: Mission, leg: Mission, arrives: Array, e
 
 
 def _leg_of(route: Mission, index: Array) -> Mission:
-    """Return the leg that each vehicle (n,) flies."""
+    """Return the record of the leg that each vehicle (n,) flies, by index."""
     own = jnp.arange(index.shape[0], dtype=jnp.int32)
 
     def pick(values: Array) -> Array:
+        """Return the values of each vehicle's leg, from a table (legs, n)."""
         return values if values.ndim == 1 else jnp.asarray(values).at[index, own].get(mode="promise_in_bounds")
 
     return map_tree(pick, route)
 
 
 def _quintic(leg: Mission, time: Array, ramped: tuple[Array, Array, Array]) -> tuple[Array, ...]:
-    """Return way, speed and acceleration along a polynomial from rest to rest, where a leg is one."""
+    """Return distance, speed and acceleration of a quintic from rest to rest, where the leg is one, else ``ramped``."""
     assert leg.polynomial is not None
     seconds = jnp.maximum(leg.cruise_s, 1e-6)
     x = jnp.clip(time / seconds, 0.0, 1.0)
@@ -377,7 +379,7 @@ def _quintic(leg: Mission, time: Array, ramped: tuple[Array, Array, Array]) -> t
 
 
 def _round(leg: Mission, circle: Orbits, way: Array, speed: Array, along: Array, due: PathSetpoint) -> PathSetpoint:
-    """Return the point of a circle that is due, where a leg is one."""
+    """Return the set-point on a circle, where the leg is one, else ``due``."""
     angle = wrap_angle(way * circle.curvature)
     sine, cosine = sincos(angle)
     north = circle.arm_north * cosine - circle.arm_east * sine

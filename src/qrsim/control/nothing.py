@@ -25,10 +25,10 @@ class NoController(Controller):
     feed: ClassVar[Literal["truth"]] = "truth"  # type: ignore[misc]
 
     def init(self, estimate: Estimate) -> None:
-        """Return nothing: there is no memory."""
+        """Return None: the controller has no state."""
 
     def step(self, state: None, estimate: Estimate, setpoint: NoSetpoint, dt: float) -> tuple[None, NoCommand]:
-        """Return no state and the command without fields."""
+        """Return None as state, and the command, which has no fields."""
         return None, NoCommand()
 
 
@@ -39,5 +39,5 @@ class NoGuidance(RouteGuidance):
     gives: ClassVar[type] = NoSetpoint
 
     def setpoint(self, state: RouteState, route: Route) -> NoSetpoint:
-        """Return the set-point without fields."""
+        """Return the set-point, which has no fields."""
         return NoSetpoint()

@@ -113,12 +113,12 @@ class _Part:
 
 
 def ramp_time(change: float, limits: Limits) -> float:
-    """Return the shortest time [s] in which a speed may change by so much [m/s]."""
+    """Return the shortest time [s] for a change of speed [m/s] within the limits."""
     return max(1.5 * abs(change) / limits.acceleration, math.sqrt(6.0 * abs(change) / limits.jerk))
 
 
 def ramp_length(first: float, last: float, limits: Limits) -> float:
-    """Return the way [m] of a ramp between two speeds [m/s]."""
+    """Return the distance [m] flown in a ramp between two speeds [m/s]."""
     return 0.5 * (first + last) * ramp_time(last - first, limits)
 
 
@@ -136,12 +136,12 @@ def corner_speed(cut: float, turned: float, limits: Limits) -> float:
 
 
 def circle_speed(radius: float, most: float, limits: Limits) -> float:
-    """Return the speed [m/s] on a circle [m]: the acceleration is v^2 / r, and as it turns, the jerk v^3 / r^2."""
+    """Return the largest speed [m/s], up to ``most``, on a circle of a radius [m], limited by v^2/r and v^3/r^2."""
     return min(most, math.sqrt(limits.acceleration * radius), math.cbrt(limits.jerk * radius * radius))
 
 
 def plan(start_ned: Sequence[float], legs: Sequence[Leg], limits: Limits, again: int | None = None) -> list[_Part]:
-    """Plan the path of one vehicle.
+    """Return the planned path of one vehicle, a part for each leg.
 
     Args:
         start_ned: where it begins (3,) [m].
@@ -160,7 +160,7 @@ def plan(start_ned: Sequence[float], legs: Sequence[Leg], limits: Limits, again:
 
 
 def _lines(start_ned: Sequence[float], legs: Sequence[Leg], limits: Limits) -> list[_Part]:
-    """Return a part for each leg: direction, length [m] and largest speed [m/s]."""
+    """Return a part for each leg, with direction, length [m] and largest speed [m/s]."""
     place, parts = np.asarray(start_ned, np.float64), []
     for leg in legs:
         goal = np.asarray(leg.position_ned, np.float64)
@@ -183,7 +183,7 @@ def _lines(start_ned: Sequence[float], legs: Sequence[Leg], limits: Limits) -> l
 
 
 def _cut_corners(parts: list[_Part], following: list[int | None], limits: Limits) -> None:
-    """Let the path turn before and after the ends of legs that are flown through."""
+    """Set, in place, the turns between legs that are flown through without a stop."""
     for part, number in zip(parts, following, strict=True):
         if number is None or not _flown_through(part, parts[number]):
             continue
@@ -197,13 +197,13 @@ def _cut_corners(parts: list[_Part], following: list[int | None], limits: Limits
 
 
 def _flown_through(part: _Part, after: _Part) -> bool:
-    """Return whether a line runs into another without a stop."""
+    """Return whether the path goes from one line to the next without a stop."""
     lines = part.leg.kind == after.leg.kind == "line" and min(part.length, after.length) > SHORTEST
     return lines and not part.leg.stop and part.leg.hold == 0.0
 
 
 def _slow_down(parts: list[_Part], following: list[int | None], limits: Limits) -> None:
-    """Lower the speeds at corners until every leg is long enough for the ramp between its two."""
+    """Lower, in place, the speeds at corners until every leg is long enough for its change of speed."""
     rest = _Part(parts[0].leg, parts[0].begin)
     nexts = [
         parts[number] if number is not None and part.cut_after else rest
@@ -224,12 +224,12 @@ def _slow_down(parts: list[_Part], following: list[int | None], limits: Limits) 
 
 
 def _within(low: float, length: float, limits: Limits) -> Callable[[float], bool]:
-    """Return whether a ramp from ``low`` [m/s] to a speed is at most so long [m]."""
+    """Return a function that tells whether the ramp from ``low`` to a speed [m/s] is at most ``length`` [m] long."""
     return lambda speed: ramp_length(low, speed, limits) <= length
 
 
 def _highest(low: float, high: float, fits: Callable[[float], bool]) -> float:
-    """Return the highest speed between two that fits, where all below one do and none above it."""
+    """Return the highest speed between ``low`` and ``high`` that ``fits``, by bisection; lower speeds must fit."""
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if fits(middle) else (low, middle)
@@ -237,12 +237,12 @@ def _highest(low: float, high: float, fits: Callable[[float], bool]) -> float:
 
 
 def _ramps(part: _Part, peak: float, limits: Limits) -> list[float]:
-    """Return the ways [m] of the ramps of a leg to a largest speed [m/s] and from it."""
+    """Return the distances [m] of a leg's ramps, from its entry speed to ``peak`` [m/s] and on to its exit speed."""
     return [ramp_length(part.enter, peak, limits), ramp_length(peak, part.leave, limits)]
 
 
 def _in_time(part: _Part, limits: Limits) -> None:
-    """Say how long each part of a leg takes."""
+    """Set, in place, the durations of a leg's parts (ramps and cruise)."""
     if part.leg.kind == "land":
         _descend(part, limits)
         return
@@ -269,7 +269,7 @@ def _in_time(part: _Part, limits: Limits) -> None:
 
 
 def _descend(part: _Part, limits: Limits) -> None:
-    """Plan a descent: fast, then slow, and on below the ground, whose height is not known exactly, until contact."""
+    """Set, in place, the plan of a landing: fast, then slow, continued below the ground until contact."""
     part.direction = part.onward = np.array([0.0, 0.0, 1.0])
     part.leave = limits.touchdown
     high = part.length - limits.slow_below
@@ -289,7 +289,7 @@ def flown_seconds(part: _Part) -> float:
 
 
 def mission_of(plans: Sequence[Sequence[_Part]], again: Sequence[int | None], limits: Limits) -> Mission:
-    """Return the missions of vehicles as one record, padded to the longest.
+    """Return the missions of all vehicles as one record, padded to the longest.
 
     Args:
         plans: of each vehicle, as ``plan`` returns them.
@@ -300,11 +300,11 @@ def mission_of(plans: Sequence[Sequence[_Part]], again: Sequence[int | None], li
     rows = [[*parts, *[parts[-1]] * (longest - len(parts))] for parts in plans]
 
     def table(pick: Any, dtype: Any = np.float64) -> Any:
-        """Return a number of each part of each vehicle's mission, an array (parts, n)."""
+        """Return ``pick`` of every part of each vehicle's mission, an array (parts, n)."""
         return np.ascontiguousarray(np.array([[pick(part) for part in row] for row in rows], dtype).T)
 
     def vector(pick: Any) -> Vec3:
-        """Return a vector of each part, arrays (parts, n)."""
+        """Return the vector ``pick`` of every part, arrays (parts, n)."""
         return Vec3(*(table(lambda part, axis=axis: pick(part)[axis]) for axis in range(3)))
 
     flat = [part.leg for row in rows for part in row]
@@ -338,7 +338,7 @@ def mission_of(plans: Sequence[Sequence[_Part]], again: Sequence[int | None], li
 
 
 def _headings(rows: list[list[_Part]]) -> NumpyArray:
-    """Return the heading (W, n) [rad] along each leg; where it has none, that before it."""
+    """Return the heading (L, n) [rad] of each leg: the given one, else its direction, else that of the leg before."""
     columns = []
     for row in rows:
         ways = [math.atan2(p.direction[1], p.direction[0]) if _is_level(p) else None for p in row]
@@ -352,7 +352,7 @@ def _headings(rows: list[list[_Part]]) -> NumpyArray:
 
 
 def _is_level(part: _Part) -> bool:
-    """Return whether a leg leads somewhere, and not just up or down."""
+    """Return whether a leg moves horizontally."""
     return part.leg.kind == "line" and math.hypot(part.direction[0], part.direction[1]) * part.length > SHORTEST
 
 
@@ -360,6 +360,7 @@ def _circles(table: Any) -> Orbits:
     """Return the circles of all vehicles as arrays, zeros for straight lines."""
 
     def is_circle(part: _Part) -> bool:
+        """Return whether a leg is a circle."""
         return part.leg.kind == "circle"
 
     def arm(part: _Part, axis: int) -> float:
@@ -380,7 +381,7 @@ def _circles(table: Any) -> Orbits:
 
 
 def _facing(table: Any) -> Facing:
-    """Return the places that the vehicle faces on each leg, as arrays."""
+    """Return the points that vehicles face on each leg, as arrays."""
     return Facing(
         faced=table(lambda part: part.leg.facing_ned is not None, bool),
         north=table(lambda part: (part.leg.facing_ned or (0.0, 0.0))[0]),
@@ -389,5 +390,5 @@ def _facing(table: Any) -> Facing:
 
 
 def renumbered(legs: Sequence[Leg], number: int) -> list[Leg]:
-    """Return parts of one leg of a mission with the number of the leg, the last part marked."""
+    """Return the parts of one leg with ``number`` as their leg's number, the last part marked."""
     return [replace(leg, number=number, last=i == len(legs) - 1) for i, leg in enumerate(legs)]

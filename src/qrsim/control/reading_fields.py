@@ -14,16 +14,16 @@ FIELD, AIRSPEED = "field_body", "true_airspeed"
 
 
 def source_of(readings: Mapping[str, Any], field: str) -> str:
-    """Return the first sensor, by its name in the fleet, with a field in its reading; "" if none has."""
+    """Return the name of the first sensor with a field in its reading; "" without."""
     return next((name for name, reading in readings.items() if field in reading.__dataclass_fields__), "")
 
 
 def field_of(readings: Mapping[str, object], field: str) -> Any:
-    """Return a field of the first reading that has it, None if none has."""
+    """Return a field of the first reading that has the field, None without."""
     name = source_of(readings, field)
     return getattr(readings[name], field) if name else None
 
 
 def known(new: object, old: object) -> Any:
-    """Return the tree ``new`` of arrays (n,), with values of ``old`` in place of those that are not finite."""
+    """Return the tree ``new`` of arrays (n,), with non-finite values replaced by those of ``old``."""
     return map_tree(lambda now, before: jnp.where(jnp.isfinite(now), now, before), new, old)

@@ -66,7 +66,7 @@ class RoverController(Controller):
     gives: ClassVar[type] = DriveCommand
 
     def fitted(self, vehicle: object) -> RoverController:
-        """Return the controller for a nominal vehicle, which sets its kind of command.
+        """Return the controller with a nominal vehicle, which decides the type of its commands.
 
         Raises:
             UsageError: the vehicle has no wheels.
@@ -79,12 +79,12 @@ class RoverController(Controller):
         return replace(self, nominal=vehicle)
 
     def init(self, estimate: Estimate) -> RoverControllerState:
-        """Return the state of a controller that has not run."""
+        """Return the initial state of the controller."""
         zero = jnp.zeros_like(estimate.position_ned.z)
         return RoverControllerState(zero, jnp.zeros(zero.shape, bool))
 
     def shown(self, setpoint: Any) -> TrackSetpoint:
-        """Return a set-point as stored in a world's state: a line, NaN where it leads nowhere."""
+        """Return a set-point as stored in a world's state: a line, NaN for a mere velocity."""
         if isinstance(setpoint, TrackSetpoint):
             return setpoint
         zero = jnp.zeros_like(setpoint.yaw)
@@ -121,7 +121,7 @@ class RoverController(Controller):
     def _along(
         self, state: RoverControllerState, estimate: Estimate, track: TrackSetpoint, speed: Array
     ) -> tuple[Array, Array, Array]:
-        """Return speed [m/s], curvature [1/m] and whether it rests (n,), on a line or circle (D7, D8)."""
+        """Return speed [m/s], curvature [1/m] and (n,) bool: at rest, for a line or circle (D7, D8)."""
         ahead = jnp.maximum(self.lookahead_min, self.lookahead * jnp.abs(speed))
         aim = jnp.where(
             track.radius == 0.0, _aim_on_line(estimate, track, ahead), _aim_on_circle(estimate, track, ahead)
@@ -153,7 +153,7 @@ class RoverController(Controller):
     def _towards(
         self, estimate: Estimate, setpoint: VelocitySetpoint | PathSetpoint, speed: Array
     ) -> tuple[Array, Array]:
-        """Return speed [m/s] and curvature [1/m] (n,) for a velocity, or for a point that moves (D9)."""
+        """Return speed [m/s] and curvature [1/m] (n,) for a velocity or a moving point (D9)."""
         north, east = setpoint.velocity_ned.x, setpoint.velocity_ned.y
         idle: Array | None = None
         if isinstance(setpoint, PathSetpoint):
@@ -176,7 +176,7 @@ def _level(velocity: Vec3) -> Array:
 
 
 def _aim_on_line(estimate: Estimate, track: TrackSetpoint, ahead: Array) -> Array:
-    """Return the bearing (n,) [rad] of the point of a line that is a distance (n,) [m] away; of its end beyond it."""
+    """Return the bearing (n,) [rad] of the point of a line at a distance (n,) [m], at most its end."""
     begin, end = track.begin_ned, track.position_ned
     to_end = -estimate.offset_from(end)
     way_north, way_east = end.x - begin.x, end.y - begin.y
@@ -196,7 +196,7 @@ def _aim_on_line(estimate: Estimate, track: TrackSetpoint, ahead: Array) -> Arra
 
 
 def _aim_on_circle(estimate: Estimate, track: TrackSetpoint, ahead: Array) -> Array:
-    """Return the bearing (n,) [rad] of a point of a circle, further along it by a distance (n,) [m]."""
+    """Return the bearing (n,) [rad] of the point of a circle that is a distance (n,) [m] further along."""
     out = estimate.offset_from(track.position_ned)
     radius = jnp.maximum(jnp.abs(track.radius), 1e-3)
     where = arctan2(out.y, jnp.where((out.x == 0.0) & (out.y == 0.0), 1.0, out.x))

@@ -14,19 +14,19 @@ from qrsim.core.vectors import Euler, Vec3
 
 
 def library(*values: object) -> Any:
-    """Return jax.numpy where a value is a JAX array, else NumPy."""
+    """Return jax.numpy if any value is a JAX array, else NumPy."""
     return jnp if any(isinstance(value, Array) for value in values) else np
 
 
 def number(values: object) -> Any:
-    """Convert values to an array of floating-point numbers."""
+    """Return values as an array of floats; a floating dtype is kept."""
     lib = library(values)
     array = lib.asarray(values)
     return array if lib.issubdtype(array.dtype, lib.floating) else array.astype(float)
 
 
 def axes(array: Any, count: int = 3) -> Any:
-    """Split an array (..., count): a Vec3 for three axes, else a tuple."""
+    """Return an array (..., count) split along its last axis: a Vec3 for three axes, else a tuple; raise ValueError."""
     array = number(array)
     if array.ndim == 0 or array.shape[-1] != count:
         raise ValueError(f"expected an array (..., {count}), found shape {array.shape}")
@@ -35,7 +35,7 @@ def axes(array: Any, count: int = 3) -> Any:
 
 
 def like(array: Any, value: Any) -> Any:
-    """Return a value for each vehicle of an array (n,), of its type."""
+    """Return a value broadcast to the shape (n,) and dtype of an array."""
     lib = library(array, value)
     return lib.broadcast_to(lib.asarray(value, array.dtype), array.shape)
 
@@ -55,7 +55,7 @@ class Estimate:
     )
 
     def offset_from(self, place_ned: Vec3) -> Vec3:
-        """Return the position minus a point (n,) [m], without rounding large positions first."""
+        """Return the position minus a point (n,) [m], in a way that keeps small differences exact."""
         offset = self.position_ned - place_ned
         return offset if self.position_low_ned is None else offset + self.position_low_ned
 
@@ -221,7 +221,7 @@ class OffboardSetpoint:
 
     @staticmethod
     def of(setpoint: Setpoint) -> OffboardSetpoint:
-        """Return a set-point with the fields of every kind."""
+        """Return any set-point as a record with the fields of every kind, NaN in unused ones."""
         none = jnp.full_like(setpoint.yaw, math.nan)
         nowhere = Vec3(none, none, none)
         given = vars(setpoint)

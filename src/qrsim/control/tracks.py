@@ -25,13 +25,13 @@ def waypoint_at(route: Route, index: Array) -> Vec3:
 
 
 def line_of(state: RouteState, route: Route) -> tuple[Vec3, Vec3]:
-    """Return begin and end (n,) [m] of the line to each vehicle's waypoint; straight to the first one of all."""
+    """Return begin and end (n,) [m] of each vehicle's present line, the waypoints before and after it."""
     before = jnp.where(state.index > 0, state.index - 1, jnp.where(state.reached > 0, route.count - 1, 0))
     return waypoint_at(route, before), waypoint_at(route, state.index)
 
 
 def left_of(begin: Vec3, end: Vec3, position_ned: Vec3) -> tuple[Array, Array]:
-    """Return the horizontal distance (n,) [m] to the end of lines, and how far it is along them; 0 without a line."""
+    """Return the horizontal distance (n,) [m] to the end of lines, and its part along the line, 0 without a line."""
     north, east = end.x - position_ned.x, end.y - position_ned.y
     way_north, way_east = end.x - begin.x, end.y - begin.y
     length = root(way_north * way_north + way_east * way_east)
@@ -42,7 +42,7 @@ def left_of(begin: Vec3, end: Vec3, position_ned: Vec3) -> tuple[Array, Array]:
 def advanced(
     state: RouteState, route: Route, position_ned: Vec3, reach: Array, passed: Array | bool, repeat: bool
 ) -> RouteState:
-    """Return the state after waypoints within ``reach`` (n,) [m], or behind where ``passed`` allows, were reached."""
+    """Return the state advanced past waypoints within ``reach`` (n,) [m], or passed along the line if ``passed``."""
     begin, end = line_of(state, route)
     distance, along = left_of(begin, end, position_ned)
     has_line = (begin.x != end.x) | (begin.y != end.y)
@@ -51,7 +51,7 @@ def advanced(
 
 
 def ends_at(state: RouteState, route: Route, repeat: bool) -> Array:
-    """Return for each vehicle (n,) whether its route ends at its waypoint; a repeated one ends if it has no other."""
+    """Return (n,) bool: the route ends at the vehicle's present waypoint; if ``repeat``, only with one waypoint."""
     final = state.index + 1 >= route.count
     return final & (route.count < 2) if repeat else final
 

@@ -15,7 +15,7 @@ DType = np.dtype[Any]
 
 
 def is_number(value: Any) -> bool:
-    """Return whether something is a number, of NumPy's too, that a float holds."""
+    """Return whether a value is a real number below 1e300 in size, Python's or NumPy's; False for a bool."""
     if not isinstance(value, Real) or isinstance(value, bool):
         return False
     size: Any = abs(value.item() if isinstance(value, np.generic) else value)

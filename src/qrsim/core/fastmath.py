@@ -26,12 +26,12 @@ Rounding = Callable[[Array], Array]
 
 
 def freely(product: Array) -> Array:
-    """Let the compiler decide whether a product is rounded before an addition."""
+    """Return a product as given; the compiler may fuse it with a following addition."""
     return product
 
 
 def rounded(product: Array) -> Array:
-    """Make the compiler round a product, of magnitude below 1e30, before an addition.
+    """Return a product that the compiler must round before a following addition; of magnitude below 1e30.
 
     XLA contracts a * b + c to one rounding where it happens to see both operations together, so the last bit of a
     result depends on the program around it. An operation between the two, which the compiler cannot know to be
@@ -46,7 +46,7 @@ rounded_p = primitive_of("rounded", lambda product: jnp.minimum(product, 1e30), 
 
 
 def _polynomial(x: Array, coefficients: tuple[float, ...], rounding: Rounding = freely) -> Array:
-    """Evaluate by Horner's rule, highest power first."""
+    """Return the value of a polynomial at x by Horner's rule, highest power first in ``coefficients``."""
     result = jnp.full_like(x, coefficients[0])
     for coefficient in coefficients[1:]:
         result = rounding(result * x) + coefficient
@@ -113,7 +113,7 @@ def sincos_turns(turns: Array) -> tuple[Array, Array]:
 
 
 def _sincos_turns(turns: Array) -> tuple[Array, Array, Array]:
-    """Return (a, b, cosine) with a b the sine; the product is left to the caller, where a sum may round it once."""
+    """Return (a, b, cosine) with sine = a b; the caller multiplies, so that a sum may fuse the product."""
     part = turns - jnp.round(turns)
     z = part * part
     # Fits of sin(pi p)/p and cos(pi p) in z = p^2 on [0, 1/4], errors of sine and cosine below 4e-9 and 5e-8.
@@ -194,7 +194,7 @@ def exp(x: Array) -> Array:
 
 
 def _reciprocal_root(x: Array) -> tuple[Array]:
-    """Return 1/sqrt(x) of float32 numbers above 0, error below 8e-7, as the only entry."""
+    """Return a tuple of 1/sqrt(x) for float32 x above 0, error below 8e-7."""
     guess = lax.bitcast_convert_type(0x5F375A86 - (lax.bitcast_convert_type(x, jnp.int32) >> 1), jnp.float32)
     # With 1 - d = x guess^2, |d| < 0.07: one over the root of 1 - d, error below 8e-7.
     d = 1.0 - (x * guess) * guess
@@ -211,7 +211,7 @@ _RECIPROCAL_ROOT = Kernel(
 
 
 def reciprocal_root(x: Array) -> Array:
-    """Return one over the root of positive, normal x of any shape; float32 relative error below 1e-6.
+    """Return 1/sqrt(x) of positive, normal x of any shape; float32 relative error below 1e-6.
 
     A guess by halving the exponent, within 3.5 %, times a fit of one over the root of what is left; far cheaper than a
     root and a division.
@@ -225,7 +225,7 @@ def power(x: Array, exponent: float) -> Array:
 
 
 def _arctan2(y: Array, x: Array) -> tuple[Array]:
-    """Return the angle [rad] of float32 vectors, in (-pi, pi], as the only entry."""
+    """Return a tuple of the angle [rad] of float32 vectors, in (-pi, pi]."""
     over, beside = jnp.abs(y), jnp.abs(x)
     steep = over > beside
     t = jnp.minimum(over, beside) / jnp.maximum(jnp.maximum(over, beside), 1e-37)
@@ -249,5 +249,5 @@ def arctan2(y: Array, x: Array) -> Array:
 
 
 def wrap_angle(x: Array) -> Array:
-    """Wrap the angle x [rad], any shape, into [-pi, pi]."""
+    """Return an angle x [rad], any shape, wrapped to [-pi, pi]."""
     return x - 2.0 * math.pi * jnp.round(x * (0.5 / math.pi))

@@ -31,12 +31,12 @@ _MOST_TURNS = 100
 
 
 def library_of(*values: object) -> ModuleType:
-    """Return NumPy if all values are its arrays, else jax.numpy: NumPy compiles for no shape, but takes no tracers."""
+    """Return NumPy if all values are NumPy arrays, else jax.numpy, which traced values need."""
     return np if all(isinstance(value, np.ndarray) for value in values) else jnp
 
 
 def on_host(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function of trees of arrays that computes with NumPy and returns a tree of NumPy arrays.
+    """Return ``function`` computed with NumPy: a function of trees of arrays that returns a tree of NumPy arrays.
 
     Args:
         function: depends on its arguments alone. It is traced once for each structure, shape and type of them.
@@ -45,7 +45,7 @@ def on_host(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def call(*trees: object) -> Any:
-        """Trace the function for these shapes at the first call, and compute it with NumPy."""
+        """Return the function's result, computed with NumPy; it is traced at the first call for these shapes."""
         leaves, structure = jax.tree.flatten(trees)
         arrays = [np.asarray(leaf, jax.dtypes.canonicalize_dtype(np.asarray(leaf).dtype)) for leaf in leaves]
         # Text and types are part of the key: JAX treats structures as equal if only the types of their records differ.
@@ -63,7 +63,7 @@ def on_host(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def evaluate(closed: Any, arguments: Sequence[Any]) -> list[Any]:
-    """Return the results of a closed jaxpr, each in its shape, for arrays of NumPy."""
+    """Return the results of a closed jaxpr for NumPy arrays, each broadcast to its declared shape."""
     with np.errstate(all="ignore"):
         found = _run(closed.jaxpr, closed.consts, arguments)
     return [np.broadcast_to(array, aval.shape) for array, aval in zip(found, closed.out_avals, strict=True)]
@@ -90,7 +90,7 @@ def _run(jaxpr: Any, constants: Sequence[object], arguments: Sequence[object]) -
 
 
 def _applied(equation: Any, inputs: list[object]) -> Sequence[object]:
-    """Return the results of an equation: by its rule here, or else by JAX."""
+    """Return the results of one equation of a jaxpr, by a NumPy rule here, or else by JAX."""
     name, parameters = equation.primitive.name, equation.params
     rule = _RULES.get(name)
     if rule is not None:
@@ -107,7 +107,7 @@ def _applied(equation: Any, inputs: list[object]) -> Sequence[object]:
 
 @functools.cache
 def _kernel(name: str) -> Any:
-    """Return the body of a kernel, traced for single elements; NumPy spreads its operations over arrays."""
+    """Return the jaxpr of a kernel for scalars; NumPy broadcasts its operations over arrays."""
     kernel = KERNELS[name]
     return jax.make_jaxpr(kernel.body)(*(np.zeros((), dtype) for dtype in kernel.takes))
 
@@ -116,21 +116,21 @@ def _kernel(name: str) -> Any:
 
 
 def _called(parameters: Any, *inputs: object) -> list[object]:
-    """Return the results of a call of another jaxpr."""
+    """Return the results of an equation that calls another jaxpr."""
     closed = parameters.get("jaxpr", parameters.get("call_jaxpr"))
     whole = isinstance(closed, jex.ClosedJaxpr)
     return _run(closed.jaxpr, closed.consts, inputs) if whole else _run(closed, (), inputs)
 
 
 def _cond(parameters: Any, index: Any, *inputs: object) -> list[object]:
-    """Return the results of the chosen branch."""
+    """Return the results of the branch that ``index`` chooses."""
     branches = parameters["branches"]
     chosen = branches[min(max(int(index), 0), len(branches) - 1)]
     return _run(chosen.jaxpr, chosen.consts, inputs)
 
 
 def _scan(parameters: Any, *inputs: Any) -> list[object]:
-    """Return the carry and the stacked rows of a loop."""
+    """Return the results of a scan: the final carry, then the stacked outputs."""
     body, constants, carried = parameters["jaxpr"], parameters["num_consts"], parameters["num_carry"]
     same, state, rows = inputs[:constants], inputs[constants : constants + carried], inputs[constants + carried :]
     turns = range(parameters["length"])
@@ -157,22 +157,32 @@ _WHOLE: dict[str, Rule] = {
 
 
 def _broadcast(parameters: Any, x: Any) -> NumpyArray:
+    """Return the result of the JAX operation broadcast_in_dim, by NumPy."""
     shape, to = parameters["shape"], parameters["broadcast_dimensions"]
     wider = [x.shape[to.index(axis)] if axis in to else 1 for axis in range(len(shape))]
     return np.broadcast_to(x.reshape(wider), shape)
 
 
 def _slice(parameters: Any, x: Any) -> object:
+    """Return the result of the JAX operation slice, by NumPy."""
     strides = parameters["strides"] or itertools.repeat(1)
     return x[tuple(map(slice, parameters["start_indices"], parameters["limit_indices"], strides))]
 
 
+def _slice_at(parameters: Any, x: Any, *starts: Any) -> object:
+    """Return a slice that begins at ``starts``, clipped so that the slice fits: JAX's dynamic_slice, by NumPy."""
+    sizes = parameters["slice_sizes"]
+    first = [min(max(int(start), 0), n - size) for start, n, size in zip(starts, x.shape, sizes, strict=True)]
+    return x[tuple(slice(start, start + size) for start, size in zip(first, sizes, strict=True))]
+
+
 def _select(parameters: object, which: Any, *cases: Any) -> object:
+    """Return the result of the JAX operation select_n, by NumPy."""
     return np.where(which, cases[1], cases[0]) if which.dtype == bool else np.choose(which, cases)
 
 
 def _converted(parameters: Any, x: Any) -> Any:
-    """Return an array as another type; to integers it is truncated and clipped, as JAX does."""
+    """Return an array in another dtype; for integers truncated and clipped, as JAX does."""
     to = parameters["new_dtype"]
     if x.dtype.kind == "f" and np.dtype(to).kind in "iu":
         # Beyond what fits, NumPy's result depends on the processor.
@@ -182,25 +192,26 @@ def _converted(parameters: Any, x: Any) -> Any:
 
 
 def _rounded(parameters: Any, x: Any) -> object:
-    """Round half to even or, as the parameter says, away from zero."""
+    """Return x rounded to integers, half to even or, by the parameter, half away from zero."""
     if int(parameters["rounding_method"]) == 1:
         return np.rint(x)
     return np.copysign(np.floor(np.abs(x) + x.dtype.type(0.5)), x)
 
 
 def _power(parameters: Any, x: object) -> object:
+    """Return the result of the JAX operation integer_pow, by NumPy."""
     exponent = parameters["y"]
     found = functools.reduce(operator.mul, [x] * abs(exponent), np.ones_like(x))
     return found if exponent >= 0 else np.reciprocal(found)
 
 
 def _quotient(parameters: object, a: Any, b: Any) -> object:
-    """Divide; integers towards zero."""
+    """Return a / b; integers are rounded towards zero."""
     return a / b if a.dtype.kind == "f" else np.trunc(a.astype(np.float64) / b)
 
 
 def _padded(parameters: Any, x: Any, value: Any) -> object:
-    """Pad with a value, also between elements, and cut off where the padding is negative."""
+    """Return an array padded with a value, also between elements; negative padding cuts elements off."""
     sizes = [
         low + high + n + max(n - 1, 0) * gap
         for n, (low, high, gap) in zip(x.shape, parameters["padding_config"], strict=True)
@@ -218,15 +229,17 @@ def _padded(parameters: Any, x: Any, value: Any) -> object:
 
 
 def _iota(parameters: Any) -> NumpyArray:
+    """Return the result of the JAX operation iota, by NumPy."""
     shape, axis = parameters["shape"], parameters["dimension"]
     counted = np.arange(shape[axis]).reshape([-1 if i == axis else 1 for i in range(len(shape))])
     return np.broadcast_to(counted, shape)
 
 
 def _shifted(function: Rule) -> Rule:
-    """Return a rule that shifts bits; 0 for shifts by the width and more."""
+    """Return a rule that shifts bits by ``function``; shifts by the width or more give 0."""
 
     def rule(parameters: object, a: Any, b: Any) -> NumpyArray:
+        """Return a shifted by b bits, with zero bits coming in."""
         bits = 8 * a.dtype.itemsize
         unsigned = a.view(f"u{a.dtype.itemsize}") if function is np.right_shift else a
         return np.where(b < a.dtype.type(bits), function(unsigned, b.astype(unsigned.dtype)), 0).astype(a.dtype)
@@ -235,12 +248,12 @@ def _shifted(function: Rule) -> Rule:
 
 
 def _ignoring_parameters(function: Rule) -> Rule:
-    """Return a rule that calls a function of the inputs only."""
+    """Return a rule that calls ``function`` with the inputs only."""
     return lambda parameters, *inputs: function(*inputs)
 
 
 def _sum(parameters: Any, x: Any) -> object:
-    """Return the sum over some axes, added in order."""
+    """Return the sum over the axes of the parameters, always added in the same order."""
     axes = parameters["axes"]
     rest = [size for axis, size in enumerate(x.shape) if axis not in axes]
     parts = np.moveaxis(x, axes, range(len(axes))).reshape(-1, *rest)
@@ -249,7 +262,7 @@ def _sum(parameters: Any, x: Any) -> object:
 
 
 def _along(function: Any) -> Rule:
-    """Return a rule that reduces some axes."""
+    """Return a rule that reduces the axes of the parameters by a NumPy ufunc."""
     return lambda parameters, x: function.reduce(x, axis=tuple(parameters["axes"]), dtype=x.dtype)
 
 
@@ -278,6 +291,7 @@ _RULES: dict[str, Rule] = {
     "reduce_sum": _sum,
     "broadcast_in_dim": _broadcast,
     "slice": _slice,
+    "dynamic_slice": _slice_at,
     "select_n": _select,
     "convert_element_type": _converted,
     "round": _rounded,

@@ -18,7 +18,7 @@ def _advance(state: S, slope: S, dt: float) -> S:
 
 
 def heun(slope: Slope[S, A], state: S, dt: float) -> tuple[S, A]:
-    """Advance by Heun's rule: the average of the slopes at both ends.
+    """Return the state after one step of Heun's rule, and the mean output.
 
     Args:
         slope: state -> (time derivative of the state, output).
@@ -36,7 +36,7 @@ def heun(slope: Slope[S, A], state: S, dt: float) -> tuple[S, A]:
 
 
 def rk4(slope: Slope[S, A], state: S, dt: float) -> tuple[S, A]:
-    """Advance by the classical fourth-order Runge-Kutta rule; arguments and result as ``heun``."""
+    """Return the state after one classical Runge-Kutta step, and the mean output; arguments as of ``heun``."""
     first, output_1 = slope(state)
     second, output_2 = slope(_advance(state, first, 0.5 * dt))
     third, output_3 = slope(_advance(state, second, 0.5 * dt))

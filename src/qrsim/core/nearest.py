@@ -11,7 +11,7 @@ from qrsim.core.primitives import primitive_of
 
 
 def by_all_pairs(x: Array, y: Array, z: Array, reach: Array) -> Array:
-    """Compute ``nearest_squared`` from the distances of all pairs."""
+    """Return the result of ``nearest_squared``, computed from the distances of all pairs."""
     dx, dy, dz = x[:, None] - x[None, :], y[:, None] - y[None, :], z[:, None] - z[None, :]
     squared = dx * dx + dy * dy + dz * dz
     index = jnp.arange(x.shape[0])

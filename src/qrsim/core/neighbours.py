@@ -33,7 +33,7 @@ class Neighbours:
 
 
 def neighbours(x: Array, y: Array, z: Array, reach: Array | float, count: int, room: int | None = None) -> Neighbours:
-    """Find for each of n points the nearest others within reach.
+    """Return for each of n points its nearest other points within reach.
 
     Args:
         x, y, z: coordinates (n,) [m]; a point that is not finite has no neighbours and is no neighbour.
@@ -51,22 +51,22 @@ def neighbours(x: Array, y: Array, z: Array, reach: Array | float, count: int, r
 
 
 def always_room(points: int, count: int, room: int | None = None) -> bool:
-    """Return whether ``neighbours`` of ``points`` points, with this ``count`` and ``room``, is never overfull."""
+    """Return whether the search by ``neighbours`` can never overflow for ``points`` points."""
     return points - 1 <= 3 * (_capacity(count) if room is None else room)
 
 
 def _capacity(count: int) -> int:
-    """Return the usual ``room``: the largest number of points in three columns side by side."""
+    """Return the default of ``room``: the largest number of points in three adjacent columns."""
     return max(2 * count, 32)
 
 
 def by_all_pairs(x: Array, y: Array, z: Array, reach: Array | float, count: int) -> Neighbours:
-    """Return ``neighbours`` from the distances of all pairs; to compare with."""
+    """Return the result of ``neighbours``, computed from the distances of all pairs, as a reference."""
     return _nearest_of(*_all_others(x, y, z), jnp.asarray(reach, x.dtype), count, jnp.zeros(x.shape, bool))
 
 
 def _all_others(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
-    """Return numbers and squared distances (n, n) of all points; infinite to itself."""
+    """Return indices (n, n) and squared distances (n, n) of all points; infinite to the point itself."""
     n = x.shape[0]
     number = jnp.broadcast_to(jnp.arange(n, dtype=jnp.int32)[:, None], (n, n))
     squared = sum((axis[None, :] - axis[:, None]) ** 2 for axis in (x, y, z))
@@ -74,7 +74,7 @@ def _all_others(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
 
 
 def _squared_distances(x: Array, y: Array, z: Array, candidates: Array) -> tuple[Array, Array]:
-    """Return numbers and squared distances (M, n) of candidates; infinite to itself and for empty places."""
+    """Return indices and squared distances (M, n) of candidates; infinite to the point itself and for empty places."""
     there = jnp.maximum(candidates, 0)
     squared = sum((axis[None, :] - axis.at[there].get(mode="promise_in_bounds")) ** 2 for axis in (x, y, z))
     itself = candidates == jnp.arange(x.shape[0], dtype=jnp.int32)[None, :]
@@ -82,7 +82,7 @@ def _squared_distances(x: Array, y: Array, z: Array, candidates: Array) -> tuple
 
 
 def _nearest_of(number: Array, squared: Array, reach: Array, count: int, overfull: Array) -> Neighbours:
-    """Select the nearest of candidates (M, n) by their squared distances, one after the other."""
+    """Return the ``count`` nearest of candidates (M, n) within reach, by their squared distances."""
     # Written so that a NaN, which compares false, is out of reach.
     squared = jnp.where(squared <= reach * reach, squared, jnp.inf)
     most = jnp.int32(squared.shape[1])
@@ -98,7 +98,7 @@ def _nearest_of(number: Array, squared: Array, reach: Array, count: int, overful
 
 
 def _in_cells(x: Array, y: Array, z: Array, reach: Array, room: int) -> tuple[Array, Array]:
-    """Return the points in the nine columns around each point, (3 room, n) int32, and overfull (n,) bool.
+    """Return the points (3 room, n) int32 in the nine columns around each point, and overflow flags (n,) bool.
 
     Empty places have -1. A point is overfull if some of the points around it found no room.
     """
@@ -146,7 +146,7 @@ def _in_cells(x: Array, y: Array, z: Array, reach: Array, room: int) -> tuple[Ar
 
 
 def _ranks(column: Array, columns: int) -> Array:
-    """Return the rank (n,) of each point in its column, by number; -1 if it is in none, or beyond the deepest place."""
+    """Return the rank (n,) of each point in its column, by index; -1 without a column or beyond the deepest place."""
     n = column.shape[0]
     number = jnp.arange(n, dtype=jnp.int32)
     somewhere = column < columns
@@ -158,7 +158,7 @@ def _ranks(column: Array, columns: int) -> Array:
         return (turn < _DEEPEST) & jnp.any(somewhere & (rank < 0))
 
     def one_more(carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Give the next rank to the lowest number of each column."""
+        """Return the loop's state with the next rank given to the lowest index of each column."""
         turn, rank = carry
         left = somewhere & (rank < 0)
         lowest = jnp.full(columns, n, jnp.int32).at[clipped_column].min(jnp.where(left, number, n), mode="drop")

@@ -33,7 +33,7 @@ _PARITY = 0x1BD11BDA
 
 
 def threefry2x32(key: tuple[Array, Array], counter: tuple[Array, Array], rounds: int = ROUNDS) -> tuple[Array, Array]:
-    """Return the two output words of Threefry-2x32.
+    """Return the two uint32 output words of the random generator Threefry-2x32, each shaped as the counter.
 
     Args:
         key: two uint32 arrays, broadcastable against the counter.
@@ -101,7 +101,7 @@ _NORMALS = Kernel("normals", ("uint32",) * 2, ("float32",) * 2, partial(_normals
 
 @lru_cache(maxsize=1024)
 def _hashes(names: tuple[str, ...]) -> npt.NDArray[np.uint32]:
-    """Return the two words that stand for each name, (K, 2)."""
+    """Return the two hash words (K, 2) uint32 of each of K names."""
     digests = b"".join(hashlib.sha256(name.encode()).digest()[:8] for name in names)
     return np.frombuffer(digests, "<u4").reshape(-1, 2)
 
@@ -151,14 +151,14 @@ class Key:
         return StreamKeys(*threefry2x32((key[0], key[1]), (counter[0], counter[1]), 20))
 
     def families(self, groups: Sequence[Sequence[str]]) -> tuple[StreamKeys, ...]:
-        """Return ``streams`` of each group of names, computed at once."""
+        """Return the stream keys of each group of names, computed in one call."""
         every = self.streams([name for names in groups for name in names])
         ends = np.cumsum([len(names) for names in groups]).tolist()
         parts = [slice(end - len(names), end) for names, end in zip(groups, ends, strict=True)]
         return tuple(StreamKeys(every.high[..., part], every.low[..., part]) for part in parts)
 
     def stream(self, name: str, ids: Array) -> Stream:
-        """Return one named stream for the vehicles (or satellites) ``ids``, uint32 of shape (n,)."""
+        """Return the stream with this name for the vehicles (or satellites) ``ids``, uint32 (n,)."""
         return self.streams([name]).stream(0, ids)
 
 
@@ -170,7 +170,7 @@ class StreamKeys:
     low: Array = quantity(doc="(K,) uint32")
 
     def stream(self, index: int, ids: Array) -> Stream:
-        """Return one of the streams for the vehicles (or satellites) ``ids``, uint32 of shape (n,)."""
+        """Return stream number ``index`` for the vehicles (or satellites) ``ids``, uint32 (n,)."""
         return Stream(self.high[index], self.low[index], ids)
 
 
@@ -183,11 +183,11 @@ class Stream:
     ids: Array = quantity(doc="(n,) uint32: what the draws belong to")
 
     def words(self, tick: Array, index: Array | int) -> tuple[Array, Array]:
-        """Return the two words of shape (n,) of draw ``index`` at ``tick``."""
+        """Return the two random words (n,) uint32 of draw number ``index`` at a tick."""
         return threefry2x32((self.high, self.low + jnp.asarray(index, jnp.uint32)), self._counter(tick))
 
     def _counter(self, tick: Array) -> tuple[Array, Array]:
-        """Return the counter: tick, and number of the vehicle."""
+        """Return the counter words: the tick, and the ids, each (n,)."""
         return jnp.broadcast_to(jnp.asarray(tick).astype(jnp.uint32), self.ids.shape), self.ids
 
     def normals(self, tick: Array, count: int, dtype: jnp.dtype) -> tuple[Array, ...]:
@@ -209,15 +209,15 @@ class Stream:
         return jnp.concatenate(_box_muller(words, dtype), axis=0)[:rows]
 
     def normal_pairs(self, tick: Array, pairs: Array, dtype: jnp.dtype) -> tuple[Array, Array]:
-        """Return two independent standard normals (K, n) for each of the pairs (K,) uint32 that are named."""
+        """Return two independent standard normals (K, n) for each of the pair numbers (K,) uint32."""
         return _box_muller(self._words_of(tick, pairs), dtype)
 
     def normals_of(self, tick: Array, pairs: Array, dtype: jnp.dtype) -> tuple[Array, Array]:
-        """Return two independent standard normals for each of the pairs (...) uint32, of a stream of one id ()."""
+        """Return two independent standard normals (...) for pair numbers (...) uint32, of a stream of one id ()."""
         return _box_muller(self.words(tick, pairs), dtype)
 
     def uniform_pairs(self, tick: Array, pairs: Array, dtype: jnp.dtype) -> tuple[Array, Array]:
-        """Return two independent uniform numbers (K, n) of mean 0 and variance 1, from the words of the same normals.
+        """Return two independent uniform numbers (K, n) of mean 0 and variance 1 for each of the pair numbers (K,).
 
         They cost half as much as normals, and a sum of many is as good.
         """
@@ -226,7 +226,7 @@ class Stream:
         return first.astype(dtype) * scale, second.astype(dtype) * scale
 
     def _words_of(self, tick: Array, pairs: Array) -> tuple[Array, Array]:
-        """Return two random words for each pair (k,) and vehicle at a tick."""
+        """Return two random words (k, n) for each pair number (k,) and vehicle at a tick."""
         shape = (*pairs.shape, *self.ids.shape)
         counter = tuple(jnp.broadcast_to(word, shape) for word in self._counter(tick))
         key = jnp.broadcast_to((self.low + pairs)[:, None], shape)
@@ -261,7 +261,7 @@ class Draw:
         return self.stream.normal_rows(self.tick, rows, self.like.dtype, first)
 
     def normal_pairs(self, pairs: Array) -> tuple[Array, Array]:
-        """Return two normals (K, n) for each named pair (K,) uint32, as of a satellite; see ``Stream.normal_pairs``."""
+        """Return two standard normals (K, n) for each of the pair numbers (K,); see ``Stream.normal_pairs``."""
         return self.stream.normal_pairs(self.tick, pairs, self.like.dtype)
 
     def uniform_pairs(self, pairs: Array) -> tuple[Array, Array]:
@@ -269,7 +269,7 @@ class Draw:
         return self.stream.uniform_pairs(self.tick, pairs, self.like.dtype)
 
     def alone(self, number: int) -> Draw:
-        """Return the draw (1,) of one id of the stream, such as one that stands for all others together."""
+        """Return a draw (1,) with the single id ``number``, such as the id of errors that all share."""
         ids = jnp.full((1,), number, jnp.uint32)
         return Draw(Stream(self.stream.high, self.stream.low, ids), self.tick, self.like, self.most)
 
@@ -289,19 +289,19 @@ class Drawn:
     rows: tuple[Array, ...] = quantity(doc="each (n,)")
 
     def normals(self, count: int) -> tuple[Array, ...]:
-        """Return the first ``count`` arrays of shape (n,); the same as those of the Draw they stand for."""
+        """Return the first ``count`` of the arrays (n,) drawn before; raise ValueError for more."""
         _check_count(count, len(self.rows))
         return self.rows[:count]
 
 
 def _check_count(count: int, most: int | None) -> None:
-    """Raise ValueError if a component asks for more normals than it declares."""
+    """Raise ValueError if ``count`` exceeds the declared number of normals ``most``."""
     if most is not None and count > most:
         raise ValueError(f"a component that declares {most} normals per step asked for {count}")
 
 
 def draw_together(streams: Sequence[Stream], counts: Sequence[int], tick: Array, like: Array) -> list[Drawn]:
-    """Draw for several streams over the same ids in one call, which compiles and runs faster than one by one.
+    """Return standard normals for several streams, drawn in one call, which is faster than one by one.
 
     Args:
         streams: all with the same ids (n,).
@@ -342,7 +342,7 @@ def ou_decay(dt: float | Array, time_constant: Array) -> tuple[Array, Array]:
 
 
 def ou_step(value: Array, normal: Array, dt: float | Array, std: Array, time_constant: Array) -> Array:
-    """Advance an Ornstein-Uhlenbeck process exactly by dt (Symington 2014, eq. 10).
+    """Return an Ornstein-Uhlenbeck process one exact step dt later (Symington 2014, eq. 10).
 
     Args:
         value: the process now, any shape.

@@ -27,20 +27,20 @@ def two_sum(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def added(high: Vec3, change: Vec3) -> tuple[Vec3, Vec3]:
-    """Add a change to a vector in two parts; ``change`` includes the vector's second part."""
+    """Return ``high`` + ``change`` in two parts, rounded value and remainder; ``change`` includes the old remainder."""
     parts = [two_sum(getattr(high, axis), getattr(change, axis)) for axis in "xyz"]
     return Vec3(*(total for total, _ in parts)), Vec3(*(rest for _, rest in parts))
 
 
 def parts_of(values: Floats, dtype: npt.DTypeLike) -> tuple[Floats, Floats]:
-    """Split an array in double precision into two arrays of a type."""
+    """Return a float64 array as two arrays of ``dtype``: rounded values and remainders."""
     with np.errstate(invalid="ignore", over="ignore"):
         high = np.asarray(values, dtype)
         return high, np.asarray(values - high.astype(np.float64), dtype)
 
 
 def joined(high: object, low: object) -> Any:
-    """Join arrays, or records of them, with their second parts (None: there are none), in double precision."""
+    """Return arrays, or vectors, plus their second parts in float64; unchanged if ``low`` is None."""
     if low is None:
         return high
     if isinstance(high, Vec3):

@@ -14,13 +14,13 @@ Presets = dict[str, dict[str, Any]]
 
 
 def presets_of(cls: type) -> Mapping[str, Mapping[str, Any]] | None:
-    """Return the presets of a class of components, None of one without."""
+    """Return the presets of a component class, None for a class without."""
     found: Mapping[str, Mapping[str, Any]] | None = getattr(cls, "presets", None)
     return found
 
 
 def with_presets(cls: Any) -> Any:
-    """Return a dataclass whose constructor takes missing arguments from a preset, if the class has presets.
+    """Return the dataclass, its constructor taking missing arguments from a preset if the class has presets.
 
     Such a class has ``presets``, parameters by the preset's name, and a field ``preset``, which names one of them.
 
@@ -36,7 +36,7 @@ def with_presets(cls: Any) -> Any:
 
     @functools.wraps(plain)
     def completed(self: object, *args: Any, **given: Any) -> None:
-        """Create the object with the parameters that its preset adds."""
+        """Initialise the object with the given parameters, missing ones taken from its preset."""
         # JAX and dataclasses pass all fields when they rebuild a record; nothing is missing then.
         if len(args) + len(given) < len(fields):
             named = {*list(fields)[: len(args)], *given}
@@ -55,7 +55,7 @@ def with_presets(cls: Any) -> Any:
 
 
 def filled(usual: Mapping[str, object], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the entries of ``given``, and those of ``usual`` that it lacks; nested mappings are merged too."""
+    """Return ``given`` with missing entries taken from ``usual``; nested mappings are merged too."""
     both = {**usual, **given}
     for name, part in usual.items():
         if isinstance(part, Mapping) and isinstance(given.get(name), Mapping):
@@ -64,5 +64,5 @@ def filled(usual: Mapping[str, object], given: Mapping[str, Any]) -> dict[str, A
 
 
 def _preset_value(value: Any, usual: Any) -> object:
-    """Return the value of a parameter in a preset; a mapping replaces some parameters of a part, by name."""
+    """Return a preset's parameter; a mapping replaces the named parameters of the record ``usual``."""
     return dataclasses.replace(usual, **value) if isinstance(value, Mapping) else value

@@ -26,7 +26,7 @@ def primitive_of(
     parameters: tuple[str, ...] = (),
     shape: Callable[[tuple[int, ...]], tuple[int, ...]] | None = None,
 ) -> Any:
-    """Make a primitive of one result that XLA lowers, and JAX differentiates, through a function.
+    """Return a new JAX primitive with one result; XLA lowers it and JAX differentiates it through ``function``.
 
     Args:
         name: of the primitive, in printed programs.
@@ -42,11 +42,13 @@ def primitive_of(
     mlir.register_lowering(primitive, mlir.lower_fun(function, multiple_results=False))
 
     def batched(arguments: Any, axes: Any, **parameters: object) -> tuple[Any, int]:
+        """Return the result on a batch, and its batch axis."""
         if elementwise:
             return primitive.bind(*arguments), axes[0]
         return jax.vmap(partial(function, **parameters), in_axes=tuple(axes))(*arguments), 0
 
     def differentiated(primals: Any, tangents: Any, **parameters: object) -> object:
+        """Return the result and its tangent."""
         given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)
         known = partial(function, **parameters)
         return primitive.bind(*primals, **parameters), jax.jvp(known, tuple(primals), given)[1]
@@ -95,13 +97,13 @@ class Kernel:
         return result
 
     def _results(self, *avals: Any) -> list[object]:
-        """Return the types of the results for those of the arguments."""
+        """Return the abstract types of the results for the abstract types of the arguments."""
         assert self.takes == tuple(aval.dtype.name for aval in avals)
         shape = max((aval.shape for aval in avals), key=len)
         return [avals[0].update(shape=shape, dtype=np.dtype(dtype), weak_type=False) for dtype in self.gives]
 
     def _batched(self, arguments: Any, axes: Any) -> tuple[Any, list[int]]:
-        """Apply the kernel to a batch: all arguments with the batch in front, in one shape."""
+        """Return the results of the kernel on a batch, and their batch axes, all 0."""
         rank = max(jnp.ndim(argument) - (axis is not None) for argument, axis in zip(arguments, axes, strict=True))
         moved = []
         for argument, axis in zip(arguments, axes, strict=True):
@@ -115,7 +117,7 @@ class Kernel:
         return self.primitive.bind(*spread), [0] * len(self.gives)
 
     def _differentiated(self, primals: Any, tangents: Any) -> tuple[object, object]:
-        """Return the results and their tangents."""
+        """Return the results and their tangents (forward-mode derivative)."""
         given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)
         result = self.primitive.bind(*primals)
         if self.jvp is None:

@@ -30,11 +30,11 @@ class Quaternion:
         )
 
     def conjugate(self) -> Quaternion:
-        """Return the opposite rotation."""
+        """Return the conjugate, the inverse rotation of a unit quaternion."""
         return Quaternion(self.w, -self.x, -self.y, -self.z)
 
     def rate(self, rates_body: Vec3) -> Quaternion:
-        """Return its time derivative [1/s] at body rates [rad/s]."""
+        """Return the quaternion's time derivative [1/s] at body rates [rad/s]."""
         p, q, r = 0.5 * rates_body.x, 0.5 * rates_body.y, 0.5 * rates_body.z
         return Quaternion(
             -self.x * p - self.y * q - self.z * r,
@@ -44,7 +44,7 @@ class Quaternion:
         )
 
     def normalised(self) -> Quaternion:
-        """Return the quaternion of length one in its direction."""
+        """Return the quaternion scaled to unit length."""
         scale = 1.0 / jnp.sqrt(self.w * self.w + self.x * self.x + self.y * self.y + self.z * self.z)
         return Quaternion(self.w * scale, self.x * scale, self.y * scale, self.z * scale)
 
@@ -60,7 +60,7 @@ class Quaternion:
         )
 
     def euler(self) -> Euler:
-        """Return the ZYX Euler angles [rad]; at a pitch of 90 degrees only roll and yaw together are known."""
+        """Return the ZYX Euler angles [rad]; at a pitch of 90 degrees only roll and yaw together are defined."""
         turned = self.rotation()
         forward = turned.forward
         # The length is that of the cosine of the pitch, so that the angle is exact near 90 degrees too.
@@ -82,7 +82,7 @@ class Quaternion:
 
     @staticmethod
     def of_tilt(roll: Array, pitch: Array) -> Quaternion:
-        """Return the quaternion of roll and pitch [rad] at a heading of north."""
+        """Return the quaternion of roll and pitch [rad] at zero yaw."""
         sr, cr = sincos(0.5 * roll)
         sp, cp = sincos(0.5 * pitch)
         return Quaternion(cr * cp, sr * cp, cr * sp, -sr * sp)

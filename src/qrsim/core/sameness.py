@@ -59,7 +59,7 @@ class Itself:
 
 
 def sameness(given: object, depth: int = DEPTH) -> Hashable:
-    """Return a key that changes with the identity of an object and with its attributes.
+    """Return a hashable key that changes with an object's identity and with its attributes.
 
     A program has the attributes of a policy as constants. Functions and classes compare by identity: as with
     ``jax.jit``, a change of a variable that they close over is not noticed.
@@ -89,12 +89,12 @@ def sameness(given: object, depth: int = DEPTH) -> Hashable:
 
 
 def is_gone(key: Hashable) -> bool:
-    """Return whether a key of ``sameness``, or a tuple of keys, names an object that no longer exists."""
+    """Return whether a key of ``sameness``, or any key in it, refers to an object that no longer exists."""
     if isinstance(key, Itself):
         return key.gone
     return isinstance(key, tuple | frozenset) and any(map(is_gone, key))
 
 
 def _has_numbers(array: NumpyArray | np.generic | jax.Array) -> bool:
-    """Return whether the elements of an array are numbers, not objects or random keys."""
+    """Return whether an array's elements are numbers, not objects or random keys."""
     return not jnp.issubdtype(array.dtype, jax.dtypes.extended) and array.dtype != object

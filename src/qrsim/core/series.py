@@ -16,7 +16,7 @@ def split_seconds(times: Any) -> tuple[Any, Any]:
 
 
 def interval_at(rows: Array, parts: Array, seconds: Array, fraction: Array) -> tuple[Array, Array, Array]:
-    """Return the row (), but for the very last, that is the last not after a time, the time since it, and to the next.
+    """Return the row of the interval that contains a time, the time since its start, and its length; ends extend.
 
     Args:
         rows, parts: (K,) increasing times of a series, K at least 2: int32 whole seconds, and the rest.
@@ -27,7 +27,7 @@ def interval_at(rows: Array, parts: Array, seconds: Array, fraction: Array) -> t
     """
 
     def halve(_: object, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Return the bounds of the half that has the time in it."""
+        """Return the half of the bounds that contains the time."""
         low, high = bounds
         middle = (low + high) // 2
         passed = (rows[middle] < seconds) | ((rows[middle] == seconds) & (parts[middle] <= fraction))

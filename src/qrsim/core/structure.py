@@ -28,7 +28,7 @@ def name_of(kind: type) -> str:
 
 
 def to_plain(structure: Any) -> Any:
-    """Convert a structure to lists, dicts and plain values.
+    """Return a tree's structure as lists, dicts and plain values that JSON can store.
 
     Raises:
         TypeError: it has a part that another process could not find by name.
@@ -53,7 +53,7 @@ def to_plain(structure: Any) -> Any:
 
 
 def from_plain(plain: object, leaves: Iterator[object]) -> Any:
-    """Rebuild a tree from the result of ``to_plain`` and its leaves in order.
+    """Return the tree rebuilt from the result of ``to_plain`` and its leaves in order.
 
     Raises:
         ValueError: it is nothing that ``to_plain`` returns here, or there are too few leaves.
@@ -80,18 +80,19 @@ def from_plain(plain: object, leaves: Iterator[object]) -> Any:
 
 
 def _is_record(kind: object) -> bool:
+    """Return whether an object is a dataclass type."""
     return isinstance(kind, type) and dataclasses.is_dataclass(kind)
 
 
 def _fields(kind: type) -> tuple[list[str], list[str]]:
-    """Return the names of a record's parts and of its settings."""
+    """Return the field names of a record class: those of its parts, and those of its settings."""
     fields = dataclasses.fields(kind)
     static = [field.name for field in fields if field_info(field).static]
     return [field.name for field in fields if field.name not in static], static
 
 
 def _plain(value: object) -> Any:
-    """Return a setting as JSON can hold it, tuples marked; raise TypeError for others."""
+    """Return a setting in a form that JSON can store, tuples marked; raise TypeError for other values."""
     if type(value) is tuple:
         return {"tuple": [_plain(part) for part in value]}
     if type(value) not in _PLAIN:
@@ -100,14 +101,14 @@ def _plain(value: object) -> Any:
 
 
 def _unplain(value: object) -> Any:
-    """Return a setting from its JSON form."""
+    """Return a setting from the form of ``_plain``."""
     if isinstance(value, dict):
         return tuple(_unplain(part) for part in value["tuple"])
     return value
 
 
 def _record_named(name: object) -> Any:
-    """Return the record class of a name; only modules of this package are imported for it."""
+    """Return the record class with a name; import only modules of this package; raise ValueError for others."""
     if not isinstance(name, str):
         raise ValueError("no name")
     module, _, path = name.partition(":")

@@ -37,7 +37,7 @@ class Table:
     widest: int = WIDEST
 
     def _shown(self) -> list[tuple[str, ...]]:
-        """Return the rows that are printed, cut to length and width, with how many are left out."""
+        """Return the rows to print, cut to length and width; the last says how many are left out."""
         rows = [tuple(_shortened(cell, self.widest) for cell in row) for row in self.rows[:MOST_ROWS]]
         left = len(self.rows) - len(rows)
         return rows + ([(f"and {left} more", *[""] * (len(self.headings) - 1))] if left else [])
@@ -67,10 +67,11 @@ class Tabled:
     """
 
     def _table(self) -> Table:
+        """Return the table to show; subclasses must define this."""
         raise NotImplementedError
 
     def _table_or_fault(self) -> Table:
-        """Return the table, or one that says why there is none."""
+        """Return the table, or an empty one titled with the error that prevents it."""
         try:
             return self._table()
         except QrsimError as error:
@@ -80,12 +81,12 @@ class Tabled:
         return self._table_or_fault().text()
 
     def _repr_html_(self) -> str:
-        """Return the table for a notebook."""
+        """Return the table as HTML, for notebooks."""
         return self._table_or_fault().html()
 
 
 def number_text(value: object, digits: int = 4) -> str:
-    """Return a number, or the first of several, in a few digits; of a traced one its type and shape."""
+    """Return the first numbers of a value as text; of a traced one dtype and shape, of None ""."""
     if value is None:
         return ""
     if isinstance(value, jax.core.Tracer):
@@ -100,7 +101,7 @@ def number_text(value: object, digits: int = 4) -> str:
 
 
 def cells_of(array: NumpyArray | jax.Array, columns: int, digits: int = 4) -> tuple[str, ...]:
-    """Return the text of each of the first rows of an array (n, ...), and "..." for the other columns."""
+    """Return ``columns`` texts, the first rows of an array (n, ...), then "..." if rows are left out."""
     if isinstance(array, jax.core.Tracer):
         return (number_text(array), *[""] * (columns - 1))
     cells = [number_text(row, digits) for row in array[: min(columns, MOST_COLUMNS)]]
@@ -108,7 +109,7 @@ def cells_of(array: NumpyArray | jax.Array, columns: int, digits: int = 4) -> tu
 
 
 def parameters_text(part: object) -> str:
-    """Return the parameters of a component that are single numbers or words, with their units."""
+    """Return the parameters of a component that are single numbers or words as text, with units."""
     if not dataclasses.is_dataclass(part):
         return ""
     texts = []
@@ -123,13 +124,13 @@ def parameters_text(part: object) -> str:
 
 
 def columns_of(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the headings of the columns of vehicles: the first names, and how many there are where these are more."""
+    """Return the headings of vehicles' columns: the first names, then the total number if names are left out."""
     if len(names) <= MOST_COLUMNS:
         return tuple(names)
     return (*names[:MOST_COLUMNS], f"({len(names)} in all)")
 
 
 def _shortened(cell: str, widest: int) -> str:
-    """Return a cell in one line of at most ``widest`` characters."""
+    """Return a cell on one line, cut to at most ``widest`` characters."""
     line = " ".join(cell.split())
     return line if len(line) <= widest else line[: widest - 3] + "..."

@@ -74,7 +74,7 @@ def parameter(
     nullable: bool = False,
     of_sensors: bool = False,
 ) -> Any:
-    """Declare a number of a component: a leaf, so that changing it does not recompile.
+    """Return the declaration of a component's number: a leaf, so that changing it recompiles nothing.
 
     Each has a unit and a doc; one without is refused when its class becomes a component. With a
     ``length`` it is a list of as many; one that is ``nullable`` may be null, where the default is None. One that is
@@ -95,7 +95,7 @@ def setting(
     maximum: float | None = None,
     above: float | None = None,
 ) -> Any:
-    """Declare a structural choice of a component (a period, an option): static under jit."""
+    """Return the declaration of a structural choice of a component (a period, an option): static under jit."""
     info = FieldInfo(unit, doc, minimum, maximum, above, True)
     return dataclasses.field(default=default, metadata={INFO: info})
 
@@ -108,18 +108,18 @@ def quantity(
     minimum: float | None = None,
     maximum: float | None = None,
 ) -> Any:
-    """Declare an array, or a record of arrays, of a state, a reading or a command."""
+    """Return the declaration of an array, or a record of arrays, in a state, a reading or a command."""
     return dataclasses.field(default=default, metadata={INFO: FieldInfo(unit, doc, minimum, maximum)})
 
 
 def derived(default: object = None, *, doc: str, static: bool = False) -> Any:
-    """Declare a part of a component that is set while a world is built, None before; no scenario can give it."""
+    """Return the declaration of a field set while a world is built, None before; scenarios cannot set it."""
     return dataclasses.field(default=default, metadata={INFO: FieldInfo(doc=doc, derived=True, static=static)})
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(parameter, setting, quantity, derived))
 def record(cls: type[T]) -> type[T]:
-    """Make a class a frozen dataclass and a PyTree; fields made with ``setting`` are static.
+    """Return a class made a frozen dataclass and a PyTree; fields declared by ``setting`` are static.
 
     What is not given to a component with ``presets`` is that of its ``preset``.
     """
@@ -131,7 +131,7 @@ def record(cls: type[T]) -> type[T]:
 
 
 def _register(cls: Any, data: list[str], static: list[str]) -> None:
-    """Register a record as a node of its own type.
+    """Register a record class with JAX as a distinct PyTree node type.
 
     Not by ``jax.tree_util.register_dataclass``: structures of two dataclasses that differ only in their type are equal
     to JAX (0.10 for one), so that ``jax.jit`` at times runs the program of one for the other.
@@ -157,7 +157,7 @@ def _register(cls: Any, data: list[str], static: list[str]) -> None:
 
 
 def _getter(names: list[str]) -> Callable[[Any], tuple[Any, ...]]:
-    """Make a function that reads some attributes as a tuple."""
+    """Return a function that reads the attributes ``names`` of an object as a tuple."""
     if len(names) > 1:
         return operator.attrgetter(*names)
     if not names:
@@ -167,7 +167,7 @@ def _getter(names: list[str]) -> Callable[[Any], tuple[Any, ...]]:
 
 
 def field_info(field: dataclasses.Field[Any]) -> FieldInfo:
-    """Return the metadata of a field, empty if none was given."""
+    """Return a field's metadata, empty if none was given."""
     return field.metadata.get(INFO, FieldInfo())
 
 
@@ -180,13 +180,13 @@ class Bounds(TypedDict, total=False):
 
 
 def computed(function: Callable[[Any], T]) -> T:
-    """Declare a property in the place of a class attribute of a contract, where it depends on settings."""
+    """Return a property for a class attribute of a contract that depends on settings."""
     attribute: Any = property(function)
     return attribute
 
 
 def record_of(kind: Callable[..., T], *parts: object, **named: object) -> T:
-    """Return a record of NumPy arrays or Python numbers, where its fields are declared as arrays of JAX."""
+    """Return ``kind(*parts, **named)``, for NumPy arrays or numbers in fields declared as JAX arrays."""
     return kind(*parts, **named)
 
 
@@ -197,9 +197,10 @@ def replace(item: T, **changes: object) -> T:
 
 
 def cast(item: T, dtype: Any) -> T:
-    """Convert every floating-point leaf of a tree (Python floats included) to an array of ``dtype``."""
+    """Return a tree with every floating-point leaf (Python floats included) as an array of ``dtype``."""
 
     def convert(leaf: object) -> NumpyArray:
+        """Return a leaf as an array, of ``dtype`` if it is floating-point."""
         array = np.asarray(leaf)
         return np.asarray(array, dtype) if np.issubdtype(array.dtype, np.floating) else array
 
@@ -207,7 +208,7 @@ def cast(item: T, dtype: Any) -> T:
 
 
 def select(condition: jax.Array, yes: T, no: T) -> T:
-    """Choose between two trees of the same structure, vehicle by vehicle (``condition`` has shape (n,))."""
+    """Return leaves of ``yes`` where ``condition`` (n,) is True, else of ``no``, for two trees of one structure."""
     return jax.tree.map(lambda a, b: jax.numpy.where(condition, a, b), yes, no)
 
 
@@ -220,12 +221,12 @@ def map_tree(function: Callable[[jax.Array, jax.Array], jax.Array], tree: T, oth
 
 
 def map_tree(function: Callable[..., jax.Array], tree: T, *others: T) -> T:
-    """Return a tree of a function of each leaf, and of the leaves in its place in other trees of this structure."""
+    """Return the tree of ``function`` applied to each leaf, with the matching leaves of other trees."""
     return jax.tree.map(function, tree, *others)
 
 
 def concatenated(trees: Sequence[T]) -> T:
-    """Join trees of one structure, leaf by leaf, along the first axis."""
+    """Return trees of one structure concatenated leaf by leaf along the first axis."""
     return jax.tree.map(lambda *parts: jax.numpy.concatenate(parts), *trees)
 
 
@@ -242,19 +243,19 @@ def walk(item: Any, prefix: str = "") -> Iterator[tuple[str, Any, FieldInfo]]:
 
 @cache
 def _parts(kind: type) -> tuple[tuple[str, FieldInfo], ...]:
-    """Return name and metadata of each field of a record that is no setting."""
+    """Return name and metadata of each field of a record class that is not a setting."""
     found = ((field.name, field_info(field)) for field in dataclasses.fields(kind))
     return tuple((name, info) for name, info in found if not info.static)
 
 
 @cache
 def _with_unit(info: FieldInfo, unit: str) -> FieldInfo:
-    """Return the field's description with another unit."""
+    """Return a field's metadata with another unit."""
     return dataclasses.replace(info, unit=unit)
 
 
 def _walked(value: object, name: str, info: FieldInfo) -> Iterator[tuple[str, Any, FieldInfo]]:
-    """Yield name, array and field of each leaf of a field's value."""
+    """Yield (dotted name, leaf, metadata) of each leaf of a field's value."""
     if isinstance(value, tuple):
         for number, part in enumerate(value):
             yield from _walked(part, f"{name}.{number}", info)

@@ -40,7 +40,7 @@ class Vec3:
 
     @property
     def axes(self) -> tuple[Array, Array, Array]:
-        """The components in their order."""
+        """Components (x, y, z)."""
         return self.x, self.y, self.z
 
     def dot(self, other: Vec3) -> Array:
@@ -60,7 +60,7 @@ class Vec3:
         return jnp.sqrt(self.dot(self))
 
     def map(self, function: Callable[[Array], Array]) -> Vec3:
-        """Apply a function to each component."""
+        """Return the vector of a function applied to each component."""
         return Vec3(function(self.x), function(self.y), function(self.z))
 
     def stack(self) -> Array:
@@ -69,18 +69,18 @@ class Vec3:
 
     @staticmethod
     def zeros(shape: tuple[int, ...], dtype: jnp.dtype) -> Vec3:
-        """Return a zero vector."""
+        """Return a zero vector with components of a shape and dtype."""
         zero = jnp.zeros(shape, dtype)
         return Vec3(zero, zero, zero)
 
     @staticmethod
     def of(array: Array) -> Vec3:
-        """Split an array of shape (..., 3)."""
+        """Return an array (..., 3) as a vector of three arrays (...)."""
         return Vec3(array[..., 0], array[..., 1], array[..., 2])
 
 
 def root(squared: Array) -> Array:
-    """Return the square root; 0, with a slope of 0 and not none, where its argument is not above 0."""
+    """Return the square root of positive numbers, 0 for others, with gradient 0 there."""
     return jnp.where(squared > 0.0, jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0)), 0.0)
 
 
@@ -102,11 +102,11 @@ class Rotation:
     down: Vec3 = quantity(doc="body z axis in NED")
 
     def to_body(self, ned: Vec3) -> Vec3:
-        """Rotate a navigation-frame vector into the body frame (D v)."""
+        """Return a vector given in the navigation frame (NED) in the body frame (D v)."""
         return Vec3(self.forward.dot(ned), self.right.dot(ned), self.down.dot(ned))
 
     def to_ned(self, body: Vec3) -> Vec3:
-        """Rotate a body-frame vector into the navigation frame (D^T v)."""
+        """Return a vector given in the body frame in the navigation frame, NED (D^T v)."""
         return self.forward * body.x + self.right * body.y + self.down * body.z
 
 
@@ -123,14 +123,14 @@ class AttitudeTrig:
 
     @staticmethod
     def of(attitude: Euler) -> AttitudeTrig:
-        """Compute all six functions."""
+        """Return sines and cosines of the three Euler angles."""
         sin_roll, cos_roll = sincos(attitude.roll)
         sin_pitch, cos_pitch = sincos(attitude.pitch)
         sin_yaw, cos_yaw = sincos(attitude.yaw)
         return AttitudeTrig(sin_roll, cos_roll, sin_pitch, cos_pitch, sin_yaw, cos_yaw)
 
     def rotation(self) -> Rotation:
-        """Return D(phi, theta, psi)."""
+        """Return the direction cosine matrix D(phi, theta, psi), from NED to body."""
         sr, cr, sp, cp, sy, cy = jax.tree.leaves(self)
         return Rotation(
             Vec3(cp * cy, cp * sy, -sp),
@@ -140,12 +140,12 @@ class AttitudeTrig:
 
 
 def rotation(attitude: Euler) -> Rotation:
-    """Return the direction cosines of an attitude."""
+    """Return the direction cosine matrix of an attitude, from NED to body."""
     return AttitudeTrig.of(attitude).rotation()
 
 
 def body_rates(attitude: Euler, rates: Euler) -> Vec3:
-    """Return the body rates [rad/s] at which the Euler angles change by ``rates`` [rad/s]: undoes ``euler_rates``."""
+    """Return the body rates [rad/s] for rates of change of the Euler angles [rad/s], the inverse of ``euler_rates``."""
     trig = AttitudeTrig.of(attitude)
     lateral = rates.yaw * trig.cos_pitch
     return Vec3(

@@ -53,7 +53,7 @@ class States(Protocol):
         """Return a part of the tree of states, each leaf (B, ...)."""
 
     def take(self, worlds: IntArray, other: States) -> None:
-        """Take the first len(worlds) of other states."""
+        """Overwrite the states of ``worlds`` with the first len(worlds) of other states."""
 
 
 class Program(Protocol):
@@ -61,38 +61,38 @@ class Program(Protocol):
 
     @property
     def compiler(self) -> str:
-        """Which made it, "llvm" or "xla"."""
+        """Name of the compiler that made the program, "llvm" or "xla"."""
 
     @property
     def refused(self) -> str:
-        """Why it is XLA's although machine code was wanted, "" where it is as wanted."""
+        """Why XLA made the program although LLVM was wanted; "" otherwise."""
 
     @property
     def layout(self) -> Packer | None:
-        """Of the state of one world, known once it has started; None where the compiler keeps that for itself."""
+        """Layout of one world's state, known after the first start; None if the compiler keeps it to itself."""
 
     @property
     def part(self) -> int | None:
-        """So many worlds are started in one call; None: any number."""
+        """Number of worlds that one call starts; None: any number."""
 
     @property
     def slot(self) -> NumpyArray | None:
-        """Buffer of the given inputs, leaf after leaf, that may be overwritten; None if there is no such buffer."""
+        """Writable buffer of the given inputs, leaf after leaf; None if there is no such buffer."""
 
     def give(self, leaves: Sequence[object]) -> None:
-        """Take the inputs that differ by world, until others are given; to be called before all else."""
+        """Set the inputs that differ by world, until the next call; required before any other call."""
 
     def start(self) -> Any:
-        """Return a first state, or those of as many worlds as something was given."""
+        """Return the first state of one world, or of all worlds that inputs were given for."""
 
     def hold(self, tree: Tree) -> Any:
-        """Return a state, or those of all worlds (B, ...), as the program takes it."""
+        """Convert a tree of states, one or (B, ...), to the form that the program runs on."""
 
     def run(self, state: Any, tick: int, count: int) -> Any:
-        """Advance by ``count`` ticks and return the state; the one before is overwritten or used up."""
+        """Advance by ``count`` ticks and return the state; the old state must not be used again."""
 
     def record(self, state: Buffers, tick: int, count: int, capacity: int) -> tuple[Buffers, Buffers]:
-        """Advance one world, and return its state and those of all ticks, each buffer (count, ...).
+        """Advance one world; return it, and its state after every tick as buffers (count, ...).
 
         Args:
             state, tick, count: see ``run``.
@@ -103,7 +103,7 @@ class Program(Protocol):
 def compile(
     function: Function, shared: Shared, own: Packer, state: Packer | None, extent: Extent, compiler: str
 ) -> Program:
-    """Return a program of a function, made at most once in a process, and loaded from the user's cache if it is there.
+    """Compile a function to a program, or take it from this process or the user's cache.
 
     Args:
         function: of one world; what goes wrong inside it is raised as it is.
@@ -125,7 +125,7 @@ def compile(
 def form_of(
     function: Function, world: Tree, own: Tree, extent: Extent, form: str, start: Function | None = None
 ) -> str:
-    """Return the program of a function of one world as text.
+    """Return a function's program for one world as text, in one of the forms, such as its jaxpr.
 
     Args:
         function: of one world.
@@ -170,7 +170,7 @@ class Specialised:
         self._last: tuple[Packer | None, object, Program] | None = None
 
     def program(self, given: Tree, state: Packer | None = None) -> Program:
-        """Return the program for the structure and types of ``given``, with these numbers as inputs."""
+        """Return the program for the structure and types of ``given``, with ``given`` as its inputs."""
         leaves, structure = jax.tree.flatten(given)
         # On the host, where what a user gave may be numbers of Python.
         leaves = [np.asarray(leaf) for leaf in leaves]
@@ -192,18 +192,18 @@ class Specialised:
 
     @property
     def last(self) -> Program:
-        """The program that was asked for last."""
+        """Program that was requested last."""
         assert self._last is not None
         return self._last[2]
 
     def become_xla(self) -> None:
-        """Make no machine code from here on."""
+        """Use XLA, and not LLVM, for all programs from now on."""
         if self.compiler != "xla":
             self.compiler, self._last = "xla", None
             self._made.clear()
 
     def share(self, shared: Shared) -> None:
-        """Give all worlds other numbers in common, of the same structure."""
+        """Replace the values that all worlds share by others of the same structure."""
         self.shared, self._last = shared, None
         self._made.clear()
 
@@ -255,16 +255,16 @@ class Worlds:
 
     @property
     def compiler(self) -> str:
-        """Which compiler flies them."""
+        """Name of the compiler of these worlds' programs."""
         return self._tick.compiler
 
     @property
     def started(self) -> bool:
-        """Whether any of them has."""
+        """Whether any world has started."""
         return self._states is not None
 
     def prepare(self, begins: Tree, given: Tree) -> None:
-        """Compile both functions for examples (1, ...) of their inputs, so that one compiler has both."""
+        """Compile start and tick for example inputs (1, ...), so that one compiler makes both."""
         self._layout = self._checked_program(self._start, begins).layout
         self._checked_program(self._tick, given, self._layout)
         if self._look is not None and self.compiler == "llvm" and self._layout is not None:
@@ -274,11 +274,11 @@ class Worlds:
 
     @property
     def looks(self) -> bool:
-        """Whether ``look`` can be called."""
+        """Whether ``look`` is available."""
         return self._looks is not None
 
     def look(self, rows: IntArray | None = None) -> Tree:
-        """Return the arrays that are made only when asked for, of all worlds or of some rows, each leaf (b, ...)."""
+        """Return the arrays that are computed on demand, of all worlds or some rows, each leaf (b, ...)."""
         assert self._looks is not None
         states: Any = self._states
         return self._looks(states, rows)
@@ -294,7 +294,7 @@ class Worlds:
         return program
 
     def share_at_starts(self, shared: Tree) -> None:
-        """Have other numbers in common where worlds start; those that are under way go on as they were."""
+        """Replace the shared values for worlds that start from now on; running ones keep the old values."""
         self._start.share(Shared.of(shared))
 
     def begin(self, given: Tree) -> None:
@@ -303,7 +303,7 @@ class Worlds:
         self._layout, self._states = program.layout, program.start()
 
     def begin_some(self, rows: IntArray, given: Tree, select: Callable[[Tree], Tree]) -> Tree:
-        """Start some of worlds that have nothing constant, and return a part of their states (b, ...), copied.
+        """Start the worlds ``rows`` (b,) and return a copy of the selected part of their states (b, ...).
 
         Args:
             rows: (b,) which.
@@ -333,7 +333,7 @@ class Worlds:
         return jax.tree.map(lambda leaf: np.array(leaf[: len(rows)]), some.get(select))
 
     def restore(self, tree: Tree) -> None:
-        """Take the states of all of them, each leaf (B, ...), after ``prepare``."""
+        """Replace the states of all worlds by a tree with leaves (B, ...), after ``prepare``."""
         self._states = self._start.last.hold(tree)
 
     def advance(self, tick: int, count: int, given: Tree) -> None:
@@ -342,7 +342,7 @@ class Worlds:
         self._states = program.run(self._states, tick, count)
 
     def get(self, select: Callable[[Tree], Tree]) -> Tree:
-        """Return a part of their states, each leaf (B, ...); it is used up by the next tick."""
+        """Return the selected part of all states, each leaf (B, ...); valid until the next tick."""
         assert self._states is not None
         return self._states.get(select)
 

@@ -42,7 +42,7 @@ MANY_VEHICLES, STRIP = 1024, 256
 
 
 def mode_of(vehicles: int, dtype: DType) -> Mode:
-    """Return how a world on its own is computed: side by side its vehicles, or a single one's draws and satellites."""
+    """Return the mode of a single world: vector lanes over its vehicles, or half vectors for a few vehicles."""
     # A few vehicles fill half a vector, which takes no longer than a whole one that is half empty.
     most = vector_bytes() // dtype.itemsize
     strip = STRIP if vehicles >= MANY_VEHICLES else 0
@@ -50,7 +50,7 @@ def mode_of(vehicles: int, dtype: DType) -> Mode:
 
 
 def mode_of_many(count: int, vehicles: int, dtype: DType) -> Mode:
-    """Return how ``count`` worlds are computed: side by side where there are enough, or vehicles too few."""
+    """Return the mode of ``count`` worlds: lanes over worlds, or over vehicles if the worlds would not fill them."""
     lanes = vector_bytes() // dtype.itemsize
     # Lanes without a world of their own would be computed for nothing.
     alone = count == 1 or (vehicles > lanes and count < lanes)
@@ -58,7 +58,7 @@ def mode_of_many(count: int, vehicles: int, dtype: DType) -> Mode:
 
 
 def make(function: Function, shared: Shared, own: Packer, state: Packer | None, extent: Extent) -> LlvmProgram:
-    """Return a program, from this process, the user's cache, or made now; see ``qrsim.engine.backend.compile``.
+    """Return a program from this process or the user's cache, or compile it; see ``qrsim.engine.backend.compile``.
 
     Raises:
         UnsupportedError: the code generator does not take the function.
@@ -72,7 +72,7 @@ def make(function: Function, shared: Shared, own: Packer, state: Packer | None, 
 
 
 def make_look(function: Function, shared: Shared, state: Packer, found: Packer, extent: Extent) -> Looks:
-    """Return a program that fills arrays of zeros from the states of worlds that ``make`` made a program of.
+    """Return a program that computes extra arrays from the states of worlds that a program of ``make`` flies.
 
     Args:
         function: ``call(shared, state, arrays, tick)`` of one world returns the arrays, in place of zeros.
@@ -112,7 +112,7 @@ def state_layout(start: Function, shared: Packer, own: Packer) -> Packer:
 
 
 def _loaded(function: Function, shared: Packer, own: Packer, state: Packer | None, mode: Mode) -> Program:
-    """Return a program, from the user's cache or made."""
+    """Return a program from the user's cache, or compile it."""
     before = [shared, own] if state is None else [shared, own, state]
     what = None if function.text is None else (function.name, *function.text, *map(identity, before), mode)
     # A start runs once, so quick code is enough.
@@ -139,7 +139,7 @@ def _loaded(function: Function, shared: Packer, own: Packer, state: Packer | Non
 def _made(
     function: Function, shared: Packer, own: Packer, state: Packer | None, mode: Mode, wanted: str
 ) -> tuple[Known, Binary]:
-    """Trace a function and compile it, unless its code is kept."""
+    """Trace a function and compile it, unless its code is cached; return its metadata and its code."""
     closed, layout = _traced_with_state(function, shared, own, state)
     inputs, program = _input_kinds(shared, own, layout), digest(closed)
     # How the leaves lie in the buffers; of their structure the code knows nothing.
@@ -167,7 +167,7 @@ def _input_kinds(shared: Packer, own: Packer, state: Packer) -> tuple[Input, ...
 
 
 def _kept_code(program: str, wanted: str) -> Binary | None:
-    """Return kept code of a tier, or of one that serves as well; of a program without a key none is kept."""
+    """Return cached machine code of a tier or an equivalent one; None if it is not cached or has no key."""
     if not program:
         return None
     for each in {"auto": ("better", "auto"), "quick": ("quick", "auto"), "better": ("better",)}[wanted]:
@@ -178,7 +178,7 @@ def _kept_code(program: str, wanted: str) -> Binary | None:
 
 
 def _traced(function: Function, shared: Packer, own: Packer) -> tuple[Any, Any]:
-    """Return the jaxpr of a function and its result, from ``state_bytes`` if it has traced it."""
+    """Return a function's jaxpr and result shapes, from ``state_bytes`` if that has traced it."""
     found = _TRACED.pop((function, identity(shared), identity(own)), None)
     return found or trace_of(function.call, (Input(shared, own=False), Input(own, own=True)))
 
@@ -232,7 +232,7 @@ class LlvmProgram:
         self._last: tuple[Any, Lanes | None] = (None, None)
 
     def give(self, leaves: Sequence[Any]) -> None:
-        """Take the inputs that differ by world."""
+        """Set the inputs that differ by world."""
         if self._flat is not None:
             np.concatenate([leaf.ravel() for leaf in leaves], out=self._flat)
             return
@@ -248,11 +248,11 @@ class LlvmProgram:
 
     @property
     def slot(self) -> NumpyArray | None:
-        """Place of the numbers that one world was given; None where they are not all floats."""
+        """Writable buffer of one world's inputs; None if they are not all floats."""
         return self._flat if self._own_layout.slices else np.zeros(0, self._extent.dtype)
 
     def start(self) -> Any:
-        """Return the first state of as many worlds as something was given."""
+        """Return the first state of each world that inputs were given for."""
         assert self._program is not None
         count = self._program.own.count
         if self._extent.worlds is not None:
@@ -268,7 +268,7 @@ class LlvmProgram:
         return self.run((floats, integers), 0, 1)
 
     def hold(self, tree: object) -> Lanes | Buffers:
-        """Return a state, or states (B, ...), as they are kept here."""
+        """Convert a tree of states, one or (B, ...), to this program's buffers or lanes."""
         if self._extent.worlds is None:
             return aligned_copy(self.layout.pack(tree))
         states = Lanes(self.layout, self._extent.worlds, self._mode)
@@ -282,7 +282,7 @@ class LlvmProgram:
         return state
 
     def _lanes(self, state: Any) -> Lanes:
-        """Return a state as lanes, which are made once for the same state."""
+        """Return the state as ``Lanes``, made once per state."""
         last, lanes = self._last
         if last is not state or lanes is None:
             lanes = state if isinstance(state, Lanes) else Lanes.of_one(self.layout, state)
@@ -290,7 +290,7 @@ class LlvmProgram:
         return lanes
 
     def record(self, state: Any, tick: int, count: int, capacity: int) -> tuple[Any, Buffers]:
-        """Advance one world, and return it and the states of all ticks, each buffer (count, ...)."""
+        """Advance one world; return it, and its state after every tick as buffers (count, ...)."""
         assert self._program is not None
         floats, integers = (np.empty((count, part.size), part.dtype) for part in state)
         if count:

@@ -28,7 +28,7 @@ PARTS = 16
 def make(
     function: Function, shared: Shared, own: Packer, state: Packer | None, extent: Extent, refused: str
 ) -> XlaProgram | XlaWorldsProgram:
-    """Return a program; JAX compiles it when it is first called. See ``qrsim.engine.backend.compile``."""
+    """Return a program that JAX compiles at its first call; see ``qrsim.engine.backend.compile``."""
     if extent.worlds is None:
         return XlaProgram(function, shared, own, state, extent, refused)
     return XlaWorldsProgram(function, shared, own, extent, refused)
@@ -118,7 +118,7 @@ class XlaProgram:
         return self._layout
 
     def give(self, leaves: Sequence[object]) -> None:
-        """Take the inputs of the world."""
+        """Set the inputs of the world."""
         self._own = jax.tree.unflatten(self._structure, leaves)
 
     def start(self) -> Buffers:
@@ -142,7 +142,7 @@ class XlaProgram:
         return aligned_copy(after), (floats, integers)
 
     def hold(self, tree: object) -> Buffers:
-        """Return a state as it is kept here."""
+        """Convert a state's tree to packed buffers."""
         return aligned_copy(self.layout.pack(tree))
 
     def _call(self, program: Any, state: Buffers, tick: int, count: int) -> Any:
@@ -176,12 +176,12 @@ def _advance_many_function(function: Function, few: bool, mesh: Mesh | None) -> 
 
 @lru_cache(maxsize=KEPT)
 def mapped(function: Callable[[Any], Any], mesh: Mesh | None, few: bool) -> Any:
-    """Return a function of one state, compiled for the states (B, ...) of many worlds."""
+    """Return a function of one state compiled for the states (B, ...) of many worlds."""
     return _over_devices(jax.vmap(function), "r", mesh, few)
 
 
 def _over_devices(function: Callable[..., Any], arguments: str, mesh: Mesh | None, few: bool, **more: object) -> object:
-    """Compile for all devices: of the arguments some are cut by world (r), the others the same for all (s)."""
+    """Compile for all devices; ``arguments`` says of each argument: (r) split by world, (s) shared."""
     if mesh is not None:
         # No device needs anything of another, so nothing is exchanged during a tick.
         cut, same = PartitionSpec(WORLDS), PartitionSpec()
@@ -208,7 +208,7 @@ class Arrays:
         self.tree = tree
 
     def get(self, select: Callable[[Any], Any]) -> Any:
-        """Return a part of the tree."""
+        """Return the selected part of the states."""
         return select(self.tree)
 
     def put(self, worlds: NumpyArray, tree: object) -> None:
@@ -219,7 +219,7 @@ class Arrays:
         self.tree = _replace_rows_function()(self.tree, tree, target)
 
     def take(self, worlds: NumpyArray, other: Any) -> None:
-        """Take the first len(worlds) of other states."""
+        """Overwrite the states of ``worlds`` with the first len(worlds) of other states."""
         self.put(worlds, other.get(lambda tree: tree))
 
 
@@ -238,11 +238,11 @@ class XlaWorldsProgram:
         self.part = max(1, extent.worlds // PARTS)
 
     def give(self, leaves: Sequence[object]) -> None:
-        """Take the inputs that differ by world, leaves (B, ...)."""
+        """Set the inputs that differ by world, leaves (B, ...)."""
         self._own = jax.tree.unflatten(self._structure, leaves)
 
     def start(self) -> Arrays:
-        """Return the first states of as many worlds as something was given."""
+        """Return the first states of all worlds that inputs were given for."""
         refuse()
         program = _first_of_many_function(self._function, self._extent.few, self._extent.mesh)
         return Arrays(program(self._shared.device_tree, self._own))
@@ -256,10 +256,10 @@ class XlaWorldsProgram:
         return Arrays(program(self._shared.device_tree, self._own, before, np.int32(tick), np.int32(count)))
 
     def hold(self, tree: object) -> Arrays:
-        """Return states (B, ...) as they are kept here."""
+        """Convert a tree of states (B, ...) to ``Arrays``."""
         # So that the next tick may overwrite it, which JAX does not do with arrays of NumPy.
         return Arrays(jax.device_put(tree))
 
     def record(self, state: object, tick: int, count: int, capacity: int) -> Any:
-        """Refuse: only one world is recorded tick by tick."""
+        """Raise an error: only a single world can be recorded tick by tick."""
         raise TypeError("many worlds are not recorded tick by tick")

@@ -65,7 +65,7 @@ Kept = Binary | Known | int
 
 
 def folder() -> Path | None:
-    """Return where code is kept, None where QRSIM_COMPILATION_CACHE is off."""
+    """Return the folder of cached programs, None if QRSIM_COMPILATION_CACHE is off."""
     if os.environ.get("QRSIM_COMPILATION_CACHE") == "off":
         return None
     return cache_folder() / "native"
@@ -73,7 +73,7 @@ def folder() -> Path | None:
 
 @lru_cache(maxsize=4)
 def _sources(rooms: tuple[str, ...]) -> str:
-    """Return a digest of the contents of rooms and files of this package, wherever it is installed."""
+    """Return a digest of all Python files in folders and files of this package."""
     digest = hashlib.sha256()
     root = Path(__file__).parents[1]
     for room in rooms:
@@ -85,7 +85,7 @@ def _sources(rooms: tuple[str, ...]) -> str:
 
 @lru_cache(maxsize=4)
 def _origin(rooms: tuple[str, ...]) -> dict[str, str]:
-    """List the versions, processor and sources that programs of this process depend on."""
+    """Return the versions, processor and source digest that programs of this process depend on, by name."""
     versions = {name: version(name) for name in ("jax", "numpy", "llvmlite")}
     return {"sources": _sources(rooms), "machine": machine_name(), **versions}
 
@@ -100,7 +100,7 @@ def identity(layout: Packer) -> str:
 
 
 def kept(what: tuple[object, ...], make: Callable[[], Any]) -> Any:
-    """Take the result of ``make`` from the cache, or make and keep it; see ``look_up`` and ``keep``."""
+    """Return the cached result of ``make``, or call it and cache the result."""
     found = look_up(what)
     if found is None:
         found = make()
@@ -109,7 +109,7 @@ def kept(what: tuple[object, ...], make: Callable[[], Any]) -> Any:
 
 
 def look_up(what: tuple[object, ...], rooms: tuple[str, ...] = TRACED) -> Any:
-    """Return the kept Binary, Known or whole number, or None.
+    """Return a cached value, None if there is none; ``what`` is its key.
 
     Args:
         what: all that it depends on apart from this package and the machine; its repr is the key.
@@ -120,14 +120,14 @@ def look_up(what: tuple[object, ...], rooms: tuple[str, ...] = TRACED) -> Any:
 
 
 def keep(what: tuple[object, ...], value: Kept, rooms: tuple[str, ...] = TRACED) -> None:
-    """Put something into the cache; where it cannot be written, that costs time, nothing else."""
+    """Store a value in the cache under the key ``what``; errors of the file system are ignored."""
     place = _place(what, rooms)
     if place is not None:
         _write_entry(*place, value)
 
 
 def _place(what: tuple[object, ...], rooms: tuple[str, ...]) -> tuple[Path, str, tuple[str, ...]] | None:
-    """Return the file of an entry, its key and the rooms it depends on; None if it is not cached."""
+    """Return the file of a cache entry, its key and rooms; None if it cannot be cached."""
     place = folder()
     if place is None or any(isinstance(part, str) and part.startswith(_FOREIGN) for part in what):
         return None
@@ -162,7 +162,7 @@ def _read_entry(path: Path, key: str, rooms: tuple[str, ...]) -> Kept | None:
 
 
 def file_bytes(path: Path) -> bytes | None:
-    """Return the content of a file of this user, None where it is no such file or too large."""
+    """Return the content of a file of this user; None if it is missing, of another user or too large."""
     # A pipe would wait for somebody to write into it.
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     with open(os.open(path, flags), "rb") as file:
@@ -174,7 +174,7 @@ def file_bytes(path: Path) -> bytes | None:
 
 
 def opened(data: bytes) -> tuple[Content, bytes]:
-    """Return the header and the code of a file.
+    """Split a cache file's bytes into header and code.
 
     Raises:
         ValueError: it is none of ours, or was altered.
@@ -261,6 +261,6 @@ def write_file(path: Path, data: bytes) -> None:
 
 
 def _plain_state(layout: Packer) -> dict[str, object]:
-    """Return how the state of a start looks, in plain data."""
+    """Return a state's layout as plain data for the header."""
     leaves = [[list(shape), str(dtype)] for shape, dtype in zip(layout.shapes, layout.dtypes, strict=True)]
     return {"structure": to_plain(layout.structure), "leaves": leaves, "identity": identity(layout)}

@@ -19,7 +19,7 @@ _NOBODY = 65534
 
 
 def cache_folder() -> Path:
-    """Return the folder of all that is compiled: QRSIM_CACHE_DIR, or one in the user's cache."""
+    """Return the folder of everything compiled: QRSIM_CACHE_DIR, or one in the user's cache folder."""
     named = os.environ.get("QRSIM_CACHE_DIR")
     if named:
         return Path(os.path.expanduser(named)).absolute()
@@ -29,7 +29,7 @@ def cache_folder() -> Path:
 
 
 def private(path: Path) -> bool:
-    """Return whether a folder is this user's alone; it is made where it is missing, and closed where it can be read.
+    """Return whether a folder belongs to this user alone; creates it if missing, and restricts its permissions.
 
     Where it belongs to somebody else, or others can write into it, one warning says so.
     """
@@ -52,7 +52,7 @@ def private(path: Path) -> bool:
 
 
 def _open_to_others(path: Path, found: os.stat_result) -> str | None:
-    """Return why another user could write to a folder, in words; None if none can."""
+    """Return why another user could write to a folder, as text; None if none can."""
     if stat.S_ISLNK(found.st_mode):
         return "it is a symbolic link"
     if found.st_uid != os.geteuid():
@@ -80,7 +80,7 @@ def _warn(path: str, why: str) -> None:
 
 
 def tidy(path: Path, largest: int = LARGEST_BYTES) -> None:
-    """Delete what killed processes left half written and, beyond ``largest`` bytes, the files used longest ago."""
+    """Delete abandoned temporary files and, beyond ``largest`` bytes in all, the least recently used files."""
     files: list[tuple[float, int, str]] = []
     with contextlib.suppress(OSError), os.scandir(path) as entries:
         for entry in entries:

@@ -28,7 +28,7 @@ def refuse() -> None:
 
 
 def _on_event(event: str, value: float, **_: object) -> None:
-    """Refuse a compilation that begins after a fork."""
+    """Raise an error for a compilation that begins after such a fork."""
     # At the start: lowering a function of several parts waits for threads already.
     if event == _LOWERING:
         refuse()
@@ -46,7 +46,7 @@ def _after_fork() -> None:
 
 
 def watch() -> None:
-    """From now on, refuse XLA in processes that are forked after XLA has compiled in this one."""
+    """Register hooks that refuse XLA in processes forked after XLA has compiled in this one."""
     if sys.platform != "win32":
         jax.monitoring.register_scalar_listener(_on_event)
         jax.monitoring.register_event_duration_secs_listener(_on_duration)

@@ -85,7 +85,7 @@ class Packer:
         return numpy.concatenate(floats), numpy.concatenate(integers)
 
     def unpack(self, buffers: Buffers) -> Any:
-        """Return the tree of two buffers whose last axis is the packed one; NumPy in gives NumPy views out."""
+        """Return the tree of two buffers, packed along their last axis; NumPy buffers give views."""
         return jax.tree.unflatten(self.structure, [self.leaf(buffers, i) for i in range(len(self.slices))])
 
     def leaf(self, buffers: Buffers, number: int) -> Any:
@@ -99,17 +99,17 @@ class Packer:
         return leaf
 
     def template(self) -> Any:
-        """Return the tree with the shape and type of each leaf in its place."""
+        """Return the tree with a ShapeDtypeStruct for each leaf."""
         return jax.tree.unflatten(self.structure, list(map(struct, self.shapes, self.dtypes)))
 
     @cached_property
     def numbers(self) -> Any:
-        """The tree with the number of each leaf in its place."""
+        """Tree with each leaf replaced by its index among the leaves."""
         return jax.tree.unflatten(self.structure, range(len(self.slices)))
 
 
 def struct(shape: tuple[int, ...], dtype: DType) -> jax.ShapeDtypeStruct:
-    """Make a placeholder of an array of a shape and type."""
+    """Return a ShapeDtypeStruct of a shape and type."""
     return jax.ShapeDtypeStruct(shape, dtype)
 
 
@@ -119,7 +119,7 @@ def layout_of_each(tree: object) -> Packer:
 
 
 def aligned(size: int, dtype: DType) -> NumpyArray:
-    """Return an array of zeros (size,) that begins where a vector may, with room for one behind its end."""
+    """Return zeros (size,), aligned for vectors and with room for one behind the end."""
     raw = np.zeros(size * dtype.itemsize + ALIGNMENT + SPARE * 8, np.uint8)
     begin = -raw.ctypes.data % ALIGNMENT
     return raw[begin : begin + size * dtype.itemsize].view(dtype)
@@ -148,7 +148,7 @@ class Shared:
 
     @classmethod
     def of(cls, tree: object) -> Shared:
-        """Return a tree of arrays, packed."""
+        """Pack a tree of arrays."""
         host = jax.tree.map(np.asarray, tree)
         layout = Packer(host)
         return cls(tree, layout, layout.pack(host))

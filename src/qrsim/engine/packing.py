@@ -42,7 +42,7 @@ class Contents:
 
 
 def processor() -> str:
-    """Return the processor with its features, and the compiler, on which programs depend."""
+    """Return text with the processor, its features and the compiler, on which programs depend."""
     return machine_name()
 
 
@@ -78,7 +78,7 @@ def _cache_files(kind: str) -> list[Path]:
 
 
 def pack(path: Path) -> int:
-    """Write the programs for this processor to a tar archive, compressed if its name ends in ``.gz`` or ``.tgz``.
+    """Write this processor's programs to a tar archive (``.gz``, ``.tgz``: compressed); return their number.
 
     Returns:
         The number of programs.
@@ -110,7 +110,7 @@ def pack(path: Path) -> int:
 
 
 def _whole(path: Path) -> tuple[Content, bytes] | None:
-    """Return the header and the content of a file of the cache, None where it is damaged or none of ours."""
+    """Return header and content of a cache file; None if it is damaged or not a cache file."""
     try:
         content = cache.file_bytes(path)
         return None if content is None else (_checked(path.name, content), content)
@@ -119,7 +119,7 @@ def _whole(path: Path) -> tuple[Content, bytes] | None:
 
 
 def _checked(name: str, content: bytes) -> Content:
-    """Return the header of a file.
+    """Return the header of a packed file; raises ValueError if it is damaged or has another program's name.
 
     Raises:
         ValueError: it is damaged, or has another name than its own.
@@ -132,7 +132,7 @@ def _checked(name: str, content: bytes) -> Content:
 
 
 def unpack(path: Path) -> int:
-    """Put the programs of an archive into the cache, once all of them have been checked.
+    """Copy the programs of an archive into the cache, after checking all; return their number.
 
     Returns:
         The number of programs.

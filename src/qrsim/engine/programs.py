@@ -26,7 +26,7 @@ _TOLD: set[str] = set()
 
 
 def compiled(key: tuple[Hashable, ...], make: Callable[[], T]) -> T:
-    """Return a program of this process, made where there is none yet.
+    """Return the program of this process for a key, made by ``make`` at the first call.
 
     Args:
         key: all that it depends on; its first part says what it is.
@@ -52,7 +52,7 @@ def compiled(key: tuple[Hashable, ...], make: Callable[[], T]) -> T:
 
 
 def discard_unused(made: dict[K, T]) -> None:
-    """Make room for an entry: discard those of objects that no longer exist, and the oldest of too many or too large.
+    """Discard programs of objects that no longer exist, and the oldest beyond the limits of number and size.
 
     Sessions of a server call this in threads, so it works on copies, and an entry may have been discarded already.
     """
@@ -74,7 +74,7 @@ def _code_bytes(program: object) -> int:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Make objects without searching for cyclic garbage among them.
+    """Context manager that pauses the cyclic garbage collector while many objects are made.
 
     Tracing and compiling make many objects that live until the program is done. The collector would walk through all
     of them, and all of JAX, again and again, which takes a third of the time.
@@ -89,7 +89,7 @@ def uncollected() -> Iterator[None]:
 
 
 def _tell(program: object, why: UnsupportedError) -> None:
-    """Warn of a reason once in a process."""
+    """Warn why a program cannot be compiled by LLVM, once per reason and process."""
     log.debug("'%s' is compiled by XLA, because of %s", program, why, exc_info=why)
     if str(why) not in _TOLD:
         _TOLD.add(str(why))

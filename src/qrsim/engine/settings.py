@@ -27,7 +27,7 @@ _chosen: dict[str, Any] = {"compiler": None, "threads": None}
 
 
 def configure(*, cpu_devices: int | None = None, compiler: str | None = None) -> None:
-    """Fix settings that must be known before anything is computed.
+    """Set the number of CPU devices and the compiler; call it before anything is computed.
 
     Args:
         cpu_devices: cores that a rollout spreads its worlds over, and one world of thousands of vehicles its vehicles;
@@ -66,7 +66,7 @@ def _checked_compiler(name: object, where: str) -> str:
 
 
 def uses_llvm() -> bool:
-    """Return whether ticks are compiled by the package's own generator: on processors, unless XLA is asked for.
+    """Return whether ticks are compiled by this package's generator: on CPUs, unless XLA is chosen.
 
     Raises:
         UsageError: the environment names no compiler.
@@ -103,7 +103,7 @@ def device_mesh() -> Mesh | None:
 
 
 def threads() -> int:
-    """Return how many threads a rollout, or a large world, uses."""
+    """Return the number of threads for a rollout or a large world."""
     return int(_chosen["threads"] or available_cores())
 
 
@@ -114,7 +114,7 @@ def available_cores() -> int:
 
 @lru_cache(maxsize=1)
 def quick_to_compile() -> dict[str, Any]:
-    """Return the options with which XLA compiles quickly what runs for a short time, those that this XLA knows."""
+    """Return options for XLA's quick compilation of short runs, limited to those that this XLA knows."""
     try:
         jax.jit(lambda: 0, compiler_options=_QUICK_TO_COMPILE).lower().compile()
     except jax.errors.JaxRuntimeError:
@@ -137,7 +137,7 @@ def quick_jit(function: Callable[..., Any], **options: Any) -> Any:
 
 
 def use_compilation_cache() -> None:
-    """Keep what XLA compiles in the user's cache, unless JAX was told otherwise or QRSIM_COMPILATION_CACHE is off.
+    """Make XLA cache its programs in the user's cache, unless JAX has other settings or it is off.
 
     A folder that others can write into is not used, with a warning.
     """

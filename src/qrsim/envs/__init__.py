@@ -42,6 +42,9 @@ SEVERAL = (
     "plume_mapping/3G",
 )
 
+# Those that are registered in the form that learners like too (``learner.py``).
+LEARNED = ("keep_spot", "goto_waypoint", "keep_velocity")
+
 # Of all tasks; a change of what they observe, command or reward raises it.
 VERSION = 0
 
@@ -50,11 +53,13 @@ ANY_TASK = f"qrsim/task-v{VERSION}"
 
 __all__ = [
     "ANY_TASK",
+    "LEARNED",
     "SEVERAL",
     "SINGLE",
     "VERSION",
     "Functional",
     "gymnasium_id",
+    "learner_id",
     "parallel_env",
     "register",
     "vector_parallel_env",
@@ -66,8 +71,13 @@ def gymnasium_id(scenario: str) -> str:
     return f"qrsim/{scenario.replace('/', '_')}-v{VERSION}"
 
 
+def learner_id(scenario: str) -> str:
+    """Return the Gymnasium id of a scenario in the form for learners, such as "qrsim/keep_spot-learner-v0"."""
+    return f"qrsim/{scenario.replace('/', '_')}-learner-v{VERSION}"
+
+
 def register() -> None:
-    """Register the environments with one vehicle in Gymnasium, if it is installed."""
+    """Register each single-vehicle task as an environment of Gymnasium, if it is installed."""
     try:
         import gymnasium
     except ModuleNotFoundError:
@@ -81,6 +91,10 @@ def register() -> None:
                 vector_entry_point="qrsim.envs.vector:VectorTask",
                 kwargs=options,
             )
+    for scenario in LEARNED:
+        if learner_id(scenario) not in gymnasium.registry:
+            entry = "qrsim.envs.learner:LearnerTask"
+            gymnasium.register(learner_id(scenario), entry_point=entry, kwargs={"scenario": scenario})
 
 
 @checked_arguments

@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 def checked_arguments(make: Callable[P, T]) -> Callable[P, T]:
-    """Let calls with wrong names of arguments, or without a scenario, raise a UsageError that names the right ones."""
+    """Decorate a function: wrong argument names or a missing scenario raise a helpful UsageError."""
     signature = inspect.signature(make)
 
     @wraps(make)
@@ -31,7 +31,7 @@ def checked_arguments(make: Callable[P, T]) -> Callable[P, T]:
 
 
 def _problem(given: dict[str, object], known: list[str]) -> str:
-    """Return what is wrong with the names that are given, "" where nothing is."""
+    """Return the problem of wrong argument names as text, "" if they are right."""
     from qrsim.scenarios.schema import ScenarioSpec
 
     for name, value in given.items():

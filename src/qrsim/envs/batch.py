@@ -33,7 +33,7 @@ STATE = 13
 
 
 def checked_seed(seed: Any) -> int:
-    """Return a seed.
+    """Return a seed as int; raises UsageError for other values.
 
     Raises:
         UsageError: it is no integer from 0 to 2**63 - 1.
@@ -45,7 +45,7 @@ def checked_seed(seed: Any) -> int:
 
 
 def numbers(given: object, what: str, shape: tuple[int, ...]) -> Floats:
-    """Return an array of integers, truth values or real numbers, as it is; ``shape`` is for the message.
+    """Convert numbers to an array of any shape; raises UsageError for other values; ``shape`` is for the message.
 
     Raises:
         UsageError: it has rows of different lengths, or something else in it, such as text or complex numbers.
@@ -60,7 +60,7 @@ def numbers(given: object, what: str, shape: tuple[int, ...]) -> Floats:
 
 
 def one_line(value: object) -> str:
-    """Describe a value for a message."""
+    """Return a value as one line of text for a message."""
     return shortened(" ".join(repr(value).split()), 80)
 
 
@@ -75,7 +75,7 @@ class Batch:
         functional: what is played.
         sides: the agents by fleet.
         axes: the numbers of an action of each agent (n,).
-        width: how many numbers an action has in an array of all agents (W), the largest number of axes.
+        width: how many numbers an action has in an array of all agents (A), the largest number of axes.
         episodes: what computes them.
         seen: what the agents see now, arrays (B, n, ...); of several fleets by fleet. Agents that have stopped see what
             they saw last.
@@ -129,12 +129,12 @@ class Batch:
         self._start_episodes(which)
 
     def again(self, rows: Floats) -> None:
-        """Start the next episode of each of ``rows``, in its seed's series."""
+        """Start the next episode of the seed's series in each of ``rows``."""
         self.numbers[rows] += 1
         self._start_episodes(rows)
 
     def set_difficulty(self, difficulty: float) -> None:
-        """Draw the ranges of the episodes that begin from here on as ``Functional.at_difficulty`` says.
+        """Set the difficulty of later episodes; see ``Functional.at_difficulty``.
 
         Raises:
             UsageError: as of that.
@@ -145,7 +145,7 @@ class Batch:
         self._ahead.clear()
 
     def take_options(self, options: dict[str, Any] | None) -> None:
-        """Set the difficulty if the options of a reset have one (``difficulty``).
+        """Set the difficulty if a reset's options have one; raises UsageError for other options.
 
         Raises:
             UsageError: another option, or no difficulty.
@@ -173,7 +173,7 @@ class Batch:
             jax.tree.map(lambda old, new: _set_rows(old, rows, new), whole, part)
 
     def give_away(self) -> Any:
-        """Return the observations of all agents, (B, n, ...), for a user who may change them.
+        """Return all agents' observations (B, n, ...), in arrays that the caller may change.
 
         Parts that are computed late are handed over, the others copied.
         """
@@ -184,7 +184,7 @@ class Batch:
         return {name: part if name in late else part.copy() for name, part in self.seen.items()}
 
     def step(self, action: object, words: object = None, who: str = "action") -> tuple[Floats, Floats, Floats]:
-        """Advance all episodes by actions (B, n, W), and return reward (B, n), terminated (B,) and truncated (B,).
+        """Advance all episodes by actions (B, n, A), and return reward (B, n), terminated (B,) and truncated (B,).
 
         Args:
             action: of each agent.
@@ -215,7 +215,7 @@ class Batch:
         return step.reward, step.terminated, step.truncated  # type: ignore[return-value]
 
     def _keep_last_seen(self, before: Any) -> None:
-        """Let agents that have stopped observe what they did before: their sensors report nothing any more."""
+        """Restore the last observations of agents that have stopped, whose sensors report nothing."""
         stopped = self.truth["reason"] != 0
         if not stopped.any():
             return
@@ -232,14 +232,14 @@ class Batch:
             jax.tree.map(lambda new, old, which=which: _set_rows(new, which, old[which]), now, last)
 
     def _place(self, row: int, agent: int) -> str:
-        """Describe where a task's number comes from: its class, and which agent of which episode at which step."""
+        """Return text that says which agent, episode and step a wrong value of a task comes from."""
         task = type(self.functional.play.task).__name__
         series = f"episode {self.numbers[row]} of seed {self.seeds[row]}"
         agents = self.functional.agents
         return f"{self.functional.name}: task {task}: step {self._steps[row]}, {series}, '{agents[agent]}'"
 
     def checked(self, action: object, who: str) -> Floats:
-        """Check actions and return them as (B, n, W)."""
+        """Return actions as an array (B, n, A); raises UsageError for a wrong shape or value."""
         agents = self.functional.agents
         shape = (self.size, len(agents), self.width)
         try:
@@ -260,17 +260,17 @@ class Batch:
         return array
 
     def _named(self, agent: int, axis: int) -> str:
-        """Return what a number of an agent's action is called."""
+        """Return the name of a number in an agent's action."""
         mine = self.axes[agent]
         return mine[axis].name if axis < len(mine) else f"number {axis}, which is none"
 
     def of_agent(self, seen: object, number: int) -> object:
-        """Return what one agent sees, leaves (B, ...), of what all do (B, n, ...), of several fleets by fleet."""
+        """Return one agent's part, leaves (B, ...), of all observations (B, n, ...), by fleet if several."""
         return part_of(self.sides, seen, number)
 
     @property
     def vehicles(self) -> int:
-        """How many vehicles there are in all fleets of a world."""
+        """Number of vehicles in all fleets of a world."""
         return sum(fleet.size for fleet in self.functional.play.world.fleets)
 
     def state(self, row: int) -> Floats:
@@ -289,16 +289,16 @@ class Batch:
 
     @property
     def steps_per_second(self) -> float:
-        """Actions a second."""
+        """Steps per second of simulated time."""
         return 1.0 / self.functional.play.task.period
 
     @property
     def answer_shape(self) -> tuple[int, ...]:
-        """Shape of each agent's answer; () for a task in which nothing is handed in."""
+        """Shape of each agent's answer; () for a task without answers."""
         return tuple(self.functional.play.task.answer_shape(self.functional.play.world))
 
     def hand_in(self, answers: object, rows: Floats, agents: Floats) -> None:
-        """Keep the answers (b, a, ...) of some agents of some episodes, in place of what they handed in before.
+        """Store the answers (b, a, ...) of agents in episodes; a later answer replaces an earlier one.
 
         Args:
             answers: one of each.
@@ -318,7 +318,7 @@ class Batch:
         self._answers[np.ix_(rows, agents)] = checked
 
     def scores(self, rows: Floats) -> Floats:
-        """Score what the agents of episodes have handed in, (b, n); zeros count for those who have not."""
+        """Return the scores (b, n) of the stored answers of episodes; missing answers count as zeros."""
         agents = len(self.functional.agents)
         if not self.functional.play.task.hands_in:
             return np.zeros((len(rows), agents))
@@ -327,7 +327,7 @@ class Batch:
         return np.asarray(found, float).reshape(len(rows), agents)
 
     def score(self, row: int, answer: object) -> Floats:
-        """Score the answers (n, ...) of the agents of an episode; (n,).
+        """Return the scores (n,) of the answers (n, ...) of the agents of an episode.
 
         Raises:
             UsageError: another shape, or something that is not finite.
@@ -342,7 +342,7 @@ class Batch:
         return found
 
     def _answer(self, answer: object, lead: tuple[int, ...]) -> Floats:
-        """Check answers and return them as (*lead, ...)."""
+        """Return answers as an array (*lead, ...); raises UsageError for a wrong shape or value."""
         try:
             array = np.asarray(answer, self.dtype)
         except (TypeError, ValueError, OverflowError):

@@ -61,7 +61,7 @@ class Recording:
         self.episodes: list[Recorded] = []
 
     def begin(self) -> None:
-        """Begin anew, at the start of the batch's episodes."""
+        """Discard what was recorded, and start at the first step of the batch's episodes."""
         self.seeds = self._batch.seeds.copy()
         self.episodes = [Recorded([self._observation(row)], [self._truth_of(row)]) for row in range(self._batch.size)]
 
@@ -84,7 +84,7 @@ class Recording:
             episode.truncated.append(bool(ended[1][row]))
 
     def score(self, row: int, number: float) -> None:
-        """Add what was handed in to the last reward of an episode, as environments do."""
+        """Add the score of an answer to the last reward of an episode, as environments do."""
         self.episodes[row].rewards[-1] += number
 
     def _observation(self, row: int) -> object:
@@ -97,7 +97,7 @@ class Recording:
 
 
 def free_place(dataset: str) -> Path:
-    """Return the folder of a dataset that does not exist yet.
+    """Return the folder of a new dataset; raises UsageError if it exists or the name is invalid.
 
     Args:
         dataset: its ID, ``NAMESPACE/NAME-vNUMBER``; the namespace may be missing.

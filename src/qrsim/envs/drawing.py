@@ -31,7 +31,7 @@ LEAST_M = 5.0
 
 
 def checked_mode(render_mode: str | None) -> str | None:
-    """Return a render mode.
+    """Return a render mode unchanged; raises UsageError for an unknown one.
 
     Raises:
         UsageError: it is none.
@@ -59,15 +59,15 @@ class Drawing:
         return self.__dict__ | {"_scene": None}
 
     def begin(self) -> None:
-        """Forget the episode before."""
+        """Discard the paths of the last episode."""
         self._ways, self._scene = [self._places(self._episode())], None
 
     def moved(self) -> None:
-        """Keep where the vehicles are after a step."""
+        """Append the vehicles' positions after a step to their paths."""
         self._ways.append(self._places(self._episode()))
 
     def frame(self) -> Floats:
-        """Return the picture of now, (480, 640, 3) uint8.
+        """Return the present picture, (480, 640, 3) uint8.
 
         Raises:
             UsageError: nothing has begun.
@@ -116,7 +116,7 @@ class _Scene:
             self._plan.legend(loc="upper left", fontsize=7, framealpha=0.8)
 
     def frame(self, episode: Episode, ways: Floats) -> Floats:
-        """Return the picture after ways (T, n, 3)."""
+        """Return the picture of an episode with paths (T, n, 3) [m]."""
         stopped = np.concatenate([np.asarray(fleet.violation.code) != 0 for fleet in episode.state.fleets])
         for i, (way, now, height) in enumerate(zip(self._lines, self._now, self._levels, strict=True)):
             way.set_data(ways[:, i, 1], ways[:, i, 0])
@@ -135,7 +135,7 @@ class _Scene:
         return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
     def _limits(self, ways: Floats) -> None:
-        """Show all that has been flown, and the area where there is one."""
+        """Set the plot's limits to hold all paths, and the area if there is one."""
         flown = ways.reshape(-1, 3)
         flown = flown[np.isfinite(flown).all(axis=1)]
         seen = np.concatenate([self._shown, flown[:, 1::-1]])
@@ -188,7 +188,7 @@ class _Scene:
             self._plan.pcolormesh(easts, norths, shown, cmap="PuRd", vmin=-3.5, vmax=0.5, zorder=0)
 
     def _goals(self, episode: Episode) -> None:
-        """Draw where the vehicles of a simple task are to be, and where a concentration is asked for."""
+        """Draw the goals of a simple task, and the locations of a plume task."""
         places = places_of(self._play.task, self._play.world, episode.memory, episode.state.contents)
         if len(places.goals):
             look: dict[str, Any] = {"ms": 14, "mew": 2, "color": share(GREY), "ls": "none", "label": "goal"}
@@ -219,7 +219,7 @@ class _Scene:
 
 
 def _people(episode: Episode) -> list[tuple[Floats, Floats]]:
-    """Return east and north of the persons who have not been found, and of those who have; nothing without any."""
+    """Return (east, north) of the persons not yet found, and of those found; [] without persons."""
     persons = episode.state.contents.persons
     if persons is None:
         return []

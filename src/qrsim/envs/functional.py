@@ -68,7 +68,7 @@ class Functional:
 
     @property
     def observation_axes(self) -> tuple[Axis, ...] | dict[str, Any]:
-        """Name, unit and range of each number of an observation; of a dict, of those that have names."""
+        """Name, unit and range of each value of an observation, or of the described parts of a dict."""
         axes: tuple[Axis, ...] | dict[str, Any] = self.play.task.sees(self.play.world)
         return axes
 
@@ -89,7 +89,7 @@ class Functional:
         return self.play.keys(Key.roots(seeds, np.broadcast_to(np.asarray(numbers, np.int64), seeds.shape)))
 
     def at_difficulty(self, difficulty: float) -> Functional:
-        """Return this environment with all its ranges made smaller.
+        """Return this environment with all ranges narrowed towards the scenario's values.
 
         Args:
             difficulty: 0: every number of ``ranges`` is what the scenario itself says; 1: it is drawn from low to high;
@@ -140,7 +140,7 @@ class Functional:
         return self.play.step(episode, self._together(action))
 
     def _together(self, action: Array) -> Array:
-        """Return actions (n, W), or (n, W + D) with radio messages of D numbers."""
+        """Return the action array of a radio's dict or plain actions: (n, A), or (n, A + D) with messages."""
         sides = self.play.sides
         if len(sides) > 1:
             return self._action_of_fleets(action)
@@ -158,7 +158,7 @@ class Functional:
         return action if said is None else jnp.concatenate([action, jnp.asarray(said, action.dtype)], axis=1)
 
     def _action_of_fleets(self, action: Any) -> Array:
-        """Return the action array of actions by fleet."""
+        """Return the action array (n, A) from a dict of fleet -> actions."""
         sides, size = self.play.sides, self.play.message
         by_fleet(action, [side.fleet for side in sides], "action")
         acts, said, speak = {}, [], False
@@ -179,7 +179,7 @@ class Functional:
         return jnp.concatenate([flown, jnp.concatenate(said).astype(flown.dtype)], axis=1) if speak else flown
 
     def score(self, episode: Episode, answer: Array) -> Array:
-        """Score the agents' answers, (n, L) or (n, L, K), (n,); see the task.
+        """Return the scores (n,) of the agents' answers, (n, L) or (n, L, K); see the task.
 
         Raises:
             UsageError: nothing can be handed in.
@@ -195,7 +195,7 @@ class Functional:
 
 
 def checked_difficulty(given: Any) -> float:
-    """Return a difficulty.
+    """Return a difficulty as float; raises UsageError unless it is a number from 0 to 1.
 
     Raises:
         UsageError: it is no number from 0 to 1.
@@ -207,7 +207,7 @@ def checked_difficulty(given: Any) -> float:
 
 
 def _number_at(world: World, path: tuple[str | int, ...]) -> object:
-    """Return the number of a World at a path; of one that every vehicle has, the first one's."""
+    """Return the number at a path of a World, the first vehicle's if every vehicle has one."""
     found: Any = world
     for part in path:
         found = found[part] if isinstance(part, int) else getattr(found, part)

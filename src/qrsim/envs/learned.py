@@ -29,7 +29,7 @@ def play_of(scenario: Scenario, what: str, precision: str = "float32") -> Play:
 
 
 def rollout_policy(source: str | Path, scenario: Scenario, precision: str = "float32") -> RolloutPolicy:
-    """Return a policy file as a policy of ``qrsim.rollout``, to be called every ``ticks`` of it.
+    """Return a policy file as a policy for ``qrsim.rollout``, with its period as attribute ``ticks``.
 
     Raises:
         UsageError: the scenario has no task, or the file is of another task or damaged.

@@ -131,7 +131,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         return found
 
     def _checked(self, actions: object) -> tuple[NumpyArray, NumpyArray]:
-        """Return the checked actions (n, W) and messages (n, D) of all agents; zeros and NaN for those that left."""
+        """Return the actions (n, A) and radio messages (n, D) of all agents; 0 and NaN for absent ones."""
         if not isinstance(actions, dict):
             raise UsageError(f"actions: expected a dict with one for each agent, found {type(actions).__name__}")
         for agent in actions:
@@ -150,7 +150,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         return np.stack(flown), np.stack(said)
 
     def render(self) -> NumpyArray | None:
-        """Return the episode from above, as ``SingleTask`` does."""
+        """Return the picture of the episode from above, as ``SingleTask.render``."""
         return None if self._drawing is None else self._drawing.frame()
 
     @property
@@ -159,7 +159,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         return spaces.Box(-np.inf, np.inf, (STATE * self.batch.vehicles + 1,), self.batch.dtype.type)
 
     def state(self) -> NumpyArray:
-        """Return what is really the case, for a critic that may know it: see ``Batch.state``.
+        """Return the true state of the episode, for a centralised critic; see ``Batch.state``.
 
         Raises:
             UsageError: nothing has begun.
@@ -169,7 +169,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         return self.batch.state(0)
 
     def hand_in(self, samples: Mapping[str, object]) -> None:
-        """Hand in answers of agents, by name; see ``SingleTask.hand_in``.
+        """Store answers by agent; see ``SingleTask.hand_in``.
 
         Raises:
             UsageError: there is no such agent, and as of ``SingleTask``.

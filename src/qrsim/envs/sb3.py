@@ -55,7 +55,7 @@ class VecTask(VecEnv):  # type: ignore[misc]
         self._begun = time.monotonic()
 
     def reset(self) -> Any:
-        """Start all episodes, with the seed that was given last, and return what is seen."""
+        """Start all episodes, with the seeds of the last ``seed`` call, and return the observations."""
         seeds = self._seeds
         given = None if any(seed is None for seed in seeds) else list(seeds)
         seen, infos = self.tasks.reset(seed=given)
@@ -66,11 +66,11 @@ class VecTask(VecEnv):  # type: ignore[misc]
         return seen
 
     def step_async(self, actions: object) -> None:
-        """Keep actions (num_envs, A) for ``step_wait``."""
+        """Store actions (num_envs, A) for ``step_wait``."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, NumpyArray, NumpyArray, list[dict[str, Any]]]:
-        """Advance by a step; return what is seen, rewards, ends and infos.
+        """Advance by a step; return observations, rewards, ends and infos.
 
         Raises:
             UsageError: as of ``VectorTask.step``.
@@ -96,7 +96,7 @@ class VecTask(VecEnv):  # type: ignore[misc]
         return seen, rewards.astype(np.float32), ended, told
 
     def get_images(self) -> Sequence[NumpyArray | None]:
-        """Return a picture of each environment; None of each without a render mode."""
+        """Return a picture of each environment, None each without a render mode."""
         return self.tasks.render() or [None] * self.num_envs
 
     def get_attr(self, attr_name: str, indices: object = None) -> list[object]:
@@ -105,7 +105,7 @@ class VecTask(VecEnv):  # type: ignore[misc]
         return [found for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: object, indices: object = None) -> None:
-        """Refuse: all environments are one batch.
+        """Raise an error: all environments are one batch.
 
         Raises:
             UsageError: always.
@@ -113,7 +113,7 @@ class VecTask(VecEnv):  # type: ignore[misc]
         raise UsageError(f"set_attr {attr_name}: all environments are one batch; give the scenario other numbers")
 
     def env_method(self, method_name: str, *args: object, indices: object = None, **options: object) -> list[object]:
-        """Refuse: there are no single environments.
+        """Raise an error: there are no single environments.
 
         Raises:
             UsageError: always.
@@ -121,11 +121,11 @@ class VecTask(VecEnv):  # type: ignore[misc]
         raise UsageError(f"env_method {method_name}: all environments are one batch, .tasks")
 
     def env_is_wrapped(self, wrapper_class: object, indices: object = None) -> list[bool]:
-        """Return that none is."""
+        """Return False for each environment."""
         return [False for _ in self._get_indices(indices)]
 
     def close(self) -> None:
-        """Let go of the batch."""
+        """Close the batch."""
         self.tasks.close()
 
 

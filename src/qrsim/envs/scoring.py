@@ -32,7 +32,7 @@ class Policy(Protocol):
     """Policy of all agents of one episode; see ``Answering`` too."""
 
     def act(self, seen: object) -> Floats:
-        """Return the actions (n, A) in [-1, 1], from what the agents see, (n, O) or a dict of arrays (n, ...).
+        """Return the actions (n, A) in [-1, 1] for the agents' observations, (n, O) or a dict of (n, ...).
 
         With a radio it may return a dict of ``act``, which is that, and ``say`` (n, D), NaN for who says nothing. Where
         agents are of several fleets, it sees and returns a dict by fleet of all that.
@@ -57,7 +57,7 @@ class Hover:
         self._still = apart(play.sides, np.array([row + [0.0] * (play.width - len(row)) for row in rows]))
 
     def act(self, seen: object) -> Any:
-        """Return the same actions (n, A) every time."""
+        """Return the same neutral actions (n, A) at every call."""
         return self._still
 
 
@@ -69,7 +69,7 @@ class Uniform:
         self._random = np.random.default_rng(seed)
 
     def act(self, seen: object) -> Any:
-        """Return new actions (n, A)."""
+        """Return random actions (n, A), uniform in [-1, 1]."""
         return apart(self._sides, self._random.uniform(-1.0, 1.0, self._shape))
 
 
@@ -85,7 +85,7 @@ class _Function:
 
 
 def neutral(play: Play, axis: Axis) -> float:
-    """Return the number in [-1, 1] that asks for nothing: the hover throttle, a full battery, else 0."""
+    """Return the value in [-1, 1] of a neutral action: hover throttle, full battery, else 0."""
     value = 0.0
     if axis.name == "throttle" and isinstance(play.task, Commanded):
         value = float(np.asarray(play.task.effort.hover_throttle))
@@ -95,7 +95,7 @@ def neutral(play: Play, axis: Axis) -> float:
 
 
 def maker(policy: str | Any, play: Play) -> Callable[[Play, int], Policy]:
-    """Return what makes a policy for an episode, from ``play`` and a seed.
+    """Return a function of (play, seed) that builds a policy for an episode.
 
     Args:
         policy: one of ``BUILT_IN``; a class that is called with both and has ``act(seen)``; or a function of ``seen``.
@@ -131,7 +131,7 @@ class Interval:
 
     @staticmethod
     def of(values: Floats) -> Interval:
-        """Return that of values (S,)."""
+        """Return the mean of values (S,) with its confidence interval."""
         mean = float(np.mean(values))
         if len(values) < 2:
             return Interval(mean, float("nan"), float("nan"))
@@ -167,11 +167,11 @@ class Scored:
 
     @property
     def persons_found_interval(self) -> Interval | None:
-        """The mean number of persons found in an episode; None in a world without persons."""
+        """Mean number of persons found in an episode, with its interval; None without persons."""
         return None if self.persons_found is None else Interval.of(self.persons_found)
 
     def less(self, other: Scored) -> Interval:
-        """Return the difference to another policy in the same episodes, this minus that."""
+        """Return the mean difference of returns from another policy in the same episodes, with its interval."""
         return Interval.of(self.returns - other.returns)
 
 
@@ -184,7 +184,7 @@ def play_policy(
     told: Callable[[int], None] = lambda step: None,
     recording: Recording | None = None,
 ) -> Scored:
-    """Fly a policy in the episodes of seeds.
+    """Fly a policy in one episode per seed, and return its scores.
 
     Args:
         batch: as many episodes as there are seeds.
@@ -250,14 +250,14 @@ def play_policy(
 
 
 def _finds(batch: Batch, row: int) -> int:
-    """Return how many persons of an episode have been found."""
+    """Return the number of persons found in an episode."""
     persons = batch.episodes.episode(row).state.contents.persons
     return int(np.sum(np.asarray(persons.found_tick)[np.asarray(persons.there)] >= 0))
 
 
 @contextmanager
 def _blamed(name: str, where: str, play: Play) -> Iterator[None]:
-    """Name a user's policy in what it raises.
+    """Context manager: turn exceptions of a user's policy into a RunError that names the policy.
 
     Raises:
         RunError: what it raised, which stays the cause.
@@ -273,7 +273,7 @@ def _blamed(name: str, where: str, play: Play) -> Iterator[None]:
 
 
 def _together(batch: Batch, given: Any, name: str) -> tuple[Floats, Floats]:
-    """Return the checked actions (n, W) and messages (n, D) of a policy's agents; NaN for no message."""
+    """Return the checked actions (n, A) and messages (n, D) of a policy's agents; NaN for no message."""
     if len(batch.sides) > 1:
         by_fleet(given, [side.fleet for side in batch.sides], f"policy {name}: actions")
     acts, said = [], []
@@ -288,7 +288,7 @@ def _together(batch: Batch, given: Any, name: str) -> tuple[Floats, Floats]:
 
 
 def _parted(batch: Batch, given: object, agents: int, name: str) -> tuple[Any, Floats]:
-    """Return a policy's actions, and its messages over the radio (n, D), NaN for agents that send none.
+    """Return a policy's actions, and its radio messages (n, D), NaN for agents that send none.
 
     Raises:
         UsageError: a dict without ``act``, with something else than ``act`` and ``say``, or no D numbers to say.
@@ -313,7 +313,7 @@ def _parted(batch: Batch, given: object, agents: int, name: str) -> tuple[Any, F
 
 
 def checked(action: object, like: Floats, name: str) -> Floats:
-    """Return actions (n, A) of a policy.
+    """Return a policy's actions (n, A) as an array; raises an error for a wrong shape or value.
 
     Raises:
         UsageError: they have another shape, or are no numbers.
@@ -365,7 +365,7 @@ def score_task(
 
 
 def _no_answers(batch: Batch) -> Floats:
-    """Return zeros in place of answers."""
+    """Return zeros in the shape of the agents' answers."""
     return np.zeros((len(batch.functional.agents), *batch.answer_shape))
 
 

@@ -74,7 +74,7 @@ class Series:
         self._begin_drawings(rows)
 
     def rows(self, given: object, what: str) -> NumpyArray:
-        """Return the numbers of the environments of a mask, of all for None.
+        """Return the indices of the environments in a mask, all for None; raises UsageError for a wrong mask.
 
         Raises:
             UsageError: it has another shape or type.
@@ -86,7 +86,7 @@ class Series:
         return np.flatnonzero(mask)
 
     def check_going(self) -> None:
-        """Refuse a step of an episode that has ended and that nobody has reset (``DISABLED``).
+        """Raise UsageError for a step after the end of an episode that was not reset (``DISABLED``).
 
         Raises:
             UsageError: that.
@@ -97,7 +97,7 @@ class Series:
             )
 
     def step(self, actions: NumpyArray, words: NumpyArray) -> Moved:
-        """Advance all by actions (E, n, A) and what is said (E, n, D), and begin the next of those that have ended.
+        """Advance all by actions (E, n, A) and messages (E, n, D), and restart episodes by the autoreset mode.
 
         Raises:
             UsageError: nothing has started, or actions that are not finite or out of range.
@@ -142,7 +142,7 @@ class Series:
 
 
 def mode_of(given: AutoresetMode | str) -> AutoresetMode:
-    """Return a mode of Gymnasium by itself, its name or its value.
+    """Return Gymnasium's autoreset mode from the mode itself, its name or its value.
 
     Raises:
         UsageError: there is none such.
@@ -157,6 +157,6 @@ def mode_of(given: AutoresetMode | str) -> AutoresetMode:
 
 
 def _where(ended: NumpyArray, leaf: NumpyArray) -> NumpyArray:
-    """Return a copy that is zero where an episode goes on."""
+    """Return a copy of an array with zeros in the rows whose episode goes on."""
     shaped = ended.reshape(-1, *(1,) * (leaf.ndim - 1))
     return np.where(shaped, leaf, np.zeros((), leaf.dtype))

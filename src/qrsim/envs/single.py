@@ -20,7 +20,7 @@ from qrsim.files import Content
 
 
 def only_one(batch: Batch) -> None:
-    """Refuse a task of several vehicles.
+    """Raise UsageError for a task of several vehicles.
 
     Raises:
         UsageError: that.
@@ -34,7 +34,7 @@ def only_one(batch: Batch) -> None:
 
 
 def shaped(batch: Batch, flight: object, who: str, *lead: int, agent: int = 0) -> NumpyArray:
-    """Check the flight part of an agent's actions, (*lead, A), and return it as an array (*lead, W).
+    """Return an agent's actions (*lead, axes) padded with zeros to (*lead, width); raises UsageError if invalid.
 
     Raises:
         UsageError: it has another shape, or is no numbers.
@@ -113,7 +113,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
         return self._observation(), self._truth_values()
 
     def step(self, action: object) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Advance by a step.
+        """Advance by a step; return observation, reward, terminated, truncated and info.
 
         Raises:
             UsageError: the episode has ended, or an action of another shape, not finite, out of range or incomplete.
@@ -132,7 +132,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
         return self._observation(), total, bool(terminated[0]), bool(truncated[0]), self._truth_values()
 
     def render(self) -> NumpyArray | None:
-        """Return the episode from above, (480, 640, 3) uint8; None without a render mode.
+        """Return the picture of the episode from above, (480, 640, 3) uint8; None without a render mode.
 
         Raises:
             UsageError: nothing has begun.
@@ -140,7 +140,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
         return None if self._drawing is None else self._drawing.frame()
 
     def hand_in(self, samples: object) -> None:
-        """Hand in the answer of a task that has one (``answer_space``); the last of an episode counts, at its end.
+        """Store the agent's answer (``answer_space``); the last one of an episode is scored at its end.
 
         Whoever hands in nothing is scored as if it were zeros.
 

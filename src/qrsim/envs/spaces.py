@@ -19,7 +19,7 @@ Space = spaces.Space[Any]
 
 
 def action_space(batch: Batch, agent: int = 0) -> Space:
-    """Return the action space of one agent, by its number: numbers in [-1, 1].
+    """Return the action space of an agent, by its number: values in [-1, 1].
 
     With a radio that is the part ``act`` of a dict, which has a message ``say`` too.
     """
@@ -31,7 +31,7 @@ def action_space(batch: Batch, agent: int = 0) -> Space:
 
 
 def answer_space(batch: Batch) -> spaces.Box | None:
-    """Return the space of what one agent hands in, None for a task in which nothing is."""
+    """Return the space of an agent's answer, None for a task without answers."""
     if not batch.functional.play.task.hands_in:
         return None
     return spaces.Box(0.0, np.inf, batch.answer_shape, batch.dtype.type)
@@ -60,7 +60,7 @@ def observation_space(play: Play, seen: Any, agent: int = 0) -> Space:
 
 
 def split_say(batch: Batch, action: object, who: str, *lead: int) -> tuple[Any, NumpyArray]:
-    """Split an action into what is done and what is said, (*lead, D); NaN for who says nothing, D = 0 without a radio.
+    """Split an action into its flight part and its radio message (*lead, D), NaN for none; D = 0 without a radio.
 
     Raises:
         UsageError: with a radio it is no dict of ``act`` and ``say``, or ``say`` are no D finite numbers.
@@ -93,7 +93,7 @@ def split_say(batch: Batch, action: object, who: str, *lead: int) -> tuple[Any, 
 
 
 def _space(seen: Any, axes: Any = None) -> Space:
-    """Return the space of what is seen, by what the task says of its numbers (``Task.sees``); None: nothing."""
+    """Return the observation space for observations ``seen``, with the ranges of ``axes`` (None: unbounded)."""
     if isinstance(seen, dict):
         named = axes or {}
         return spaces.Dict({name: _space(part, named.get(name)) for name, part in seen.items()})

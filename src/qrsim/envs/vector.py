@@ -93,7 +93,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         return self._observations(), self._truth_info(self.batch.truth, np.ones(self.num_envs, bool))
 
     def step(self, actions: object) -> tuple[Any, NumpyArray, NumpyArray, NumpyArray, dict[str, Any]]:
-        """Advance all episodes, and begin the next of those that have ended, as ``autoreset_mode`` says.
+        """Advance all episodes; those that have ended restart as ``autoreset_mode`` says.
 
         Raises:
             UsageError: nothing has started, an episode has ended and nothing has begun its next (``DISABLED``), or
@@ -116,7 +116,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         return self._observations(), moved.rewards[:, 0], moved.terminated, moved.truncated, infos
 
     def hand_in(self, samples: object, mask: object = None) -> None:
-        """Hand in the answers of all episodes, or of those of a mask; the last of an episode counts, at its end.
+        """Store the answers of all episodes, or of those in a mask; the last one is scored at the end.
 
         Args:
             samples: (num_envs, ...), each of ``answer_space``.
@@ -144,7 +144,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         self.batch.set_difficulty(difficulty)
 
     def _observations(self) -> object:
-        """Return the observations (N, ...), which are the user's."""
+        """Return the observations (N, ...), in arrays that the user may change."""
         return jax.tree.map(lambda leaf: leaf[:, 0], self.batch.give_away())
 
     def _truth_info(self, truth: dict[str, NumpyArray], there: NumpyArray) -> dict[str, NumpyArray]:

@@ -79,7 +79,7 @@ class VectorParallelTask:
 
     @property
     def agents(self) -> list[str]:
-        """The agents that act now: all."""
+        """Names of the agents that act now: all."""
         return list(self.possible_agents)
 
     def observation_space(self, agent: str) -> Space:
@@ -102,7 +102,7 @@ class VectorParallelTask:
         return self._seen_by_each(self.batch.seen), self._of_each(self.batch.truth)
 
     def step(self, actions: Mapping[str, object]) -> tuple[dict[str, Any], ...]:
-        """Advance all episodes, and begin the next of those that have ended, as ``autoreset_mode`` says.
+        """Advance all episodes; those that have ended restart as ``autoreset_mode`` says.
 
         Args:
             actions: by agent, (num_envs, A); with a radio a dict of ``act`` and ``say`` (num_envs, D).
@@ -135,7 +135,7 @@ class VectorParallelTask:
         )
 
     def hand_in(self, samples: Mapping[str, object], mask: object = None) -> None:
-        """Hand in answers by agent, (num_envs, ...) each of ``answer_space``; see ``VectorTask.hand_in``.
+        """Store answers by agent, (num_envs, ...) each; see ``VectorTask.hand_in``.
 
         Raises:
             UsageError: as of that, or there is no such agent.
@@ -151,7 +151,7 @@ class VectorParallelTask:
             self.batch.hand_in(array[rows][:, None], rows, np.array([self.possible_agents.index(agent)]))
 
     def state(self) -> NumpyArray:
-        """Return what is really the case, for a critic that may know it: (num_envs, S), see ``Batch.state``.
+        """Return the true states (num_envs, S), for a centralised critic; see ``Batch.state``.
 
         Raises:
             UsageError: nothing has begun.
@@ -173,7 +173,7 @@ class VectorParallelTask:
         self.batch.set_difficulty(difficulty)
 
     def close(self) -> None:
-        """Do nothing: there is nothing to let go of."""
+        """Do nothing: there is nothing to release."""
 
     def _check_agent(self, agent: object, what: str) -> None:
         """Raise a UsageError for an unknown agent."""
@@ -181,7 +181,7 @@ class VectorParallelTask:
             raise UsageError(f"{what}: no agent is called '{agent}'{did_you_mean(str(agent), self.possible_agents)}")
 
     def _checked(self, actions: object) -> tuple[NumpyArray, NumpyArray]:
-        """Return what agents do (num_envs, n, W) and what they say (num_envs, n, D)."""
+        """Return the agents' actions (num_envs, n, A) and radio messages (num_envs, n, D)."""
         if not isinstance(actions, dict):
             raise UsageError(f"actions: expected a dict with one for each agent, found {type(actions).__name__}")
         for agent in actions:
@@ -198,11 +198,11 @@ class VectorParallelTask:
         return np.stack(flown, axis=1), np.stack(said, axis=1)
 
     def _seen_by_each(self, seen: object) -> dict[str, Any]:
-        """Return what is seen by agent, (num_envs, ...)."""
+        """Return agent -> observation (num_envs, ...)."""
         return {agent: self.batch.of_agent(seen, i) for i, agent in enumerate(self.possible_agents)}
 
     def _of_each(self, tree: object) -> dict[str, Any]:
-        """Return arrays (num_envs, n, ...) by agent, (num_envs, ...)."""
+        """Return agent -> arrays (num_envs, ...), from arrays (num_envs, n, ...)."""
         return {
             agent: jax.tree.map(lambda leaf, i=i: leaf[:, i].copy(), tree)
             for i, agent in enumerate(self.possible_agents)

@@ -25,19 +25,19 @@ _TAKEN_IN: dict[str, list[Way]] = {}
 
 
 def is_code(source: object) -> bool:
-    """Return whether a text names code: a module or file, a colon, and a name in it."""
+    """Return whether a text has the form of code to load: a module or file, a colon, and a name."""
     place, colon, name = source.rpartition(":") if isinstance(source, str) else ("", "", "")
     return bool(colon and place and name.isidentifier())
 
 
 def file_of(source: str) -> Path | None:
-    """Return the file of ``file.py:name``, None for a module."""
+    """Return the file in ``file.py:name``, None for ``module:name``."""
     place = source.rpartition(":")[0]
     return Path(place) if place.endswith(".py") else None
 
 
 def anchored(source: str, folder: Path) -> str:
-    """Make the path of ``file.py:name`` absolute, relative to the folder; a module stays the same."""
+    """Return ``file.py:name`` with the path made absolute, relative to ``folder``; ``module:name`` unchanged."""
     path = file_of(source)
     if path is None:
         return source
@@ -46,7 +46,7 @@ def anchored(source: str, folder: Path) -> str:
 
 
 def load_object(what: str, source: str, words: Sequence[str] = (), *, kind: str = "function") -> Any:
-    """Load the object ``module:name`` or ``file.py:name``; modules in the working folder are found too.
+    """Return the object ``module:name`` or ``file.py:name``; modules in the working folder are found too.
 
     A file that has changed since it was loaded is loaded anew.
 
@@ -75,20 +75,20 @@ def load_object(what: str, source: str, words: Sequence[str] = (), *, kind: str 
 
 
 def taken_in(module: str, again: Callable[[str, str], object], kind: str, source: str) -> None:
-    """Note how another process takes in a component of a file's module: by ``again(kind, source)``."""
+    """Register how another process loads a component from a user's file: by ``again(kind, source)``."""
     ways = _TAKEN_IN.setdefault(module, [])
     if (again, kind, source) not in ways:
         ways.append((again, kind, source))
 
 
 def files_of(classes: Iterable[type]) -> FileModules:
-    """Return, by the module's name, file and components of each module of a file that classes are from."""
+    """Return, by module name, the file and its registered components, for classes from users' files."""
     names = {each.__module__ for each in classes if each.__module__.startswith(PREFIX)}
     return {name: (str(sys.modules[name].__file__), tuple(_TAKEN_IN.get(name, ()))) for name in sorted(names)}
 
 
 def load_files(files: FileModules) -> None:
-    """Load what ``files_of`` has found in another process.
+    """Import the users' files that ``files_of`` listed, in another process, and register their components.
 
     Raises:
         UsageError: a file is not there, or has changed since.
@@ -106,12 +106,12 @@ def load_files(files: FileModules) -> None:
 
 
 def _content_of(module: str) -> str:
-    """Return the part of a module's name that says what is in its file, 16 digits."""
+    """Return the part of a module's name that is the digest of its file, 16 digits."""
     return module.rpartition("_")[2][:16]
 
 
 def digest(path: Path) -> str:
-    """Return the SHA-256 of a file's content, in hexadecimal digits."""
+    """Return the SHA-256 of a file's content as hexadecimal text."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
@@ -134,14 +134,14 @@ def _is_of_user(file: str) -> bool:
 
 
 def in_one_line(error: BaseException) -> str:
-    """Return the type of an error and the first line of its message."""
+    """Return an error's type and the first line of its message as text."""
     said = error.msg if isinstance(error, SyntaxError) else str(error)
     first = said.strip().splitlines()[0] if said.strip() else ""
     return f"{type(error).__name__}: {shortened(first, 400)}" if first else type(error).__name__
 
 
 def _import_module(what: str, name: str) -> ModuleType:
-    """Import a module by name, from the working folder too; raise UsageError, beginning with ``what``."""
+    """Return a module imported by name, also from the working folder; raise UsageError, beginning with ``what``."""
     if not all(part.isidentifier() for part in name.split(".")):
         raise UsageError(f"{what}: '{name}' is no module; expected my_package.my_module, or a file that ends in .py")
     folder = str(Path.cwd())
@@ -160,20 +160,20 @@ def _import_module(what: str, name: str) -> ModuleType:
 
 
 def _own_modules() -> list[str]:
-    """List the modules of this package, in dotted form."""
+    """Return the dotted names of this package's modules."""
     package = Path(_PACKAGE)
     return [".".join(path.relative_to(package.parent).with_suffix("").parts) for path in package.rglob("*.py")]
 
 
 def _failed(error: BaseException, files: list[str]) -> str:
-    """Return why an import failed, with the line: of one of the files, or else the innermost of all."""
+    """Return why an import failed as text, with the line in one of ``files``, else the innermost line."""
     own = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
     place = where_raised(error, files) or where_raised(error, [name for name in own if "importlib" not in name])
     return f"importing it failed: {in_one_line(error)}" + (f" ({place})" if place else "")
 
 
 def _import_file(what: str, path: Path) -> ModuleType:
-    """Import a Python file under a name with its digest; raise UsageError, beginning with ``what``."""
+    """Return a Python file imported as a module named by its digest; raise UsageError, beginning with ``what``."""
     if not path.exists():
         near = [str(other) for other in path.parent.glob("*.py")] if path.parent.is_dir() else []
         hint = did_you_mean(str(path), near)

@@ -37,7 +37,7 @@ class CsvFile:
             yield fields
 
     def number(self, name: str, field: str, hint: str = "") -> float:
-        """Return a field of a column as a number; raises UsageError, which ends with a hint, where it is not finite."""
+        """Return a field as a finite number; raises UsageError, ending with ``hint``, for others."""
         text = field.strip()
         try:
             number = float(text)
@@ -48,13 +48,13 @@ class CsvFile:
         return number
 
     def fail(self, problem: str) -> NoReturn:
-        """Raise a UsageError about the line that was read last."""
+        """Raise a UsageError with the path and the number of the line read last in front."""
         raise UsageError(f"{self._path}: line {self._rows.line_num}: {problem}")
 
 
 @contextmanager
 def open_csv(path: Path, most_bytes: int) -> Iterator[CsvFile]:
-    """Open a CSV file of at most so many bytes.
+    """Open a CSV file of at most ``most_bytes`` as a context, and yield its reader.
 
     Raises:
         UsageError: it cannot be read, or is no CSV, also while its rows are read.

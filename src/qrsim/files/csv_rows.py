@@ -15,13 +15,13 @@ _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*", re.ASCII)
 
 
 def delimiter_of(header: str) -> str:
-    """Return the delimiter of a header: a comma, or the semicolon or tab that occurs more often."""
+    """Return the delimiter of a CSV header: a comma, or the semicolon or tab if more frequent."""
     bare = _QUOTED.sub("", header)
     return max((",", *OTHER_DELIMITERS), key=bare.count)
 
 
 def name_and_unit(column: str) -> tuple[str, str | None]:
-    """Return the name and the unit of a column such as ``roll [deg]`` or ``roll (deg)``; no unit is None."""
+    """Return the name and unit of a column such as ``roll [deg]`` or ``roll (deg)``; None without a unit."""
     found = _WITH_UNIT.fullmatch(column)
     return (found[1], found[2]) if found else (column, None)
 
@@ -68,5 +68,5 @@ class CsvRows:
 
 
 def _with_point(field: str) -> str:
-    """Return a number with a decimal comma as one with a point; other texts unchanged."""
+    """Return a number with a decimal comma written with a point; other texts unchanged."""
     return field.replace(",", ".") if _DECIMAL_COMMA.fullmatch(field) else field

@@ -59,11 +59,11 @@ class Child:
 
     @property
     def number(self) -> int | None:
-        """Number of the running process; None without one."""
+        """Process id of the running child; None without."""
         return self._process.pid if self._process else None
 
     def call(self, function: Callable[..., T], *arguments: object) -> T:
-        """Return the result of a function of a module.
+        """Return the result of a module-level function called in the child process.
 
         Raises:
             UsageError: the function raised one; the message is the same.
@@ -73,6 +73,7 @@ class Child:
         process, late = self._running(), threading.Event()
 
         def end() -> None:
+            """Kill the child because it took too long."""
             late.set()
             process.kill()
 
@@ -108,6 +109,7 @@ class Child:
         return found
 
     def _running(self) -> subprocess.Popen[bytes]:
+        """Return the child process, started on first use."""
         if self._process is None:
             # Only an absolute path leads a child to the same modules from any folder.
             paths = os.pathsep.join(os.path.abspath(path) for path in sys.path if path)
@@ -121,7 +123,7 @@ class Child:
         return self._process
 
     def _end(self, patience_s: float) -> int:
-        """End the process, and return its exit code; it has some seconds to end by itself."""
+        """End the child and return its exit code; it is killed after ``patience_s`` seconds."""
         process, self._process = self._process, None
         if process is None:
             return 0
@@ -134,12 +136,13 @@ class Child:
 
 
 def in_child(function: Callable[..., T], *arguments: object, memory: int = MEMORY, seconds: float = LONGEST_S) -> T:
-    """Return the result of one call in a child process; arguments and errors are those of ``Child``."""
+    """Return the result of one call in a new child process; arguments and errors are those of ``Child``."""
     with Child(memory, seconds) as child:
         return child.call(function, *arguments)
 
 
 def _how_it_ended(code: int) -> str:
+    """Return a text for messages on a child's exit code, with the signal's name for a crash."""
     if code >= 0:
         return f"its decoder ended with code {code}"
     try:
@@ -149,6 +152,7 @@ def _how_it_ended(code: int) -> str:
 
 
 def _limit_memory(memory: int) -> None:
+    """Limit this process to ``memory`` [bytes] more than it uses now, if the system can."""
     try:
         import resource
     except ImportError:  # Windows
@@ -169,6 +173,7 @@ def _limit_memory(memory: int) -> None:
 
 
 def _answer(function: Callable[..., object], arguments: tuple[object, ...]) -> bytes:
+    """Return a function's result or error as pickled bytes (kind, content) for the parent."""
     answer: tuple[str, Any]
     try:
         return pickle.dumps(("value", function(*arguments)), pickle.HIGHEST_PROTOCOL)
@@ -182,6 +187,7 @@ def _answer(function: Callable[..., object], arguments: tuple[object, ...]) -> b
 
 
 def _reasons(error: BaseException | None) -> tuple[str, ...]:
+    """Return type and message of an error and of its causes, as texts, outermost first."""
     found: list[str] = []
     while error is not None and len(found) < MOST_REASONS:
         found.append(f"{type(error).__name__}: {error}")
@@ -191,6 +197,7 @@ def _reasons(error: BaseException | None) -> tuple[str, ...]:
 
 def _main(memory: int) -> None:
     # Libraries in C print; the results have a pipe for themselves.
+    """Serve calls from standard input until it ends: the child's main loop."""
     results = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     warnings.simplefilter("ignore")

@@ -55,12 +55,12 @@ class Interruption(KeyboardInterrupt):
 
 
 def word(error: BaseException) -> str:
-    """Return the verb for messages: "interrupted" for Ctrl-C, "terminated" for SIGTERM."""
+    """Return "interrupted" for an error by Ctrl-C, "terminated" for one by SIGTERM, for messages."""
     return WORDS[getattr(error, "number", signal.SIGINT)]
 
 
 def exit_code(error: BaseException) -> int:
-    """Return the exit code of a program that it ended: 130 or 143."""
+    """Return the exit code of a program ended by this error: 130 for Ctrl-C, 143 for SIGTERM."""
     return 128 + int(getattr(error, "number", signal.SIGINT))
 
 
@@ -71,7 +71,7 @@ def received() -> Interruption | None:
 
 @contextlib.contextmanager
 def heard() -> Iterator[None]:
-    """Make Ctrl-C and SIGTERM raise an Interruption in this context, in the main thread; ignored signals stay so."""
+    """Raise an Interruption on Ctrl-C and SIGTERM, in this context and the main thread; ignored signals stay so."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -79,7 +79,7 @@ def heard() -> Iterator[None]:
     hook = sys.unraisablehook
 
     def quiet(dropped: sys.UnraisableHookArgs) -> None:
-        """Report an exception that cannot be raised, but no interruption."""
+        """Report an exception raised where it is lost, unless it is an Interruption."""
         # Its destructor sends the signal again, and there is nothing to report.
         if not (dropped.exc_type is not None and issubclass(dropped.exc_type, Interruption)):
             hook(dropped)
@@ -100,10 +100,11 @@ def heard() -> Iterator[None]:
 
 @contextlib.contextmanager
 def calling(do: Callable[[], None]) -> Iterator[None]:
-    """Make Ctrl-C and SIGTERM call a function; an Interruption is raised at the end if a signal came."""
+    """Call ``do`` on Ctrl-C and SIGTERM in this context; an Interruption is raised at the end if a signal came."""
     came: list[int] = []
 
     def handle(number: int, frame: FrameType | None) -> None:
+        """Note the signal and call ``do``."""
         came.append(number)
         do()
 
@@ -114,7 +115,7 @@ def calling(do: Callable[[], None]) -> Iterator[None]:
 
 
 def run_until_signal(main: Coroutine[object, object, None]) -> None:
-    """Run a coroutine as ``asyncio.run`` does. Ctrl-C and SIGTERM cancel it, and raise an Interruption at its end.
+    """Run a coroutine like ``asyncio.run``; Ctrl-C and SIGTERM cancel it and raise an Interruption at its end.
 
     An exception in the middle of the event loop could lose the wake-up of a task, which would then wait forever. So a
     signal raises one, as in ``heard``, only if the coroutine has not ended some seconds later.
@@ -156,14 +157,14 @@ def run_until_signal(main: Coroutine[object, object, None]) -> None:
 
 @contextlib.contextmanager
 def ending() -> Iterator[threading.Event]:
-    """Make Ctrl-C and SIGTERM set the event that is returned, and raise nothing: the work is done already."""
+    """Set the yielded event on Ctrl-C and SIGTERM, and raise nothing, because the work is already done."""
     came = threading.Event()
     with _handling(lambda number, frame: came.set()):
         yield came
 
 
 def leave_at_once() -> None:
-    """Make both signals exit at once, without a traceback, until ``heard`` begins: no work has been done yet."""
+    """End the process at once, without a traceback, on Ctrl-C and SIGTERM, until ``heard`` begins."""
 
     def leave(number: int, frame: FrameType | None) -> None:
         """Print the words for a signal and end the process."""
@@ -176,7 +177,7 @@ def leave_at_once() -> None:
 
 @contextlib.contextmanager
 def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Have both signals call a handler in this context, in the main thread; other threads leave signals alone."""
+    """Install a handler of both signals in this context, in the main thread; in other threads do nothing."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -189,7 +190,7 @@ def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None
 
 
 def _installed(handler: Any) -> dict[int, Any]:
-    """Set a handler of all signals that are not ignored, and return those before."""
+    """Install a handler of the signals that are not ignored, and return their previous handlers by number."""
     before: dict[int, object] = {int(number): signal.getsignal(number) for number in WORDS}
     heeded = {number: now for number, now in before.items() if now not in (signal.SIG_IGN, None)}
     for number in heeded:
@@ -198,7 +199,7 @@ def _installed(handler: Any) -> dict[int, Any]:
 
 
 def _raise(number: int, frame: FrameType | None) -> None:
-    """Handle a signal: raise Interruption, or send it again later where code must not be interrupted."""
+    """Raise Interruption for a signal, or send it again later if the running code must not be interrupted."""
     if _state["listener"] is None:
         return  # its work is done
     now = time.monotonic()
@@ -213,7 +214,7 @@ def _raise(number: int, frame: FrameType | None) -> None:
 
 
 def _is_inside(frame: FrameType | None, names: tuple[str, ...]) -> bool:
-    """Return whether code in C has called this that cannot stand an exception: it would end or corrupt the process."""
+    """Return whether the call stack contains a module in ``names``, or an import in C, unsafe to interrupt."""
     while frame is not None:
         if frame.f_globals.get("__name__", "").startswith(names):
             return True
@@ -228,7 +229,7 @@ _LOADING = (ExtensionFileLoader.exec_module.__code__, ExtensionFileLoader.create
 
 
 def _send_again(number: int) -> None:
-    """Send the signal once more in a moment."""
+    """Send the signal again in a moment, once."""
     if _state["waiting"]:
         return
     _state["waiting"] = True
@@ -238,7 +239,7 @@ def _send_again(number: int) -> None:
 
 
 def _send(number: int, listener: object) -> None:
-    """Send the signal to the main thread, if it is still listened for."""
+    """Send the signal to the main thread, unless the context with ``listener`` has ended."""
     with _sending:
         if _state["listener"] is not listener:
             return

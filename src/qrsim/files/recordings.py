@@ -32,7 +32,7 @@ class Recording:
 
     @property
     def url(self) -> str:
-        """Address to fetch it from."""
+        """Address from which to fetch the recording."""
         return UPSTREAM + self.source
 
 
@@ -73,7 +73,7 @@ class FileStatus:
 
     @property
     def condition(self) -> Condition:
-        """Whether the file is good, altered or missing."""
+        """Condition of the file: "good", "altered" or "missing"."""
         if self.sha256_found is None:
             return "missing"
         return "good" if self.sha256_found == self.sha256_expected else "altered"
@@ -90,7 +90,7 @@ def data_folder() -> Path:
 
 
 def file_status(name: str, folder: Path | None = None) -> FileStatus:
-    """Hash the recording ``name`` in ``folder`` (default: ``data_folder()``).
+    """Return the status of the recording ``name`` in ``folder`` (default: ``data_folder()``), by its hash.
 
     Raises:
         UsageError: no recording has this name.
@@ -105,7 +105,7 @@ def file_status(name: str, folder: Path | None = None) -> FileStatus:
 
 
 def data_file(name: str) -> Path:
-    """Return the path of a recording whose bytes have been checked.
+    """Return the path of a recording in the data folder, after a check of its hash.
 
     Raises:
         UsageError: no recording has this name.
@@ -126,7 +126,7 @@ def data_file(name: str) -> Path:
 
 
 def fetch_file(name: str, folder: Path, progress_bar: object = None) -> Path:
-    """Fetch one recording; a good file is kept, an altered one is replaced.
+    """Fetch one recording and return its path; a good file is kept, an altered one replaced.
 
     Args:
         name: a key of RECORDINGS.
@@ -152,7 +152,7 @@ def fetch_file(name: str, folder: Path, progress_bar: object = None) -> Path:
 
 
 def _reason(error: Exception) -> str:
-    """Return one short line of a download's error, whose own text nests several."""
+    """Return one short line on why a download failed."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     if getattr(error, "response", None) is not None or isinstance(error, ValueError):
@@ -161,7 +161,7 @@ def _reason(error: Exception) -> str:
 
 
 def fetch_by_hand(names: list[str], folder: Path) -> list[str]:
-    """Explain, line by line, how to get a recording without network access."""
+    """Return lines of text that explain how to fetch recordings on another machine."""
     rows = [line for name in names for line in (f"  {RECORDINGS[name].url}", f"    as {folder / name}")]
     check = f"then check with: {FOLDER_VARIABLE}={shlex.quote(str(folder))} qrsim data where"
     return ["by hand, on a machine with network access, save", *rows, check]

@@ -22,7 +22,7 @@ _KINDS = (
 
 
 def open_file(path: str | os.PathLike[str], most: int = LARGEST_DATA) -> BinaryIO:
-    """Open a regular file for reading bytes.
+    """Return a regular file opened for reading bytes, after a check of its kind and size.
 
     Args:
         path: as the user gave it; ``~`` is the user's home.
@@ -57,12 +57,12 @@ def open_file(path: str | os.PathLike[str], most: int = LARGEST_DATA) -> BinaryI
 
 
 def open_text(path: str | os.PathLike[str], most: int = LARGEST_DATA, errors: str = "strict") -> io.TextIOWrapper:
-    """Open a regular UTF-8 file for ``csv``, with or without a byte order mark; raises as ``open_file``."""
+    """Return a regular UTF-8 file opened for ``csv``, byte order mark skipped; raises as ``open_file``."""
     return io.TextIOWrapper(open_file(path, most), encoding="utf-8-sig", errors=errors, newline="")
 
 
 def read_bytes(path: str | os.PathLike[str], most: int = LARGEST_DATA) -> bytes:
-    """Read a regular file; raises as ``open_file``."""
+    """Return the bytes of a regular file; raises as ``open_file``."""
     with open_file(path, most) as file:
         content = file.read(most + 1)
     # Files of /proc have no size before they are read.
@@ -72,7 +72,7 @@ def read_bytes(path: str | os.PathLike[str], most: int = LARGEST_DATA) -> bytes:
 
 
 def read_text(path: str | os.PathLike[str], most: int = LARGEST_TEXT) -> str:
-    """Read a regular UTF-8 file, without its byte order mark.
+    """Return the text of a regular UTF-8 file, without its byte order mark.
 
     Raises:
         OSError: as ``open_file``, and where it is no UTF-8 text; the strerror says where.
@@ -87,13 +87,13 @@ def read_text(path: str | os.PathLike[str], most: int = LARGEST_TEXT) -> str:
 
 
 def check_file(path: str | os.PathLike[str], most: int = LARGEST_DATA) -> Path:
-    """Check a regular file that a library will open, and return its path; raises as ``open_file``."""
+    """Return the path of a regular file for a library to open, ``~`` expanded; raises as ``open_file``."""
     open_file(path, most).close()
     return Path(os.path.expanduser(path))
 
 
 def _size(count: int) -> str:
-    """Return a number of bytes as text, in MB or GB if it is large."""
+    """Return a number of bytes as text, in MB or GB if large."""
     for factor, unit in ((2**30, "GB"), (2**20, "MB")):
         if count >= factor:
             return f"{count / factor:.4g} {unit}"

@@ -39,7 +39,7 @@ class _FaultError(Exception):
 
 
 def parse_yaml(text: str, source: str, own: bool = False) -> Any:
-    """Parse YAML text to dicts with string keys, lists, strings, numbers, booleans and None.
+    """Return YAML text as dicts with string keys, lists, strings, numbers, booleans and None.
 
     Args:
         text: to parse.
@@ -76,7 +76,7 @@ def parse_yaml(text: str, source: str, own: bool = False) -> Any:
 
 
 def _where(line: int, column: int) -> str:
-    """Return line and column, both counted from 0, as the beginning of a message."""
+    """Return line and column, given from 0, as text with which messages begin."""
     return f"line {line + 1}, column {column + 1}: "
 
 
@@ -104,7 +104,7 @@ class _Builder:
         self.result: Any = None
 
     def build(self, text: str) -> object:
-        """Return the content of a YAML text; refuse a second document."""
+        """Return the content of a YAML text; raise an error for a second document."""
         parser = _PARSER(text)
         documents = 0
         try:
@@ -120,7 +120,7 @@ class _Builder:
         return self.result
 
     def _take(self, event: Any) -> None:
-        """Add an event of the parser to the content."""
+        """Process one event of the parser."""
         if isinstance(event, yaml.CollectionEndEvent):
             done = self.stack.pop()
             self._keep(done.anchor, done.value, self.count - done.first)
@@ -138,7 +138,7 @@ class _Builder:
             self._begin(event, mark)
 
     def _begin(self, event: Any, mark: Any) -> None:
-        """Open a list or a mapping; refuse one that is too deep, or tagged."""
+        """Open a list or a mapping; raise an error if too deep or tagged."""
         sequence = isinstance(event, yaml.SequenceStartEvent)
         if event.tag not in (None, "!", _TAG + ("seq" if sequence else "map")):
             _refuse_tag(event.tag, mark)
@@ -151,18 +151,18 @@ class _Builder:
         self.stack.append(_Open([] if sequence else {}, event.anchor, self.count - 1, mark, {}))
 
     def _add(self, nodes: int, mark: object) -> None:
-        """Count values; refuse a text with too many."""
+        """Add to the count of values; raise an error for too many."""
         self.count += nodes
         if self.count > self.most:
             raise _FaultError(f"more than {self.most} values, those that aliases stand for included", mark)
 
     def _keep(self, anchor: str | None, value: object, size: int) -> None:
-        """Keep a value for aliases of an anchor."""
+        """Store a value under an anchor, for aliases; do nothing without an anchor."""
         if anchor:
             self.anchors[anchor] = value, size, _depth(value)
 
     def _of_alias(self, event: Any) -> object:
-        """Return a copy of what an alias stands for: two places must not change together."""
+        """Return a copy of an alias' value, so that both can change independently; raise an error if undefined."""
         name, mark = event.anchor, event.start_mark
         if any(part.anchor == name for part in self.stack) and name not in self.anchors:
             raise _FaultError(f"'*{name}' stands inside of what it stands for", mark)
@@ -175,7 +175,7 @@ class _Builder:
         return _copied(value)
 
     def _place(self, value: object, mark: object, plain: str = "") -> None:
-        """Put a value where the document has it."""
+        """Store a value at the present place of the document: result, list element, key or mapping value."""
         if not self.stack:
             self.result = value
             return
@@ -189,7 +189,7 @@ class _Builder:
             parent.key = None
 
     def _take_key(self, parent: _Open, key: Any, mark: Any, plain: str) -> None:
-        """Take the key of a mapping; refuse one that is no text, or given twice."""
+        """Store a mapping's key; raise an error if not text, or if repeated."""
         if not isinstance(key, str):
             raise _FaultError(f"the key {plain[:40] or 'null'} is not a text; to make it one, write it in quotes", mark)
         if key == "<<":
@@ -201,20 +201,20 @@ class _Builder:
 
 
 def _depth(value: object) -> int:
-    """Return how deeply a value is nested; limited by DEEPEST where it was built."""
+    """Return the nesting depth of lists and dicts in a value."""
     parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else None
     return 0 if parts is None else 1 + max(map(_depth, parts), default=0)
 
 
 def _copied(value: object) -> object:
-    """Return a copy of lists and mappings, and of those in them; nothing else that YAML has can be changed."""
+    """Return a deep copy of lists and dicts; other values are immutable."""
     if isinstance(value, dict):
         return {key: _copied(part) for key, part in value.items()}
     return [_copied(part) for part in value] if isinstance(value, list) else value
 
 
 def _scalar(event: Any) -> object:
-    """Return the value of a scalar: by its tag, else by how it looks if it has no quotes."""
+    """Return a scalar's value, by its tag, else by YAML 1.2's rules if it has no quotes."""
     tag, text, mark = event.tag, event.value, event.start_mark
     if tag in (None, "!"):
         return _plain(text, mark) if event.implicit[0] and tag is None else text
@@ -253,7 +253,7 @@ def _plain(text: str, mark: object) -> Any:
 
 
 def _refuse_tag(tag: str, mark: object) -> NoReturn:
-    """Raise the error for an unsupported tag."""
+    """Raise an error for an unsupported tag."""
     shown = f"!!{tag.removeprefix(_TAG)}" if tag.startswith(_TAG) else tag
     raise _FaultError(f"the tag {shown[:60]} is not supported; known: !!str, !!int, !!float, !!bool, !!null", mark)
 
@@ -270,11 +270,11 @@ for _first in "-+.0123456789":
 
 
 def dump_yaml(content: object) -> str:
-    """Write a value as YAML text that ``parse_yaml`` reads back unchanged."""
+    """Return a value as YAML text, which ``parse_yaml`` reads back unchanged."""
     return yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100)
 
 
 def dump_line(content: object) -> str:
-    """Write a value as one line of YAML, in braces and brackets, without the line break."""
+    """Return a value as one line of YAML in flow style, without a line break."""
     text: str = yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=True, width=float("inf"))
     return text.rstrip("\n")

@@ -69,7 +69,7 @@ class ActionChecker:
         }
 
     def actions(self, command: object, flying: Flying | None = None) -> tuple[Action, ...]:
-        """Check a command and split it by fleet; see ``Simulation.step`` for its forms.
+        """Return the action of each fleet from a user's command, checked; see ``Simulation.step`` for its forms.
 
         Args:
             command: for all vehicles, or by fleet or vehicle.
@@ -93,7 +93,7 @@ class ActionChecker:
         return tuple(self._cut(whole))
 
     def estimates(self, estimate: object, needed: bool = False) -> tuple[Estimate | None, ...]:
-        """Check estimates and split them by fleet; None for a fleet that uses its own ``feed``.
+        """Return the estimate of each fleet from a user's, checked; None for fleets that use ``feed``.
 
         Args:
             estimate: of all vehicles, or None.
@@ -109,7 +109,7 @@ class ActionChecker:
         return tuple(self._cut(self._cast(estimate, "estimate", len(self.names))))
 
     def waypoint(self, position_ned: npt.ArrayLike, yaw_rad: npt.ArrayLike = 0.0) -> WaypointSetpoint:
-        """Make a set-point of positions (n, 3) or (3,) [m] and headings (n,) or one [rad], for all vehicles."""
+        """Return a set-point of positions (n, 3) or (3,) [m] and headings (n,) or one [rad], for all vehicles."""
         size = len(self.names)
         position = self._fitting("position_ned", position_ned, (size, 3))
         yaw = self._fitting("yaw_rad", yaw_rad, (size,))
@@ -123,7 +123,7 @@ class ActionChecker:
         return WaypointSetpoint(Vec3(north, east, down), heading)
 
     def _by_name(self, commands: Mapping[object, object], flying: Flying | None) -> tuple[Action, ...]:
-        """Return the action of each fleet from commands by the name of a fleet or a vehicle."""
+        """Return the action of each fleet from commands by name of a fleet or vehicle; raise UsageError."""
         rows: dict[str, dict[int, object]] = {fleet.name: {} for fleet in self.fleets}
         for name, command in commands.items():
             if name in rows:
@@ -150,7 +150,7 @@ class ActionChecker:
         return tuple(actions)
 
     def _of_fleet(self, command: object, fleet: Fleet, flying: Flying | None) -> Action:
-        """Check the command of a whole fleet; return its action, with the messages of its vehicles."""
+        """Return the action of a fleet from a checked command for all its vehicles, messages included."""
         if not isinstance(command, Say):
             return self._checked(command, list(fleet.vehicle_names), (fleet,), flying)
         (said,) = outboxes(command, self._world, [fleet.vehicle_names], self.dtype, self.traced)
@@ -158,7 +158,7 @@ class ActionChecker:
         return Saying(asked, said)
 
     def _of_vehicles(self, fleet: Fleet, rows: Mapping[int, object], flying: Flying | None) -> Action:
-        """Return the action of a fleet from commands by row of a vehicle; vehicles without follow their guidance."""
+        """Return the action of a fleet from commands by vehicle row; other vehicles follow their guidance."""
         kinds: dict[type, dict[int, object]] = {}
         for row, command in rows.items():
             if command is None:
@@ -174,7 +174,7 @@ class ActionChecker:
         return Some(parts) if parts else None
 
     def _one_row(self, command: object, fleet: Fleet) -> object:
-        """Return a command of one vehicle as that of a fleet of one."""
+        """Return a command for one vehicle with arrays (1, ...), as for a fleet of one."""
         if type(command) in _NAME_OF or dataclasses.is_dataclass(command):
             return jax.tree.map(lambda leaf: leaf[None] if np.shape(leaf) == () else leaf, _arrays(command))
         if isinstance(command, str | bytes | Mapping | Say):
@@ -186,7 +186,7 @@ class ActionChecker:
         return library_for(self.traced).asarray(command)[None] if flat else command
 
     def _filled(self, size: int, asked: Mapping[int, object]) -> tuple[Any, Any]:
-        """Return the vehicles (n,) bool of a fleet that are commanded, and their commands, each leaf (n,)."""
+        """Return (size,) bool: the vehicle is commanded, and the commands, each leaf (size,)."""
         which = np.isin(np.arange(size), list(asked))
         first = next(iter(asked.values()))
         ones = [asked.get(row, first) for row in range(size)]
@@ -194,7 +194,7 @@ class ActionChecker:
         return which, jax.tree.map(lambda *leaves: library.concatenate(leaves), *ones)
 
     def _cut(self, whole: T) -> list[T]:
-        """Return a command of all vehicles in parts, one for each fleet."""
+        """Return a command of all vehicles split into one for each fleet."""
         if len(self.fleets) == 1:
             return [whole]
         parts, first = [], 0
@@ -204,7 +204,7 @@ class ActionChecker:
         return parts
 
     def _checked(self, command: object, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> object:
-        """Return a command or set-point of some fleets, checked and cast; raise UsageError for others."""
+        """Return a command or set-point for some fleets, checked and cast; raise UsageError if invalid."""
         if type(command) in _NAME_OF:
             return self._setpoint(command, names, fleets, flying)
         if isinstance(command, Some | Piloted):
@@ -224,7 +224,7 @@ class ActionChecker:
         return self._command(kind, command, names, flying)
 
     def _kind(self, given: type | None, fleets: tuple[Fleet, ...]) -> CommandKind:
-        """Return which command the vehicles of fleets are given; None: an array of the fields of their commands.
+        """Return the kind of command for the type ``given``; None means an array of the fleets' own fields.
 
         Raises:
             UsageError: the fleets do not all take it.
@@ -243,7 +243,7 @@ class ActionChecker:
         return self.kinds[kind]
 
     def _setpoint(self, setpoint: object, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> object:
-        """Return a checked set-point; raise UsageError if a fleet's controller does not take its type."""
+        """Return a set-point, checked; raise UsageError if a fleet's controller does not take its type."""
         for fleet in fleets:
             if type(setpoint) not in fleet.controller.setpoints:
                 name = _command_name(type(setpoint), article=True)
@@ -267,7 +267,7 @@ class ActionChecker:
         return checked
 
     def _cast(self, record: T, what: str, size: int) -> T:
-        """Return a record of arrays (n,) in the simulation's type."""
+        """Return a record with arrays (n,) in the simulation's dtype; raise UsageError for other shapes."""
         leaves, structure = jax.tree.flatten(record)
         # The usual case at once: to carry the names of fields along takes as long as a tick.
         if not self.traced and all(_is_row(leaf, size) for leaf in leaves):
@@ -286,7 +286,7 @@ class ActionChecker:
         return jax.tree_util.tree_map_with_path(convert, record)
 
     def _command(self, kind: CommandKind, command: object, names: list[str], flying: Flying | None) -> object:
-        """Return an array (n, fields) as a command of a kind; raise UsageError for another shape."""
+        """Return an array (n, fields) as a command of a kind; raise UsageError for other shapes."""
         shape = (len(names), len(kind.fields))
         try:
             array: Floats = (jnp if self.traced else np).asarray(command, self.dtype)
@@ -302,14 +302,14 @@ class ActionChecker:
         return self._in_range(kind, [array[:, i] for i in range(len(kind.fields))], names, flying)
 
     def _all_fine(self, kind: CommandKind, array: Floats) -> bool:
-        """Return whether all commands (n, C) pass the check, so that the search for the wrong one can be skipped."""
+        """Return whether all commands (n, C) pass, a quick test before the search for a wrong one."""
         if self.values != "checked":
             return bool(np.isfinite(array).all())
         # A field without limits may be anything but infinite.
         return bool((np.isfinite(array) & (array >= kind.lowest) & (array <= kind.highest)).all())
 
     def _in_range(self, kind: CommandKind, columns: list[Floats], names: list[str], flying: Flying | None) -> object:
-        """Return the command of columns (n,); a traced one is clipped by the tick itself."""
+        """Return a command made of columns (n,); raise UsageError for numbers out of range unless traced."""
         if self.traced:
             return kind.kind(*columns)
         checked: list[Floats] = []
@@ -328,7 +328,7 @@ class ActionChecker:
         return kind.kind(*checked)
 
     def _fitting(self, what: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> Floats:
-        """Return numbers of a shape, or one for all."""
+        """Return numbers broadcast to a shape; raise UsageError for other shapes or text."""
         try:
             array = np.asarray(values, self.dtype)
             return array if array.shape in ((), shape) else np.broadcast_to(array, shape)
@@ -337,13 +337,13 @@ class ActionChecker:
 
 
 def _command_name(kind: type, with_module: bool = False, article: bool = False) -> str:
-    """Return the name of a command; with its module where another one has the same name."""
+    """Return the name of a command type for messages, with its module or an article if asked."""
     name = f"{kind.__module__}.{kind.__name__}" if with_module else kind.__name__
     return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}" if article else name
 
 
 def _accepted_setpoints(fleet: Fleet, setpoint: object) -> str:
-    """Describe which set-points a fleet accepts, and what accepts them."""
+    """Return a text on the set-points that a fleet accepts, for messages."""
     if not fields_of(fleet.vehicle.command_type):
         return f"fleet '{fleet.name}', whose vehicles take no commands; give each fleet its own, by name"
     taken = ", ".join(cls.__name__ for cls in fleet.controller.setpoints)
@@ -357,27 +357,28 @@ def _is_row(leaf: object, size: int) -> bool:
 
 
 def _rows(own: slice, leaf: Array) -> Array:
+    """Return the rows ``own`` of an array."""
     return leaf[own]
 
 
 def _arrays(record: object) -> object:
-    """Return a record with arrays in place of numbers."""
+    """Return a record with its Python numbers turned into arrays."""
     return jax.tree.map(lambda leaf: np.asarray(leaf) if isinstance(leaf, int | float) else leaf, record)
 
 
 def _part(flying: Flying, own: slice) -> Floats:
-    """Return which vehicles of a fleet fly."""
+    """Return (n,) bool: the vehicle flies, for the rows ``own`` of one fleet."""
     return flying()[own]
 
 
 def _missing(values: Floats, flying: Flying | None) -> Floats:
-    """Return which of the numbers (n,) for vehicles that fly are not finite."""
+    """Return (n,) bool: the number is not finite although its vehicle flies."""
     missing: Floats = ~np.isfinite(values)
     return missing & flying() if flying is not None and missing.any() else missing
 
 
 def shape_of(values: object) -> str:
-    """Describe the shape of a user's value, in words."""
+    """Return the shape of a user's value as text, for messages."""
     try:
         return f"shape {np.shape(cast(npt.ArrayLike, values))}"
     except ValueError:

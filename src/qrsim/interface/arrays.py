@@ -33,17 +33,17 @@ class Library(Protocol):
 
 
 def library_of(*values: object) -> Library:
-    """Return ``numpy`` or ``jax.numpy``, whichever the arrays belong to."""
+    """Return ``numpy`` or ``jax.numpy``, the library of the given arrays."""
     return library(*values)
 
 
 def library_for(traced: bool) -> Library:
-    """Return the library of arrays: JAX's while a program is being compiled, else NumPy."""
+    """Return ``jax.numpy`` while a program is being compiled (``traced``), else ``numpy``."""
     return cast(Library, jnp if traced else np)
 
 
 def as_array(value: object) -> Floats:
-    """Convert a Vec3 or Euler to (n, 3), a tuple of K to (n, K) or (n, K, 3), leave others; also under tracing."""
+    """Return a Vec3 or Euler as (n, 3), a tuple of K arrays as (n, K) or (n, K, 3), and others unchanged."""
     if isinstance(value, tuple):
         if isinstance(value[0], Vec3):
             rows = [as_array(part) for part in value]
@@ -56,7 +56,7 @@ def as_array(value: object) -> Floats:
 
 
 def quaternion_of(attitude: Floats) -> Floats:
-    """Convert Euler angles (n, 3) [rad] to unit quaternions (n, 4), w first and w >= 0: body to NED, ZYX."""
+    """Return Euler angles (n, 3) [rad] as unit quaternions (n, 4), w first and w >= 0: body to NED, ZYX."""
     lib = library_of(attitude)
     half = 0.5 * (attitude if isinstance(attitude, Array) else np.asarray(attitude, np.float64))
     cosines: list[Floats] = list(lib.cos(half).T)

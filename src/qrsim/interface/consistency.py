@@ -25,7 +25,7 @@ class Looks:
 
     @staticmethod
     def none(world: World, state: State) -> Looks | None:
-        """Return the sums at the start; None if no estimator reports an uncertainty."""
+        """Return sums of zero for the start; None if no estimator reports an uncertainty."""
         if all(fleet.belief is None or fleet.belief.std is None for fleet in state.fleets):
             return None
         code = jnp.concatenate([fleet.violation.code for fleet in state.fleets])
@@ -33,7 +33,7 @@ class Looks:
         return Looks(Consistency(zero, zero, zero, zero, zero), jnp.zeros(code.shape, jnp.int32))
 
     def update(self, world: World, state: State, tick: Array, flying: Array) -> Looks:
-        """Add a sample every ``EVERY_S`` for vehicles (n,) that fly; NaN if the uncertainty is not reported."""
+        """Return the sums with a sample added every ``EVERY_S`` [s] for ``flying`` (n,); NaN without uncertainty."""
 
         def look() -> Looks:
             """Return the sums with the consistency at this tick added."""
@@ -49,7 +49,7 @@ class Looks:
 
 
 def truth_of(fleet: Fleet, state: FleetState) -> Truth:
-    """Return the true values of the quantities that estimators estimate, (n,), or (T, n) in a history."""
+    """Return the true values of the estimated quantities, each (n,), or (T, n) of a history."""
     pose = fleet.vehicle.pose(state.vehicle)
     biases = dict(_biases(fleet, state))
     velocity = rotation(pose.attitude).to_ned(pose.velocity_body)
@@ -64,7 +64,7 @@ def truth_of(fleet: Fleet, state: FleetState) -> Truth:
 
 
 def _biases(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, Vec3]]:
-    """Yield fields of readings with a known bias, and that of the first sensor with the field, as estimators use it."""
+    """Yield (field, true bias) for each field of readings with a known bias, from the first sensor with the field."""
     seen: set[str] = set()
     zero = jnp.zeros_like(state.vehicle.position_ned.x)
     for sensor, memory, reading in zip(fleet.sensors, state.sensors, state.readings, strict=True):

@@ -29,14 +29,14 @@ class Consumption:
 
     @staticmethod
     def none(world: World, state: State) -> Consumption | None:
-        """Return the start; None where no fleet has a battery that drains."""
+        """Return the counts at the start; None if no fleet has a battery that drains."""
         if not any(fleet.battery.drains for fleet in world.fleets):
             return None
         charge = charges(world, state)
         return Consumption(charge, charge, jnp.zeros_like(charge), jnp.zeros(charge.shape, jnp.int32))
 
     def update(self, world: World, state: State, counts: Array) -> Consumption:
-        """Update with the state at a tick; ``counts`` (n,) is which vehicles still fly."""
+        """Return the counts after a tick; only vehicles in ``counts`` (n,) still fly."""
         now = charges(world, state)
         counts = counts & airborne(world, state)
         # A battery that was replaced has more than before.
@@ -47,7 +47,7 @@ class Consumption:
 
 
 def charges(world: World, state: State) -> Array:
-    """Return the charge of the battery of each vehicle (n,), NaN where it has none that drains."""
+    """Return the battery's charge (n,) of each vehicle, 0 to 1; NaN for batteries that do not drain."""
     return jnp.concatenate(
         [
             cast(Charged, now.battery).charge
@@ -59,7 +59,7 @@ def charges(world: World, state: State) -> Array:
 
 
 def endurance_s(consumption: Consumption | None, like: Floats, dt: float) -> Floats:
-    """Return the endurance [s], shaped as ``like`` (W, n); NaN where nothing was used in the air."""
+    """Return the endurance [s], shaped as ``like`` (W, n); NaN for vehicles that used no charge in the air."""
     if consumption is None:
         return np.full(np.shape(like), np.nan)
     used = np.asarray(consumption.used, np.float64)
@@ -69,12 +69,12 @@ def endurance_s(consumption: Consumption | None, like: Floats, dt: float) -> Flo
 
 
 def airborne(world: World, state: State) -> Array:
-    """Return which vehicles (n,) are in the air; of those that drive, which are under way."""
+    """Return (n,) bool: the vehicle is in the air, or, if it drives, moving."""
     return concatenated([_of_fleet(world, *each) for each in zip(world.fleets, state.fleets, strict=True)])
 
 
 def _of_fleet(world: World, fleet: Fleet, state: FleetState) -> Array:
-    """Return for each vehicle (n,) whether it is in flight, or moves if it rides on the ground."""
+    """Return (n,) bool for one fleet: in flight, or moving if it rides on the ground."""
     standing = on_ground(fleet, state)
     if standing is not None:
         return ~standing

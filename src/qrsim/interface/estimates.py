@@ -26,7 +26,7 @@ class EstimateReading(Tabled):
         self.attitude: Floats = as_array(estimate.attitude)[rows]
 
     def _cells(self, columns: int) -> list[tuple[str, ...]]:
-        """Return a row for each field: name, unit, and the numbers of each vehicle."""
+        """Return a table row for each field: name, unit, and the numbers of each vehicle."""
         return [(name, unit, *cells_of(getattr(self, name), columns)) for name, unit in FIELDS.items()]
 
     def _table(self) -> Table:
@@ -35,12 +35,12 @@ class EstimateReading(Tabled):
 
 
 def estimate_of(state: FleetState, rows: slice) -> EstimateReading:
-    """Return the estimate of a fleet's own estimator now, else what its controller was fed with last."""
+    """Return the present estimate of a fleet's own estimator, else the last one that its controller used."""
     return EstimateReading(state.estimate if state.belief is None else state.belief.estimate, rows)
 
 
 def std_of(state: FleetState, rows: slice) -> EstimateReading | None:
-    """Return the standard deviations that the estimator reports, None where it reports none."""
+    """Return the standard deviations that the estimator reports, None without."""
     if state.belief is None or state.belief.std is None:
         return None
     return EstimateReading(state.belief.std, rows)

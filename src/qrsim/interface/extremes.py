@@ -19,11 +19,11 @@ class Extreme:
 
     @staticmethod
     def none(like: Array) -> Extreme:
-        """Return the start, for vehicles (n,)."""
+        """Return an empty record (NaN, tick -1) for vehicles (n,)."""
         nothing = jnp.full_like(like, jnp.nan)
         return Extreme(nothing, jnp.full(like.shape, -1, jnp.int32), Vec3(nothing, nothing, nothing))
 
     def update(self, value: Array, tick: Array, position_ned: Vec3, counts: Array) -> Extreme:
-        """Update with a new value (n,) where it counts (n,) and is larger."""
+        """Return the record with a new value (n,) kept where ``counts`` (n,) is True and the value is larger."""
         larger = counts & (value > jnp.where(self.tick < 0, -jnp.inf, self.value))
         return select(larger, Extreme(value, jnp.full_like(self.tick, tick), position_ned), self)

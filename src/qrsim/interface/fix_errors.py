@@ -35,7 +35,7 @@ class FixErrors:
 
     @staticmethod
     def none(world: World, state: State, like: Array) -> FixErrors:
-        """Return the start, for vehicles (n,)."""
+        """Return the sums at the start, for vehicles (n,)."""
         count, zero, nothing = jnp.zeros(like.shape, jnp.int32), jnp.zeros_like(like), Extreme.none(like)
         past = tuple(
             (_truth(now),) * _delay_periods(fleet, now) for fleet, now in zip(world.fleets, state.fleets, strict=True)
@@ -43,7 +43,7 @@ class FixErrors:
         return FixErrors(nothing.position_ned, count, zero, zero, count, nothing, past)
 
     def update(self, world: World, state: State, tick: Array, flying: Array) -> FixErrors:
-        """Update with the state at a tick; vehicles without a receiver have no fixes and lose none."""
+        """Return the sums after a tick; vehicles without a receiver have no fixes and lose none."""
         reported, has = concatenated([_fix(fleet) for fleet in state.fleets])
         error = concatenated(
             [
@@ -86,7 +86,7 @@ class FixErrors:
 
 
 def _later(world: World, fleet: Fleet, now: FleetState, past: tuple[Truth, ...], tick: Array) -> tuple[Truth, ...]:
-    """Return the true positions at the last epochs of a receiver, the latest first."""
+    """Return the true positions at a receiver's last epochs, latest first, with the present one added if due."""
     if not past:
         return past
     due = tick % period_ticks(fleet.sensors[_receiver(now)].period, world.time_step) == 0
@@ -96,17 +96,17 @@ def _later(world: World, fleet: Fleet, now: FleetState, past: tuple[Truth, ...],
 
 
 def _delay_periods(fleet: Fleet, now: FleetState) -> int:
-    """Return the delay of the first receiver's fixes, in periods of the receiver; 0 without a receiver."""
+    """Return the delay of the first receiver's fixes in its periods; 0 without a receiver."""
     return int(fleet.sensors[_receiver(now)].delay) if _receiver(now) >= 0 else 0
 
 
 def _receiver(fleet: FleetState) -> int:
-    """Return the number of the first receiver, -1 without one."""
+    """Return the index of the first receiver among the readings, -1 without."""
     return next((i for i, reading in enumerate(fleet.readings) if isinstance(reading, GnssReading)), -1)
 
 
 def _fix(fleet: FleetState) -> tuple[Vec3, Array]:
-    """Return the position that the first receiver reports (n,), and whether there is one."""
+    """Return the position (n,) [m] reported by the first receiver, and (n,) bool: the fleet has one."""
     like, number = fleet.vehicle.position_ned.x, _receiver(fleet)
     if number >= 0:
         reading: Any = fleet.readings[number]
@@ -115,7 +115,7 @@ def _fix(fleet: FleetState) -> tuple[Vec3, Array]:
 
 
 def _truth(fleet: FleetState) -> Truth:
-    """Return the true positions of a fleet, in two parts if it keeps them so."""
+    """Return the true positions of a fleet and their rounding remainders, None without."""
     return fleet.vehicle.position_ned, fleet.position_low_ned
 
 
@@ -126,5 +126,5 @@ def _minus(reported: Vec3, truth: Truth) -> Vec3:
 
 
 def differs(new: Vec3, old: Vec3) -> Array:
-    """Return whether vectors differ; NaN differs from itself."""
+    """Return whether vectors differ in any component; NaN differs from everything."""
     return ~((new.x == old.x) & (new.y == old.y) & (new.z == old.z))

@@ -64,7 +64,7 @@ class Message:
 
 
 def outboxes(say: Say, world: World, names: Sequence[Sequence[str]], dtype: object, traced: bool) -> list[Outbox]:
-    """Check the messages of vehicles, and return them for each group of vehicles in ``names``, such as a fleet.
+    """Return the outbox of each group of vehicles in ``names``, from the checked messages of all vehicles.
 
     Raises:
         UsageError: no radio, a wrong shape, a payload that is too long, or an unknown receiver.
@@ -104,12 +104,12 @@ def outboxes(say: Say, world: World, names: Sequence[Sequence[str]], dtype: obje
 
 
 def _owned(part: Array, traced: bool) -> Array:
-    """Return an array as contiguous memory; a traced array unchanged."""
+    """Return an array in contiguous memory; a traced array unchanged."""
     return part if traced else cast(Array, np.ascontiguousarray(part))
 
 
 def _receivers(to: object, n: int, world: World, library: Library, traced: bool) -> Array:
-    """Return the number of the receiver (n,) of each vehicle's message, -1 for all."""
+    """Return the receiver's number (n,) of each vehicle's message, -1 for all; raise UsageError if unknown."""
     names = [name for fleet in world.fleets for name in fleet.vehicle_names]
     if isinstance(to, str):
         to = [receiver_number(to, names)] * n
@@ -126,7 +126,7 @@ def _receivers(to: object, n: int, world: World, library: Library, traced: bool)
 
 
 def receiver_number(name: object, names: Sequence[str], what: str = "say: to") -> int:
-    """Return the number of a vehicle in the world by its name or number; -1 for None, which is all.
+    """Return a vehicle's number in the world by name or number, -1 for None (all); raise UsageError if unknown.
 
     Raises:
         UsageError: no vehicle has this name or number.
@@ -148,7 +148,7 @@ def receiver_number(name: object, names: Sequence[str], what: str = "say: to") -
 def checked_message(
     world: World, names: Sequence[str], vehicle: object, numbers: Sequence[float], to: object
 ) -> tuple[int, list[float], int]:
-    """Return number of the sender, its message (D,) and number of the receiver, -1 for all.
+    """Return sender's number, message (D,) and receiver's number, -1 for all; raise UsageError if invalid.
 
     Raises:
         UsageError: no radio, no vehicle of that name, or a message that is too long or not finite.
@@ -167,7 +167,7 @@ def checked_message(
 
 
 def messages(world: World, state: State, tick: int, vehicles: Sequence[int]) -> list[list[Message]]:
-    """Return the messages that each of some vehicles has received by a tick, newest first; ``state`` on the host."""
+    """Return, for each vehicle in ``vehicles``, the messages received by a tick, newest first, on the host."""
     assert world.radio is not None
     names = [name for fleet in world.fleets for name in fleet.vehicle_names]
     heard = world.radio.heard(state.radio, cast(Array, np.int32(tick)), world.time_step)
@@ -175,7 +175,7 @@ def messages(world: World, state: State, tick: int, vehicles: Sequence[int]) -> 
 
 
 def _heard_by(vehicle: int, heard: Heard, names: Sequence[str], dt: float) -> list[Message]:
-    """Return the messages that a vehicle has received, with times in seconds."""
+    """Return the messages that one vehicle has received, with times in seconds."""
     senders, sent, arrives, rssi = (
         cast(list[float], column[:, vehicle].tolist())
         for column in (heard.sender, heard.sent, heard.arrives, heard.rssi)
@@ -189,7 +189,7 @@ def _heard_by(vehicle: int, heard: Heard, names: Sequence[str], dt: float) -> li
 
 
 def user_key(state: State, tick: object) -> Array:
-    """Return a key (2,) uint32 for users' own random numbers: another one in every world and at every tick."""
+    """Return a key (2,) uint32 for users' random numbers, different in every world and at every tick."""
     keys = state.sky_keys
     traced = isinstance(tick, Array) or isinstance(keys.high, jax.core.Tracer)
     library = library_for(traced)
@@ -205,7 +205,7 @@ def user_key(state: State, tick: object) -> Array:
 
 
 def user_normals(world: World, state: State, tick: object, count: int) -> Array:
-    """Return standard normals (n, count) for all vehicles: of each vehicle its own, whatever others there are."""
+    """Return standard normals (n, count) for users, each vehicle's independent of the other vehicles."""
     key = user_key(state, tick)
     ids = jnp.concatenate([jnp.asarray(vehicle_ids(fleet)) for fleet in world.fleets])
     dtype = jnp.asarray(world.fleets[0].start.position_ned.x).dtype

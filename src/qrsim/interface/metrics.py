@@ -77,7 +77,7 @@ class FlightMetrics:
     """
 
     def init(self, world: World, state: State) -> Flight:
-        """Start the metrics with the first state, which counts as a tick."""
+        """Return the metrics' memory after the first state, which counts as a tick."""
         position = _of_all_fleets(state, lambda fleet: fleet.vehicle.position_ned)
         goal = _goal(world, state)
         like = position.x
@@ -111,7 +111,7 @@ class FlightMetrics:
         return self.update(nothing, world, state, jnp.int32(0))
 
     def update(self, flight: Flight, world: World, state: State, tick: Array) -> Flight:
-        """Update with the state at a tick."""
+        """Return the metrics' memory after the state at a tick."""
         flying = _of_all_fleets(state, lambda fleet: fleet.violation.code) == 0
         position = _of_all_fleets(state, lambda fleet: fleet.vehicle.position_ned)
         low = _low(state)
@@ -165,7 +165,7 @@ class FlightMetrics:
         return replace(flight, fixes=flight.fixes.update(world, state, tick, flying))
 
     def finish(self, flight: Flight, world: World, state: State) -> dict[str, Floats]:
-        """Compute the metrics by name, each (W, n), from the memory of W worlds (host arrays)."""
+        """Return the metrics by name, each (W, n), from the memory of W worlds (NumPy arrays)."""
         dt = world.time_step
 
         def mean(total: npt.ArrayLike, count: npt.ArrayLike) -> Floats:
@@ -227,25 +227,25 @@ class FlightMetrics:
 
 
 def _of_all_fleets(state: State, pick: Callable[[FleetState], T]) -> T:
-    """Return something of all fleets, one after the other."""
+    """Return ``pick`` of every fleet, concatenated."""
     return concatenated([pick(fleet) for fleet in state.fleets])
 
 
 def _low(state: State) -> Vec3 | None:
-    """Return the rounding errors of positions (n,) in single precision, None in double precision."""
+    """Return the rounding remainders of positions (n,) in single precision, None in double precision."""
     if state.fleets[0].position_low_ned is None:
         return None
     return _of_all_fleets(state, lambda fleet: fleet.position_low_ned)
 
 
 def _minus(position: Vec3, low: Vec3 | None, place: Vec3) -> Vec3:
-    """Return positions of two parts minus a place."""
+    """Return positions, given in two parts (``low`` may be None), minus a place."""
     offset = position - place
     return offset if low is None else offset + low
 
 
 def _farther(flight: Flight, position: Vec3, low: Vec3 | None, flying: Array) -> tuple[Array, Array | None]:
-    """Return the distance flown (n,) [m] after a tick, and its rounding error, None in double precision."""
+    """Return the distance flown (n,) [m] after a tick, and its rounding remainder, None in double precision."""
     if low is None:
         way = (position - flight.position_ned).norm()
         return flight.distance + jnp.where(flying, way, 0.0), None
@@ -256,11 +256,12 @@ def _farther(flight: Flight, position: Vec3, low: Vec3 | None, flying: Array) ->
 
 
 def _as_int(counts: Array) -> Array:
+    """Return counts as int32."""
     return counts.astype(jnp.int32)
 
 
 def _moves(world: World) -> Array:
-    """Return which vehicles (n,) fly by commands; only their clearance from the edges of the area is of interest."""
+    """Return (n,) bool: the vehicle flies by commands, so that its clearance from all limits counts."""
     each = [
         np.full(fleet.size, bool(fields_of(fleet.vehicle.command_type)) and not fleet.vehicle.rides)
         for fleet in world.fleets
@@ -269,7 +270,7 @@ def _moves(world: World) -> Array:
 
 
 def _unfinished(world: World, state: State) -> Floats:
-    """Return which vehicles (W, n) still flew a mission that has an end, 0 or 1."""
+    """Return (W, n), 1 or 0: the vehicle still flew a mission that has an end."""
     each = []
     for fleet, now in zip(world.fleets, state.fleets, strict=True):
         flies = np.asarray(now.violation.code) == 0
@@ -287,7 +288,7 @@ def _unfinished(world: World, state: State) -> Floats:
 
 
 def _clearances(world: World, position_ned: Vec3) -> tuple[Array, Array, Array]:
-    """Return the distances (n,) [m] from the sides, the ceiling and the floor, NaN for a floor that is the ground.
+    """Return the distances (n,) [m] from sides, ceiling and floor of the area, NaN for a floor that is the ground.
 
     So is a floor at z = 0 where the ground is lower: it ends no flight (``over_the_floor``), and vehicles stand below.
     """
@@ -298,12 +299,12 @@ def _clearances(world: World, position_ned: Vec3) -> tuple[Array, Array, Array]:
 
 
 def _smaller(known: Array, new: Array, counts: Array) -> Array:
-    """Return the smaller of two numbers (n,), where the new one counts."""
+    """Return ``new`` (n,) where ``counts`` and smaller, else ``known``."""
     return jnp.fmin(known, jnp.where(counts & jnp.isfinite(new), new, jnp.nan))
 
 
 def _goal(world: World, state: State) -> Vec3:
-    """Return the waypoint of each vehicle (n,), NaN if its set-point is of another kind or below the ground."""
+    """Return the waypoint (n,) [m] of each vehicle, NaN for other set-points and points below the ground."""
     goals = []
     for fleet in state.fleets:
         nowhere = fleet.vehicle.position_ned.map(lambda axis: jnp.full_like(axis, jnp.nan))
@@ -318,7 +319,7 @@ def _goal(world: World, state: State) -> Vec3:
 
 
 def _radius(state: State) -> Array | None:
-    """Return the radius (n,) [m] of the circle that each vehicle flies, 0 on a leg; None where no fleet has circles."""
+    """Return the radius (n,) [m] of the circle that each vehicle flies, 0 on a line; None if no fleet flies circles."""
     if not any(isinstance(fleet.setpoint, TrackSetpoint) for fleet in state.fleets):
         return None
     return jnp.concatenate(
@@ -332,18 +333,18 @@ def _radius(state: State) -> Array | None:
 
 
 def _distance_from_circle(offset: Vec3, radius: Array) -> Array:
-    """Return the distance (n,) [m] from level circles, at an offset (n,) [m] from their centres."""
+    """Return the distance (n,) [m] from level circles of ``radius``, at offsets (n,) [m] from their centres."""
     beside = root(offset.x * offset.x + offset.y * offset.y) - jnp.abs(radius)
     return root(beside * beside + offset.z * offset.z)
 
 
 def _or_else(preferred: Vec3, other: Vec3) -> Vec3:
-    """Return ``preferred``, and ``other`` for vehicles where it is NaN."""
+    """Return ``preferred``, replaced by ``other`` for vehicles with NaN."""
     return select(jnp.isfinite(preferred.x), preferred, other)
 
 
 def _distance_from_leg(offset: Vec3, start: Vec3, end: Vec3) -> Array:
-    """Return the distance (n,) [m] from the leg between two points; from the point where they coincide.
+    """Return the distance (n,) [m] from the leg between two points, which may coincide.
 
     Args:
         offset: position minus start.
@@ -356,7 +357,7 @@ def _distance_from_leg(offset: Vec3, start: Vec3, end: Vec3) -> Array:
 
 
 def _nearest(position: Vec3) -> Array:
-    """Return the distance (n,) [m] to the nearest other vehicle, infinite for one alone."""
+    """Return the distance (n,) [m] to the nearest other vehicle, infinite for a single vehicle."""
     offsets = [axis[:, None] - axis[None, :] for axis in (position.x, position.y, position.z)]
     square = sum(offset * offset for offset in offsets)
     itself = jnp.eye(position.x.shape[0], dtype=bool)

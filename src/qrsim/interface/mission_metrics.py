@@ -35,11 +35,11 @@ class Margin:
 
     @staticmethod
     def none(like: Array) -> Margin:
-        """Return the start, for vehicles (n,)."""
+        """Return an empty record for vehicles (n,)."""
         return Margin(Extreme.none(like), jnp.full(like.shape, -1, jnp.int32))
 
     def update(self, distance: Array, leg: Array, tick: Array, position_ned: Vec3, counts: Array) -> Margin:
-        """Update with a distance (n,) [m] on a leg (n,), where it counts (n,) and is finite."""
+        """Return the record with a smaller distance (n,) [m] on a leg (n,) kept, where ``counts`` and finite."""
         found = self.extreme.update(-distance, tick, position_ned, counts & jnp.isfinite(distance))
         return Margin(found, jnp.where(found.tick == tick, leg, self.leg))
 
@@ -68,7 +68,7 @@ class MissionMetrics:
     """
 
     def init(self, world: World, state: State) -> MissionFlight:
-        """Start with the first state."""
+        """Return the metrics' memory after the first state."""
         flight = FLIGHT_METRICS.init(world, state)
         like = flight.position_ned.x
         count, never = jnp.zeros(like.shape, jnp.int32), jnp.full(like.shape, -1, jnp.int32)
@@ -86,7 +86,7 @@ class MissionMetrics:
         )
 
     def update(self, memory: MissionFlight, world: World, state: State, tick: Array) -> MissionFlight:
-        """Update with the state at a tick."""
+        """Return the metrics' memory after the state at a tick."""
         flight = FLIGHT_METRICS.update(memory.flight, world, state, tick)
         flying = flight.stopped < 0
         flies = airborne(world, state)
@@ -114,7 +114,7 @@ class MissionMetrics:
         return select(memory.ended, memory, now)
 
     def finish(self, memory: MissionFlight, world: World, state: State) -> dict[str, Floats]:
-        """Compute the metrics by name, each (W, n), from the memory of W worlds (host arrays)."""
+        """Return the metrics by name, each (W, n), from the memory of W worlds (NumPy arrays)."""
         dt = world.time_step
 
         def when(tick: npt.ArrayLike) -> Floats:
@@ -143,12 +143,12 @@ class MissionMetrics:
         return found
 
     def ended(self, memory: MissionFlight) -> Array:
-        """Return whether a world has ended, () bool."""
+        """Return () bool: all missions of the world have ended."""
         return memory.ended
 
 
 def _on_missions(world: World, state: State) -> npt.NDArray[np.bool_]:
-    """Return which vehicles (n,) have a mission."""
+    """Return (n,) bool: the vehicle flies a mission."""
     each = [
         np.full(fleet.size, isinstance(now.guidance, MissionState) and bool(fields_of(fleet.vehicle.command_type)))
         for fleet, now in zip(world.fleets, state.fleets, strict=True)
@@ -157,13 +157,13 @@ def _on_missions(world: World, state: State) -> npt.NDArray[np.bool_]:
 
 
 def _moving(world: World) -> Array:
-    """Return which vehicles (n,) fly by commands; the others never finish and keep no world from its end."""
+    """Return (n,) bool: the vehicle flies by commands; others are not waited for at the end."""
     each = [np.full(fleet.size, bool(fields_of(fleet.vehicle.command_type))) for fleet in world.fleets]
     return jnp.asarray(np.concatenate(each))
 
 
 def _progress(world: World, state: State, flies: Array) -> tuple[Array, Array, Array, Array]:
-    """Return whether each vehicle (n,) has finished, was landed by a failsafe, its leg, and whether that is a cruise.
+    """Return, each (n,): mission finished, landed by a failsafe, number of the leg, leg is a cruise.
 
     A cruise is a leg between take-off and landing. Legs count from 1.
     """
@@ -189,7 +189,7 @@ def _progress(world: World, state: State, flies: Array) -> tuple[Array, Array, A
 
 
 def _distances(world: World, position_ned: Vec3, flying: Array) -> tuple[Array, ...]:
-    """Return the distances (n,) [m] of MARGINS; infinite or NaN where there is none."""
+    """Return the distances (n,) [m] named in MARGINS; infinite or NaN without the object."""
     obstacle, _ = world.obstacles.nearest(position_ned)
     sides, ceiling, _ = world.area.clearances(position_ned)
     height = world.ground_down(position_ned) - position_ned.z
@@ -197,7 +197,7 @@ def _distances(world: World, position_ned: Vec3, flying: Array) -> tuple[Array, 
 
 
 def _between(position_ned: Vec3, flying: Array) -> Array:
-    """Return the distance (n,) [m] of the nearest other vehicle in the air, infinite without one or for very many."""
+    """Return the distance (n,) [m] to the nearest other vehicle in the air, infinite without or in large fleets."""
     count = flying.shape[0]
     if not 2 <= count <= MOST_FOR_SEPARATION:
         return jnp.full_like(position_ned.x, jnp.inf)

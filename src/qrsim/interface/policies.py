@@ -40,11 +40,11 @@ class WithMemory(Protocol):
     """A user's own object that is compiled into the loop."""
 
     def init(self, reading: object) -> object:
-        """Return its memory."""
+        """Return the initial memory for a first reading."""
         ...
 
     def step(self, reading: object, memory: object) -> object:
-        """Return the result and the new memory, which is checked when it is called."""
+        """Return the result (commands or estimates) and the new memory."""
         ...
 
 
@@ -56,7 +56,7 @@ class _Readings(Protocol):
         """Names of the fleets and vehicles."""
 
     def of(self, name: str) -> _Readings:
-        """Return the readings of one of them."""
+        """Return the readings of one fleet or vehicle by name."""
 
 
 class Compiled(Protocol):
@@ -92,7 +92,7 @@ class UserFunction:
 
     @contextmanager
     def blamed(self, where: str = "") -> Iterator[None]:
-        """Add the function and the line at fault to every error of the context.
+        """Add the function's name and the line at fault to every error raised in the context.
 
         Raises:
             UsageError: as raised inside, with a longer message.
@@ -121,7 +121,7 @@ class UserFunction:
 
 
 def user_function(what: str, given: object) -> UserFunction | None:
-    """Wrap a user's policy or estimator; None for None.
+    """Return a user's policy or estimator wrapped as a ``UserFunction``; None for None.
 
     Raises:
         UsageError: it is none of the kinds above, or takes other arguments.
@@ -152,13 +152,14 @@ def user_function(what: str, given: object) -> UserFunction | None:
     _check_arguments(what, name, plain, ["reading"])
 
     def step(reading: object, memory: object) -> tuple[object, object]:
+        """Return the function's result; it has no memory."""
         return plain(reading), memory
 
     return UserFunction(what, name, Itself(given), compiled, lambda reading: None, step, given)
 
 
 def _of_class(what: str, name: str, given: type) -> UserFunction:
-    """Wrap a class of which each world has an object."""
+    """Return a wrapped class, of which each world gets an instance as its memory."""
     if hasattr(given, "init") and hasattr(given, "step"):
         raise UsageError(f"{what} {name}: a class with init and step; give an object of it, {name}(...)")
     if "__call__" not in vars(given) and not any("__call__" in vars(base) for base in given.__mro__[1:-1]):
@@ -167,13 +168,14 @@ def _of_class(what: str, name: str, given: type) -> UserFunction:
     _check_arguments(what, f"{name}.__call__", given.__call__, ["self", "reading"])
 
     def step(reading: object, memory: object) -> tuple[object, object]:
+        """Return the result of the world's instance, which is the memory."""
         return cast(Callable[[object], object], memory)(reading), memory
 
     return UserFunction(what, name, Itself(given), False, lambda reading: given(), step, given)
 
 
 def _of_teams(what: str, given: Mapping[object, object]) -> UserFunction:
-    """Wrap a policy for each of some fleets or vehicles, by name."""
+    """Return one wrapped policy made of several, for fleets or vehicles by name."""
     if what != "policy":
         raise UsageError(f"{what}: a dict by fleet is for policies alone; an {what} speaks for all vehicles")
     members = {name: user_function(what, each) for name, each in given.items()}
@@ -182,12 +184,14 @@ def _of_teams(what: str, given: Mapping[object, object]) -> UserFunction:
         raise UsageError(f"{what}: the dict names no policy for any fleet or vehicle")
 
     def init(reading: _Readings) -> object:
+        """Return each policy's memory by name; raise UsageError for unknown fleets and vehicles."""
         for name in own:
             if name not in reading.names:
                 raise UsageError(f"no fleet and no vehicle is called '{name}'{did_you_mean(name, reading.names)}")
         return {name: _blamed(name, partial(member.init, reading.of(name))) for name, member in own.items()}
 
     def step(reading: _Readings, memory: Mapping[str, object]) -> tuple[object, object]:
+        """Return the commands of all policies by name, and their memories."""
         asked: dict[str, object] = {}
         after: dict[str, object] = {}
         for name, member in own.items():
@@ -203,7 +207,7 @@ def _of_teams(what: str, given: Mapping[object, object]) -> UserFunction:
 
 
 def _blamed(team: str, call: Callable[[], T]) -> T:
-    """Call one of several policies; its errors name it."""
+    """Return ``call()``; a UsageError in it gets the name of the team in front."""
     try:
         return call()
     except UsageError as error:
@@ -211,7 +215,7 @@ def _blamed(team: str, call: Callable[[], T]) -> T:
 
 
 def _take(asked: dict[str, object], team: str, theirs: object, names: Sequence[str]) -> None:
-    """Add the commands of one policy to ``asked``; refuse vehicles of others and a second command."""
+    """Add the commands of one team's policy to ``asked``; raise UsageError for others' vehicles or a second command."""
     each = theirs if isinstance(theirs, Mapping) else {team: theirs}
     for name, command in each.items():
         if name not in names:
@@ -235,7 +239,7 @@ def _check_arguments(what: str, name: str, function: Callable[..., object], argu
 
 
 def sources_by_team(source: str) -> dict[str, str] | None:
-    """Return the source of each team of ``TEAM=SOURCE,TEAM=SOURCE``; None where it is one source for all."""
+    """Return {team: source} for ``TEAM=SOURCE,TEAM=SOURCE``; None for a single source."""
     pairs = [part.partition("=") for part in source.split(",")]
     if not all(equals and name.strip() and ":" not in name for name, equals, _ in pairs):
         return None
@@ -243,7 +247,7 @@ def sources_by_team(source: str) -> dict[str, str] | None:
 
 
 def load_function(what: str, source: str, words: Sequence[str] = ()) -> object:
-    """Load the function ``module:name`` or ``file.py:name``, see ``qrsim.files.code``.
+    """Return the function ``module:name`` or ``file.py:name``, or a dict of functions for a list ``TEAM=...,TEAM=...``.
 
     ``scouts=file.py:one,cats=file.py:other`` is a dict of these, a policy for each fleet or vehicle.
 

@@ -35,12 +35,12 @@ class FleetReading(Tabled):
 
     @property
     def estimate(self) -> EstimateReading:
-        """Estimate of the fleet's own estimator now; without one, what its controller was fed with last."""
+        """Present estimate of the fleet's own estimator, else the last one that its controller used."""
         return estimate_of(self._source.now, self._source.rows)
 
     @property
     def estimate_std(self) -> EstimateReading | None:
-        """Standard deviations that the estimator reports, None where it reports none."""
+        """Standard deviations that the estimator reports, None without."""
         return std_of(self._source.now, self._source.rows)
 
     def __getattr__(self, sensor: str) -> SensorReading:
@@ -55,7 +55,7 @@ class FleetReading(Tabled):
         return [*super().__dir__(), *self.sensors]
 
     def _cells(self, columns: int) -> list[tuple[str, ...]]:
-        """Return a row for each field of each sensor, and of the estimate."""
+        """Return a table row for each field of each sensor and of the estimate."""
         rows = [
             (f"{sensor}.{row[0]}", *row[1:])
             for sensor in self.sensors
@@ -124,19 +124,19 @@ class Reading(Tabled):
 
     @property
     def key(self) -> Floats:
-        """(2,) uint32: a key for random numbers of your own, another one at every tick and in every world.
+        """(2,) uint32: a key for users' random numbers, different at every tick and in every world.
 
         ``jax.random`` and ``numpy.random.default_rng`` take it; ``normals`` is for programs of qrsim's own compiler.
         """
         return cast(Floats, user_key(self._state, self.tick))
 
     def normals(self, count: int) -> Floats:
-        """Return ``count`` standard normals for each vehicle, (n, count), others at every tick and in every world."""
+        """Return ``count`` standard normals for each vehicle, (n, count), different at every tick and world."""
         drawn = user_normals(self._world, self._state, self.tick, count)
         return cast(Floats, drawn[self._all_rows()])
 
     def _all_rows(self) -> slice:
-        """Return which of all vehicles it is about."""
+        """Return the rows, among all vehicles of the world, that this reading covers."""
         begin = 0
         for fleet in self._world.fleets:
             if fleet.name in self.fleets and self._only is not None:
@@ -146,7 +146,7 @@ class Reading(Tabled):
         return slice(0, begin)
 
     def _rows(self, fleet: Fleet) -> slice:
-        """Return which vehicles of a fleet it is about."""
+        """Return the rows of one fleet that this reading covers."""
         if self._only is None or self._only == fleet.name:
             return slice(None)
         row = fleet.vehicle_names.index(self._only)
@@ -162,14 +162,14 @@ class Reading(Tabled):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all that it is about: of the fleets, and of their vehicles."""
+        """Names of the fleets that this reading covers, and of their vehicles."""
         if self._only is not None and self._only not in self.fleets:
             return (self._only,)
         own = [fleet for fleet in self._world.fleets if fleet.name in self.fleets]
         return (*self.fleets, *(name for fleet in own for name in fleet.vehicle_names))
 
     def of(self, name: str) -> Reading:
-        """Return the readings of one fleet or of one vehicle alone, whose arrays are then (1, ...).
+        """Return the reading of one fleet, or of one vehicle with arrays (1, ...).
 
         Raises:
             UsageError: none is called so.
@@ -200,6 +200,7 @@ class Reading(Tabled):
         return [*super().__dir__(), *alone]
 
     def _ipython_key_completions_(self) -> list[str]:
+        """Return the names of fleets, for completion in IPython."""
         return list(self.fleets)
 
     def _table(self) -> Table:

@@ -49,7 +49,7 @@ class StateOffsets:
 
     @cached_property
     def _tree(self) -> State:
-        """The state's structure with the number and shape of each leaf in place of the leaf."""
+        """State with the number and shape of each leaf in the leaf's place."""
         tree: State = jax.tree.unflatten(
             self.layout.structure, map(Leaf, *zip(*enumerate(self.layout.shapes), strict=True))
         )
@@ -57,11 +57,11 @@ class StateOffsets:
 
     @cached_property
     def in_two_parts(self) -> bool:
-        """True if positions have a second part, the rounding error of the first, as in single precision."""
+        """True if positions have a second part, the rounding remainder, as in single precision."""
         return self._tree.fleets[0].position_low_ned is not None
 
     def of_readings(self, fleet: int, sensor: int) -> Mapping[str, Offsets]:
-        """Return the offsets of each field of a sensor's reading that is an array of floats, by name."""
+        """Return, by field, the buffer offsets of a sensor's reading; only fields that are float arrays."""
         offsets = self._readings.get((fleet, sensor))
         if offsets is None:
             reading: Record = self._tree.fleets[fleet].readings[sensor]
@@ -71,7 +71,7 @@ class StateOffsets:
         return offsets
 
     def of_vehicles(self, name: str, pick: Callable[[World, State, int], object]) -> Offsets | None:
-        """Return the offsets of a quantity of all vehicles, (n, ...); None if it is not stored but computed.
+        """Return the buffer offsets (n, ...) of a quantity of all vehicles; None if it is not stored.
 
         Args:
             name: of the quantity.
@@ -84,7 +84,7 @@ class StateOffsets:
         return self._of_vehicles[name]
 
     def _offsets_of_fleet(self, pick: Callable[[World, State, int], object], fleet: int) -> Offsets | None:
-        """Return the offsets (n, ...) of the quantity that ``pick`` selects from a fleet's state, or None."""
+        """Return the buffer offsets (n, ...) of what ``pick`` selects from a fleet's state, or None."""
         try:
             offsets = self._offsets(pick(self._world, self._tree, fleet))
         except Exception:
@@ -95,7 +95,7 @@ class StateOffsets:
         return None if offsets is None or offsets.shape[:1] != (self._world.fleets[fleet].size,) else offsets
 
     def _offsets(self, value: object) -> Offsets | None:
-        """Return the offsets of stand-ins, with the axes of vectors and the entries of tuples stacked; or None."""
+        """Return the buffer offsets of a leaf, or of a vector or tuple of leaves stacked; None for others."""
         if isinstance(value, Leaf):
             layout, number = self.layout, value.number
             if not layout.is_float[number]:
@@ -161,7 +161,7 @@ class Seen:
         self._whole: State | None = None
 
     def keep(self) -> None:
-        """Copy the buffers, unless they are a copy already."""
+        """Copy the buffers, so that later ticks cannot change this state; once is enough."""
         while not self._kept:
             before = self._buffers
             copy = (np.array(before[0]), np.array(before[1]))
@@ -169,7 +169,7 @@ class Seen:
                 self._buffers, self._kept = copy, True
 
     def at(self, offsets: Offsets) -> Floats:
-        """Return the numbers at some offsets, in an array of the same shape."""
+        """Return the numbers at ``offsets`` in the float buffer, shaped as ``offsets``."""
         while True:
             buffers = self._buffers
             found: Floats = buffers[0].take(offsets)
@@ -177,14 +177,14 @@ class Seen:
                 return found
 
     def opened(self, numbers: object) -> object:
-        """Return a part of the state by the numbers of its leaves."""
+        """Return a part of the state, given as a tree of leaf numbers."""
         if isinstance(numbers, tuple | State | FleetState):
             return Part(self, numbers)
         part: object = jax.tree.map(self._leaf, numbers)
         return part
 
     def _leaf(self, number: int) -> Floats:
-        """Return a copy of a leaf of the state, again if the state changed while it was copied."""
+        """Return a copy of leaf number ``number``, taken again if the state changed meanwhile."""
         while True:
             buffers = self._buffers
             found: Floats = np.array(self.offsets.layout.leaf(buffers, number))

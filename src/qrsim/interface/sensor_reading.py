@@ -47,7 +47,7 @@ class SensorReading(Tabled):
 
     @property
     def _reading(self) -> Record:
-        """The record that the sensor returned last."""
+        """The sensor's last reading, as a record."""
         if self._given is None:
             assert self._source is not None
             self._given = self._source.record(self._name)
@@ -58,9 +58,10 @@ class SensorReading(Tabled):
         """Names of the sensor's fields."""
         said = vars(self._reading)
         own = tuple(
-            field.name for field in dataclasses.fields(self._reading)
+            field.name
+            for field in dataclasses.fields(self._reading)
             if field.name not in _UNASKED or jax.tree.leaves(said[field.name])
-        )  # fmt: skip
+        )
         if isinstance(self._reading, GnssReading):
             more = ["latitude_deg", "longitude_deg", "height", "fix_type"]
             if isinstance(self._reading, GnssFix) and self._timed:
@@ -72,7 +73,7 @@ class SensorReading(Tabled):
 
     @property
     def time_of_reading(self) -> Floats:
-        """Time (n,) [s] at which what is reported was true; that of the start until a first delayed reading arrives.
+        """Time (n,) [s] at which the reading was taken; the start's until a first delayed reading arrives.
 
         It is in double precision, but for compiled programs in single precision, where a day has steps of 8 ms.
         """
@@ -80,12 +81,12 @@ class SensorReading(Tabled):
 
     @property
     def tick_of_reading(self) -> Floats:
-        """Tick (n,), a whole number, at which the reading was true; exact in compiled programs too."""
+        """Tick (n,), a whole number, at which the reading was taken; exact in compiled programs too."""
         return self._for_each(FleetSource.taken)
 
     @property
     def fresh(self) -> Floats:
-        """(n,) bool: the reading has arrived at this very tick, and is not held since an earlier one."""
+        """(n,) bool: the reading has arrived at this very tick; False while an earlier one is held."""
         return self._for_each(FleetSource.arrived)
 
     @property
@@ -94,7 +95,7 @@ class SensorReading(Tabled):
         return self._source is not None and self._source.time_step > 0.0
 
     def _for_each(self, time_of: Callable[[FleetSource, str], Any]) -> Floats:
-        """Return a time [s] of the readings for each vehicle (n,)."""
+        """Return ``time_of`` the reading, broadcast to (n,); raise UsageError if times are unknown."""
         if self._source is None or not self._timed:
             raise UsageError(f"{self._name}: the time of its readings is not available here")
         leaf = jax.tree.leaves(self._reading)[0]
@@ -113,7 +114,7 @@ class SensorReading(Tabled):
         ][self._rows]
 
     def _own_reason(self, vehicle: int) -> str:
-        """Return why the sensor itself has nothing to say about a vehicle."""
+        """Return the sensor's own reason for a vehicle's incomplete reading, as text."""
         if not isinstance(self._reading, GnssReading):
             return self._reading.reason(vehicle) if isinstance(self._reading, Explained) else "not available"
         satellites = self._reading.satellites
@@ -152,7 +153,7 @@ class SensorReading(Tabled):
         return found[self._rows]
 
     def _derived(self, field: str) -> Floats:
-        """Return a field that is computed from others: quaternion, fix type, latitude, picture."""
+        """Return a field computed from others: quaternion, fix type, latitude or picture."""
         if field == "quaternion":
             return quaternion_of(as_array(cast(AttitudeReading, self._reading).attitude))
         if field in PICTURE_FIELDS:
@@ -167,7 +168,7 @@ class SensorReading(Tabled):
         return {"latitude_deg": np.degrees(latitude), "longitude_deg": np.degrees(longitude), "height": height}[field]
 
     def _of_picture(self, field: str) -> Floats:
-        """Return a field of the picture that a camera took."""
+        """Return a field of the camera's last picture."""
         if self._source is None or not self._source.pictured:
             raise UsageError(
                 f"{self._name}.{field}: not available here; a policy needs jax.jit, or init and step, for it"
@@ -185,7 +186,7 @@ class SensorReading(Tabled):
 
     @property
     def _traced(self) -> bool:
-        """True for a fix in a program that is being compiled, which has no position on the ellipsoid."""
+        """True for a GNSS fix in a program that is being compiled, which has no geodetic position."""
         reading = self._reading
         return isinstance(reading, GnssReading) and isinstance(reading.position_ned.x, jax.core.Tracer)
 
@@ -195,7 +196,7 @@ class SensorReading(Tabled):
         return {name: own.get(name) or _UNITS.get(name, "") for name in self.fields}
 
     def _cells(self, columns: int) -> list[tuple[str, ...]]:
-        """Return a row for each field: name, unit, and the numbers of each vehicle."""
+        """Return a table row for each field: name, unit, and the numbers of each vehicle."""
         rows = []
         for name, unit in self._units().items():
             if name in PICTURE_FIELDS:
@@ -222,6 +223,13 @@ PICTURE_FIELDS = ("ratio", "corners_ned", "grid")
 _GEODETIC = ("latitude_deg", "longitude_deg", "height")
 # Of fields that no model declares.
 _UNITS = {
-    "latitude_deg": "deg", "longitude_deg": "deg", "height": "m", "fix_type": "1", "time_of_fix": "s",
-    "quaternion": "1", "ratio": "1", "corners_ned": "m", "grid": "1",
-}  # fmt: skip
+    "latitude_deg": "deg",
+    "longitude_deg": "deg",
+    "height": "m",
+    "fix_type": "1",
+    "time_of_fix": "s",
+    "quaternion": "1",
+    "ratio": "1",
+    "corners_ned": "m",
+    "grid": "1",
+}

@@ -50,7 +50,7 @@ class Slot:
             first += size
 
     def take(self, command: object) -> bool:
-        """Write a command into the program's numbers; return False if it needs the full check."""
+        """Write a command into the program's numbers and return True; return False if it needs the full check."""
         try:
             leaves = self._leaves(command)
         except (TypeError, ValueError, OverflowError):
@@ -69,7 +69,7 @@ class Slot:
 
 
 def slot_of(command: object, actions: Sequence[Action], numbers: Numbers, checker: ActionChecker) -> Slot | None:
-    """Return a slot for further commands of the same form as one that was flown; None if each needs the full check.
+    """Return a slot for further commands of the same form as ``command``; None if each needs the full check.
 
     Args:
         command: as the user passed it, for all vehicles.

@@ -41,16 +41,16 @@ class FleetSource:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the vehicles that are shown."""
+        """Names of the vehicles in ``rows``."""
         return self.fleet.vehicle_names[self.rows]
 
     @cached_property
     def now(self) -> FleetState:
-        """State of the fleet."""
+        """Present state of the fleet."""
         return self.state.fleets[self.number]
 
     def offsets(self, sensor: str) -> Mapping[str, Offsets]:
-        """Return the offsets of the fields of a sensor's reading by name; empty if the state is not packed."""
+        """Return the buffer offsets of a sensor's fields by name; {} if the state is not packed."""
         state = self.state
         if not isinstance(state, Seen):
             return {}
@@ -58,11 +58,11 @@ class FleetSource:
 
     @property
     def pictured(self) -> bool:
-        """True if cameras have pictures: they need a whole state, which a rollout does not give between two ticks."""
+        """True if pictures can be computed: the whole state is known, unlike inside of a rollout."""
         return isinstance(self.state, State | Seen)
 
     def picture(self, camera: str) -> Picture:
-        """Return the picture that each vehicle (n,) took last, as NumPy arrays outside of compiled functions."""
+        """Return the last picture of each vehicle (n,), as NumPy arrays outside of compiled functions."""
         state = whole(self.state)
         world = self.world.with_drawn(state.drawn)
         if isinstance(state.sky.range_error, jax.core.Tracer):
@@ -73,20 +73,20 @@ class FleetSource:
         return found
 
     def taken(self, sensor: str) -> int | Array:
-        """Return the tick at which the reading of a sensor was true."""
+        """Return the tick at which a sensor's last delivered reading was taken."""
         model, transit = self._delivery(sensor)
         tick = cast(Array, self.tick)
         taken = model.time_of_reading(tick, self.time_step) if transit is None else transit.time_of_reading(tick)
         return cast(int, _on_host(taken))
 
     def arrived(self, sensor: str) -> bool | Array:
-        """Return whether a sensor's reading arrives at this tick."""
+        """Return whether a sensor's reading arrives at the present tick."""
         model, transit = self._delivery(sensor)
         tick = cast(Array, self.tick)
         return _on_host(model.fresh(tick, self.time_step) if transit is None else transit.fresh(tick))
 
     def _delivery(self, sensor: str) -> tuple[Sensor, Transit | None]:
-        """Return a sensor's model and its readings in transit, None without a delay."""
+        """Return a sensor, and its readings in transit, None without a delay."""
         number = self.fleet.sensor_names.index(sensor)
         fitted = self.now.fitted[number] if self.now.fitted else None
         return self.fleet.sensors[number], None if fitted is None else fitted.transit
@@ -96,7 +96,7 @@ class FleetSource:
         return self.now.readings[self.fleet.sensor_names.index(sensor)]
 
     def withheld(self, sensor: str) -> list[str]:
-        """Return why nothing of a sensor reaches the user, for each vehicle; "" where its readings do."""
+        """Return, for each vehicle, the reason why a sensor's reading is missing, "" if it is not."""
         violation = self.now.violation
         stopped = [
             f"stopped, {reason_text(int(code), float(value))}" if code else ""
@@ -106,7 +106,7 @@ class FleetSource:
         return [why or fault or sky for why, (fault, sky) in zip(stopped, others, strict=True)]
 
     def _faults(self, sensor: str) -> list[str]:
-        """Return which fault takes away the readings of each vehicle; of several, the one applied last."""
+        """Return, for each vehicle, the fault that takes away its readings as text, "" without; the last if several."""
         found = [""] * self.fleet.size
         for fault, memory in zip(self.fleet.all_faults, self.now.passed_on, strict=True):
             if fault.sensor != sensor:
@@ -124,7 +124,7 @@ class FleetSource:
         return found
 
     def _without_orbits(self, sensor: str) -> list[str]:
-        """Say where a receiver has no fix because the orbits have ended, or have a gap."""
+        """Return, for each vehicle, "" or a text that the orbits give no satellite at this time."""
         reading = self.record(sensor)
         if not isinstance(reading, GnssReading) or np.isfinite(self.state.sky.satellites_ned.z).any():
             return [""] * self.fleet.size
@@ -133,7 +133,7 @@ class FleetSource:
 
 
 def whole(state: State) -> State:
-    """Return all of a state that is perhaps seen in parts."""
+    """Return the complete state, unpacked if ``state`` is one that is read in parts."""
     return state.whole() if isinstance(state, Seen) else state
 
 
@@ -141,5 +141,5 @@ _developed = jax.jit(picture, static_argnums=(2, 3))
 
 
 def _on_host(value: object) -> Any:
-    """Return an array as NumPy's, unless a program is being compiled."""
+    """Return an array as a NumPy array, unless a program is being compiled."""
     return np.asarray(value) if isinstance(value, Array) and not isinstance(value, jax.core.Tracer) else value

@@ -23,14 +23,14 @@ class Takeovers:
 
     @staticmethod
     def none(state: State, like: Array) -> Takeovers | None:
-        """Return the start; None where no fleet has failsafes."""
+        """Return the counts at the start; None if no fleet has failsafes."""
         if _actions(state) is None:
             return None
         count, nowhere = jnp.zeros(like.shape, jnp.int32), jnp.full_like(like, jnp.nan)
         return Takeovers(count, jnp.full_like(count, -1), Vec3(nowhere, nowhere, nowhere))
 
     def update(self, state: State, tick: Array, position_ned: Vec3, flying: Array) -> Takeovers:
-        """Update with the state at a tick; ``flying`` (n,) is which vehicles still fly."""
+        """Return the counts after a tick; only vehicles in ``flying`` (n,) still fly."""
         actions = _actions(state)
         assert actions is not None
         actions = jnp.where(flying, actions, 0)
@@ -62,7 +62,7 @@ def takeover_metrics(found: Takeovers | None, like: Floats, dt: float) -> dict[s
 
 
 def _actions(state: State) -> Array | None:
-    """Return the action (n,) of each vehicle's failsafes, 0 in a fleet without; None where no fleet has any."""
+    """Return the failsafe action (n,) of each vehicle, 0 without; None if no fleet has failsafes."""
     if all(fleet.failsafe is None for fleet in state.fleets):
         return None
     return jnp.concatenate(

@@ -39,7 +39,7 @@ class Truth(Tabled):
         self._state = cast(State, seen)
 
     def _of_vehicles(self, name: str, pick: Callable[[World, State, int], object]) -> Floats:
-        """Return something of the states of all vehicles, by the number of their fleet."""
+        """Return ``pick(world, state, fleet number)`` of all fleets as one array (n, ...)."""
         offsets = self._seen.offsets.of_vehicles(name, pick)
         if offsets is not None:
             return self._seen.at(offsets)

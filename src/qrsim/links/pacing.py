@@ -65,7 +65,7 @@ class Pacer:
         self.worst_delay = 0.0
 
     def wait_s(self, simulated: float) -> float:
-        """Count a step that ends at a simulated time [s], and return the delay of its reply [s]."""
+        """Count a step that ends at a simulated time [s]; return how long [s] to wait before replying, 0 if late."""
         self.steps += 1
         self._last = simulated
         if not self.factor:
@@ -75,11 +75,11 @@ class Pacer:
         return max(0.0, until)
 
     def until_s(self, simulated: float) -> float:
-        """Return how long it is [s] until the state of a simulated time [s] is due; negative where it is late."""
+        """Return the wall time [s] until the state of a simulated time [s] is due; negative if it is late."""
         return self._anchor[1] + (simulated - self._anchor[0]) / self.factor - self._clock()
 
     def _note_delay(self, simulated: float, delay: float, allowed: float) -> None:
-        """Count an overrun if the state of a simulated time [s] is later than allowed [s]."""
+        """Count an overrun if ``delay`` [s] exceeds ``allowed`` [s]; a very long one restarts the schedule."""
         if delay <= allowed:
             return
         self.overruns += 1
@@ -126,7 +126,7 @@ class Metronome(Pacer):
         self._period = time_step / factor
 
     def ended(self, simulated: float) -> None:
-        """Count a tick whose state, of a simulated time [s], is out now."""
+        """Count a tick whose state, at a simulated time [s], has just been sent."""
         self.steps += 1
         self._last = simulated
         self._note_delay(simulated, -self.until_s(simulated), self._period)

@@ -24,18 +24,18 @@ class Log:
         self._thread.start()
 
     def say(self, line: str) -> None:
-        """Print a line soon; where a thousand wait already, it is left out."""
+        """Queue a line for the printing thread; it is dropped if the queue is full."""
         with suppress(queue.Full):
             self._lines.put_nowait(line)
 
     def close(self) -> None:
-        """Wait a moment for the lines to be read."""
+        """Print the queued lines, waiting at most about 2 s, and end the thread."""
         with suppress(queue.Full):
             self._lines.put(None, timeout=1.0)
             self._thread.join(1.0)
 
     def _print(self) -> None:
-        """Write the waiting lines until the end; the body of the thread."""
+        """Print queued lines until ``close``; the body of the thread."""
         with suppress(OSError):  # nobody reads any more
             while (line := self._lines.get()) is not None:
                 left = f"{line}\n".encode()

@@ -114,7 +114,7 @@ class GeoidPlane:
 
 
 def plane_of(site: Site, undulations: Callable[[Float64, Float64], Float64]) -> GeoidPlane:
-    """Return the plane of a geoid at a site.
+    """Return the plane of a geoid at a site, from a function of undulations [m] at latitudes and longitudes [deg].
 
     Args:
         site: the place.
@@ -128,7 +128,7 @@ def plane_of(site: Site, undulations: Callable[[Float64, Float64], Float64]) -> 
 
 
 def above_sea(geodetic: Float64, site: Site) -> Float64:
-    """Return places (..., 3) [deg, deg, m] near a site with heights above the sea instead of the ellipsoid."""
+    """Return places (..., 3) [deg, deg, m] near a site, their ellipsoidal heights replaced by heights above the sea."""
     latitude, longitude, height = (geodetic[..., i] for i in range(3))
     if site.geoid is None:
         return np.stack((latitude, longitude, height - undulation(latitude, longitude)), axis=-1)
@@ -138,7 +138,7 @@ def above_sea(geodetic: Float64, site: Site) -> Float64:
 
 
 def _checked(name: str, values: npt.ArrayLike, limit: float) -> Float64:
-    """Return angles [deg] as an array, or raise an error that names the first that is wrong."""
+    """Return angles [deg] as a float64 array; raise UsageError for the first one beyond +/- ``limit`` or NaN."""
     try:
         array = np.asarray(values)
     except ValueError:
@@ -154,12 +154,12 @@ def _checked(name: str, values: npt.ArrayLike, limit: float) -> Float64:
 
 
 def _weights(part: Float64) -> list[Float64]:
-    """Return Lagrange's weight of each of the points (...), at a place (...) in the cell, 0 to 1."""
+    """Return Lagrange's weights, a list with one (...) for each point, at positions (...) in the cell, 0 to 1."""
     return [*lagrange(part, POINTS, BEFORE)]
 
 
 def lagrange(place: float | Float64, points: int, before: int = 0) -> Float64:
-    """Return Lagrange's weights (points, ...) of the points -before, 1 - before and so on, at places (...)."""
+    """Return Lagrange's weights (points, ...) at places (...) for nodes at -before, 1 - before, 2 - before, ..."""
     weights = []
     for a in range(points):
         weight = np.ones_like(place, np.float64)

@@ -119,7 +119,7 @@ class Site:
 def _apply(
     function: Callable[..., Sequence[npt.ArrayLike]], name: str, points: npt.ArrayLike, *origin: float
 ) -> tuple[Float64, Float64, Float64]:
-    """Call a pymap3d function on points (..., 3); returns its three results, each (...)."""
+    """Return a pymap3d function's three results, each (...), for points (..., 3); raise UsageError for other shapes."""
     array = np.asarray(points, np.float64)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise UsageError(f"{name}: expected an array of shape (..., 3), got {array.shape}")
@@ -130,7 +130,7 @@ def _apply(
 
 
 def gps_minus_utc(when: datetime) -> int:
-    """Return GPS - UTC [s] at a time; the last known value (18 since 2017) holds after the table.
+    """Return GPS - UTC [s] at a time; beyond the table its last value (18 s since 2017).
 
     Raises:
         UsageError: the time is naive.
@@ -169,7 +169,7 @@ def utc_from_gps_seconds(gps_seconds: float) -> datetime:
 
 
 def _aware(when: datetime) -> datetime:
-    """Return a time that has a time zone; raise UsageError for one without."""
+    """Return the given time; raise UsageError if it has no time zone."""
     if when.utcoffset() is None:
         raise UsageError(f"{when.isoformat()} has no time zone; give one, for UTC '{when.isoformat()}+00:00'")
     return when

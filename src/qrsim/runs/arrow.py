@@ -13,7 +13,7 @@ from qrsim.runs.layout import numpy_dtype
 
 
 def column(values: NumpyArray) -> Any:
-    """Return an Arrow array of a NumPy array (n,) of numbers or bools, none of them missing."""
+    """Return an Arrow array of a NumPy array (n,) of numbers or bools, with no missing values."""
     values = np.ascontiguousarray(values)
     kind = pa.from_numpy_dtype(values.dtype)
     # Arrow packs eight bools into a byte.
@@ -22,7 +22,7 @@ def column(values: NumpyArray) -> Any:
 
 
 def numbers(values: Sequence[object], kind: object) -> Any:
-    """Return an Arrow array of numbers of a type; those that are None are missing."""
+    """Return an Arrow array of numbers of an Arrow type; None becomes a missing value."""
     present = np.array([value is not None for value in values], bool)
     plain = np.array([0 if value is None else value for value in values], numpy_dtype(kind))
     validity = pa.py_buffer(np.packbits(present, bitorder="little"))
@@ -30,7 +30,7 @@ def numbers(values: Sequence[object], kind: object) -> Any:
 
 
 def strings(values: Sequence[str | None]) -> Any:
-    """Return an Arrow array of strings; those that are None are missing."""
+    """Return an Arrow array of strings; None becomes a missing value."""
     present = np.array([value is not None for value in values], bool)
     encoded = [(value or "").encode() for value in values]
     ends = np.cumsum([0, *map(len, encoded)]).astype(np.int32)
@@ -39,7 +39,7 @@ def strings(values: Sequence[str | None]) -> Any:
 
 
 def names(values: Sequence[str | None]) -> Any:
-    """Return an Arrow array of few strings as indices into a dictionary of them; those that are None are missing."""
+    """Return a dictionary-encoded Arrow array of strings; None becomes a missing value."""
     known = list(dict.fromkeys(value for value in values if value is not None))
     indices = [None if value is None else known.index(value) for value in values]
     return pa.DictionaryArray.from_arrays(numbers(indices, pa.int32()), strings(known))

@@ -44,11 +44,11 @@ class Buffer:
         self.last_time: float | None = None
 
     def table(self, pending: Sequence[Any]) -> pa.Table:
-        """Return rows that were pending; the subclasses know their form."""
+        """Return pending rows as an Arrow table; each subclass has its own form of rows."""
         raise NotImplementedError
 
     def write(self, count: int) -> None:
-        """Write the first ``count`` pending entries as the next part; others may be added meanwhile."""
+        """Write the first ``count`` pending entries as the next part; more may be added at the same time."""
         sink = pa.BufferOutputStream()
         pq.write_table(self.table(self.pending[:count]), sink, use_dictionary=self.dictionaries, **_PARQUET)
         write_atomically(self.folder / part_name(self.number), sink.getvalue())
@@ -87,7 +87,7 @@ class VehicleRows(Buffer):
         return len(own_ticks) * shape[1], last_tick
 
     def table(self, pending: Sequence[Any]) -> pa.Table:
-        """Return rows that were pending, one per (time, vehicle), vehicles varying fastest."""
+        """Return pending rows as an Arrow table, one row per (time, vehicle), vehicles varying fastest."""
         count = len(self.vehicles)
         ticks = np.concatenate([chunk[0] for chunk in pending] or [np.zeros(0, np.int64)])
         times = np.concatenate([chunk[1] for chunk in pending] or [np.zeros(0)])
@@ -130,7 +130,7 @@ class EventRows(Buffer):
     """Rows of the events stream, pending as tuples in the order of its columns."""
 
     def table(self, pending: Sequence[Any]) -> pa.Table:
-        """Return events that were pending."""
+        """Return pending events as an Arrow table."""
         columns = list(zip(*pending, strict=True)) or [()] * len(self.schema)
         arrays = []
         for item, values in zip(self.schema, columns, strict=True):

@@ -46,13 +46,13 @@ RATIO = np.array([(20, 50, 130), (120, 138, 175), (216, 216, 216), (232, 212, 11
 
 
 def share(colour: Any) -> tuple[float, float, float]:
-    """Return a colour in parts of 1."""
+    """Return a colour of three bytes, 0 to 255, as fractions from 0 to 1."""
     red, green, blue = (float(part) / 255.0 for part in colour)
     return red, green, blue
 
 
 def on_scale(scale: Floats, part: Floats) -> Floats:
-    """Return colours (n, 3) at parts (n,) of a scale (K, 3), 0 to 1 and what is beyond."""
+    """Return colours (n, 3), uint8, at positions (n,) on a colour scale (K, 3), clipped to 0 to 1."""
     place = np.clip(part, 0.0, 1.0) * (len(scale) - 1)
     steps = np.arange(len(scale))
     return np.stack([np.interp(place, steps, scale[:, i]) for i in range(3)], axis=1).astype(np.uint8)

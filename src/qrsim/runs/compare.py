@@ -85,7 +85,7 @@ class StreamComparison:
 
     @property
     def same(self) -> bool:
-        """Whether nothing differs by more than the tolerance."""
+        """Whether no quantity differs by more than the tolerance."""
         return not (any(self.ticks_only) or any(self.columns_only) or self.other_units or self.differences)
 
 
@@ -178,12 +178,12 @@ def compare_runs(first: Run, second: Run, tolerance: float = 0.0, streams: Seque
 
 
 def _only(first: Sequence[str], second: Sequence[str]) -> tuple[Names, Names]:
-    """Return the names that only the first has, and those that only the second has."""
+    """Return the names that only ``first`` has, and the names that only ``second`` has."""
     return tuple(name for name in first if name not in second), tuple(name for name in second if name not in first)
 
 
 def _by_time(found: list[Difference]) -> list[Difference]:
-    """Return differences sorted by the time of the first one, then by size."""
+    """Return differences sorted by the time of first difference, then by size."""
     return sorted(found, key=lambda item: (item.first.time, -item.share))
 
 
@@ -224,7 +224,7 @@ class _Side:
         self._arrays: dict[str, NumpyArray] = {}
 
     def fill(self) -> bool:
-        """Read the next rows if none are left; return whether there are any."""
+        """Read the next batch if no rows are left; return False at the end."""
         while not len(self.keys):
             batch = next(self._batches, None)
             if batch is None:
@@ -235,7 +235,7 @@ class _Side:
         return True
 
     def take(self, until: int) -> tuple[NumpyArray, NumpyArray, dict[str, NumpyArray]]:
-        """Return keys, times and arrays of the ticks up to a key, and forget them."""
+        """Remove and return keys, times and arrays of the ticks up to a key (time in ns)."""
         count = int(np.searchsorted(self.keys, until, side="right"))
         taken = self.keys[:count], self._times[:count], {name: a[:count] for name, a in self._arrays.items()}
         self.keys, self._times = self.keys[count:], self._times[count:]
@@ -287,7 +287,7 @@ class _Tally:
     _range: list[float] = field(default_factory=lambda: [math.inf, -math.inf])
 
     def add(self, times: NumpyArray, mine: NumpyArray, others: NumpyArray) -> None:
-        """Count (T, n) values of the first and the second run."""
+        """Compare values (T, n) of the first and the second run, and add them to the statistics."""
         if not mine.size:
             return
         self.bit_identical &= _same_bits(mine, others)
@@ -322,7 +322,7 @@ class _Tally:
         return 0.0 if x == y else abs(x - y)
 
     def difference(self) -> Difference | None:
-        """Return the sum of all, None where nothing differs by more than the tolerance."""
+        """Return the accumulated difference; None if no value differs by more than the tolerance."""
         if self.first is None:
             return None
         rms = math.sqrt(self._squares / self._count) if self._count else math.nan
@@ -333,13 +333,13 @@ class _Tally:
         )
 
     def _moment(self, times: NumpyArray, x: NumpyArray, y: NumpyArray, place: int) -> Moment:
-        """Return time, vehicle and both values of an entry of the flattened arrays."""
+        """Return time, vehicle and both values at a flat index into (T, n) arrays."""
         row, column = divmod(place, x.shape[1])
         return Moment(float(times[row]), self.vehicles[column], (float(x[row, column]), float(y[row, column])))
 
 
 def _same_bits(first: NumpyArray, second: NumpyArray) -> bool:
-    """Return whether two arrays have one type and the same bits, or values that are both not a number."""
+    """Return whether two arrays have the same type and bits, counting NaN as equal to NaN."""
     if first.dtype != second.dtype:
         return False
     if first.dtype.kind != "f":
@@ -360,7 +360,7 @@ def _compare_injections(first: Sequence[Content], second: Sequence[Content]) -> 
 
 
 def _taken(left: Counter[str], entry: Content) -> bool:
-    """Take an entry from those that are left; return False where it is not among them."""
+    """Remove an injection from a multiset; return False if it is not in it."""
     asked = _injection_key(entry)
     left[asked] -= 1
     return left[asked] >= 0
@@ -372,7 +372,7 @@ def _injection_key(entry: Content) -> str:
 
 
 def _compare_events(first: Sequence[Event], second: Sequence[Event], tolerance: float) -> EventComparison:
-    """Match events by time, vehicle, kind and field, and those that share these by value, in their order."""
+    """Pair events of equal time, vehicle, kind and field in their order; return how many agree, and the others."""
     groups: dict[tuple[Any, ...], tuple[list[Event], list[Event]]] = {}
     for side, events in enumerate((first, second)):
         for event in events:

@@ -134,7 +134,7 @@ def _print_differences(found: Sequence[Difference]) -> None:
 
 
 def _values(a: float, b: float) -> tuple[str, str]:
-    """Return two different values with as many digits as it takes to see that: 6, or those of float32 or float64."""
+    """Return two different values as texts with enough digits to tell them apart: 6, or all of their type."""
     digits = next((digits for digits in (6, 9) if _format_number(a, digits) != _format_number(b, digits)), 17)
     return _format_number(a, digits), _format_number(b, digits)
 
@@ -145,7 +145,7 @@ def _format_number(value: float, digits: int = 6) -> str:
 
 
 def _table(headings: Sequence[str], numbers: int) -> Table:
-    """Return an empty table, whose last columns are so many numbers."""
+    """Return an empty table with these headings; its last ``numbers`` columns are right-aligned."""
     table = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     for i, heading in enumerate(headings):
         right = i >= len(headings) - numbers
@@ -231,7 +231,7 @@ def _difference_json(item: Difference) -> Content:
 
 
 def _plain(value: object) -> object:
-    """Return a value that JSON can say: None for NaN and infinity, text for what is none of its types."""
+    """Return a value for JSON: None for NaN and infinity, text for other types."""
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

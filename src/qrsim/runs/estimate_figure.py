@@ -47,7 +47,7 @@ WIDE = 3.0
 def draw_estimate(
     run: Run, vehicles: Sequence[str] = (), start: float | None = None, end: float | None = None
 ) -> Figure:
-    """Draw what an estimate errs by, estimate minus truth, and 3 std to both sides where it states them; then biases.
+    """Draw the estimate minus the truth with +-3 reported standard deviations, then estimated biases.
 
     Args:
         run: the run.
@@ -110,7 +110,7 @@ def _column_names() -> list[str]:
 
 
 def _rows(errors: dict[str, Floats], values: dict[str, Floats]) -> dict[str, Any]:
-    """Return the rows of the figure that there is something for."""
+    """Return the rows of the figure for which the run has data."""
     rows: dict[str, object] = dict(ROWS)
     if WIND[0][0] in errors:
         rows["wind"] = WIND
@@ -118,7 +118,7 @@ def _rows(errors: dict[str, Floats], values: dict[str, Floats]) -> dict[str, Any
 
 
 def _errors(values: dict[str, Floats]) -> tuple[dict[str, Floats], dict[str, Floats]]:
-    """Return estimate minus truth, and the std that is stated, (T, n) by name."""
+    """Return estimate minus truth, and the reported standard deviations, (T, n) by name."""
     truth = {name.removeprefix("truth."): array for name, array in values.items() if name.startswith("truth.")}
     truth |= dict(zip((f"velocity_ned.{axis}" for axis in "xyz"), _velocity_ned(truth), strict=True))
     errors, stds = {}, {}
@@ -138,7 +138,7 @@ def _errors(values: dict[str, Floats]) -> tuple[dict[str, Floats], dict[str, Flo
 
 
 def _velocity_ned(truth: dict[str, Floats]) -> tuple[Floats, Floats, Floats]:
-    """Return the velocity over ground (T, n) north, east and down."""
+    """Return the true velocity over ground, north, east and down, each (T, n) [m/s]."""
     u, v, w = (truth[f"velocity_body.{axis}"] for axis in "xyz")
     angles = [truth[f"attitude.{name}"] for name in ("roll", "pitch", "yaw")]
     (sr, sp, sy), (cr, cp, cy) = map(np.sin, angles), map(np.cos, angles)
@@ -150,7 +150,7 @@ def _velocity_ned(truth: dict[str, Floats]) -> tuple[Floats, Floats, Floats]:
 
 
 def _draw_value(axes: Axes, time: Floats, values: Floats, stds: Floats) -> None:
-    """Draw what is estimated, and the band in which the truth is said to be."""
+    """Draw an estimate (T, n) over time with the band of +-3 standard deviations."""
     count = values.shape[1]
     if count > MOST_NAMED:
         spread(axes, time, values, colours_of(1)[0])

@@ -33,7 +33,7 @@ class FailsafeWatch:
         return {name: getattr(own, name)[row] for name in names}
 
     def events(self, history: History) -> Iterator[Found]:
-        """Yield what happened to vehicles that still fly: what was noticed, with what is done, and what ended."""
+        """Yield the failsafes that began, with their actions, and those that ended, of vehicles in flight."""
         first = 0
         for number, (fleet, state) in enumerate(zip(self._fleets, history.state.fleets, strict=True)):
             now, before = self._rows(state, slice(None)), self._before[number]

@@ -90,7 +90,7 @@ class _Data:
 
     @property
     def few(self) -> bool:
-        """Whether each vehicle can have a line of its own in every panel."""
+        """Whether there are few enough vehicles to draw each as its own line."""
         return len(self.names) <= MOST_NAMED
 
     @property
@@ -99,7 +99,7 @@ class _Data:
         return min(float(time[0]) for time in self.time.values()), max(float(time[-1]) for time in self.time.values())
 
     def flying(self, stream: str) -> Floats:
-        """(T, n), 1 until a vehicle stops, NaN after."""
+        """Array (T, n) that is 1 until a vehicle stops and NaN afterwards."""
         ends = [self.stops[i].time if i in self.stops else np.inf for i in range(len(self.names))]
         # Half a step of tolerance, because the two times were rounded on different ways.
         return np.where(self.time[stream][:, None] <= np.add(ends, self.time_step / 2), 1.0, np.nan)
@@ -179,7 +179,7 @@ def _read_data(run: Run) -> _Data:
 
 
 def _places(run: Run, setpoint: Floats) -> tuple[Floats, ...]:
-    """Return (K, 2) of each vehicle the places of its legs: those of its mission, else where its set-point stayed."""
+    """Return for each vehicle the places (K, 2) of its mission's legs, or where its set-point stayed."""
     planned: list[Any] = []
     fleets = run.scenario.get("fleets") if isinstance(run.scenario, dict) else None
     for fleet in fleets.values() if isinstance(fleets, dict) else ():
@@ -195,7 +195,7 @@ def _places(run: Run, setpoint: Floats) -> tuple[Floats, ...]:
 
 
 def _legs_of(vehicle: Any) -> Floats:
-    """Return (K, 2) where the legs or waypoints of a vehicle of a scenario lead."""
+    """Return the places (K, 2) to which the legs or waypoints of a scenario's vehicle lead."""
     places = [leg.get("to_ned") or leg.get("at_ned") for leg in vehicle.get("legs") or ()]
     places = [place[:2] for place in (*places, *(vehicle.get("waypoints_ned") or ())) if place]
     return np.asarray(places, float).reshape(-1, 2)
@@ -210,7 +210,7 @@ def _plan_paths(data: _Data) -> Paths:
 
 
 def _task_text(run: Run, data: _Data) -> str:
-    """Return what became of the task, as far as a run can say it; "" without one."""
+    """Return the outcome of the task as text for the title; "" without a task."""
     around = data.around
     if around.task == "search" and len(around.persons):
         found = int(np.isfinite(around.found).sum())
@@ -224,7 +224,7 @@ def _task_text(run: Run, data: _Data) -> str:
 
 
 def _nearest_prey(run: Run, data: _Data) -> list[float]:
-    """Return the distance of each hunter from the nearest prey at the last tick [m]."""
+    """Return each hunter's distance [m] from the nearest prey at the last tick."""
     task, fleets = run.scenario["task"], run.scenario["fleets"]
     own = np.repeat(list(fleets), [len(fleet["vehicles"]) for fleet in fleets.values()])
     if len(own) != len(data.names):
@@ -270,7 +270,7 @@ def _draw_height(axes: Axes, data: _Data) -> None:
 
 
 def _gnss(panels: Any, data: _Data) -> None:
-    """Draw the error along each axis, with its sign."""
+    """Draw the GNSS error over time, a panel for each axis."""
     for axes, (axis, sign, name) in zip(panels, ERRORS, strict=True):
         axes.axhline(0.0, color="gray", lw=0.8)
         for item in data.around.interference:

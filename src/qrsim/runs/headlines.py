@@ -31,7 +31,7 @@ class Headline(NamedTuple):
 
 
 def headlines(run: Run) -> list[Headline]:
-    """Return the headline numbers, in the same order for all runs; none where the log lacks what is ``NEEDED``.
+    """Return a run's headline numbers in a fixed order, without those whose columns were not logged.
 
     RMS values are the root of the mean square over the vehicles.
     """
@@ -40,7 +40,7 @@ def headlines(run: Run) -> list[Headline]:
     rows, nearest, score = summarise(run), smallest_separation(run), run.info.score
 
     def each(name: str) -> Floats:
-        """Return a quantity of all vehicles (n,)."""
+        """Return a quantity of each vehicle's summary, (n,)."""
         return np.array([getattr(row, name) for row in rows], np.float64)
 
     return [
@@ -70,7 +70,7 @@ def _root_mean_square(values: Floats) -> float:
 
 
 def _estimate_errors(run: Run) -> Floats:
-    """Return the distances (N,) [m] between estimated and true positions of vehicles in flight, NaN without any."""
+    """Return the distances (N,) [m] between estimated and true positions in flight, without NaN."""
     if f"{ESTIMATE}.x" not in run["commands"]:
         return np.zeros(0)
     rows, commanded = common_rows(run, "truth", "commands")

@@ -41,28 +41,28 @@ class Interferer(NamedTuple):
 
     @property
     def when(self) -> str:
-        """When it acts, in words; "" where it always does."""
+        """Times of the interference as text; "" if it is always on."""
         if math.isfinite(self.end):
             return f"{self.start:g} to {self.end:g} s"
         return f"from {self.start:g} s" if self.start > 0.0 else ""
 
     @property
     def label(self) -> str:
-        """Kind and time of the interference, in words."""
+        """Kind and time of the interference as text."""
         return f"{self.text}, {self.when}" if self.when else self.text
 
     def acts(self, time: float) -> bool:
-        """Return whether it acts at a time [s]."""
+        """Return whether the interference is on at a time [s]."""
         return self.start - 1e-6 <= time < self.end - 1e-6
 
 
 def of_scenario(entries: Any) -> tuple[Interferer, ...]:
-    """Return what ``world.interference`` of a recorded scenario lists."""
+    """Return the interferers under ``world.interference`` of a recorded scenario."""
     return tuple(_parsed_interferer(str(entry["kind"]), entry) for entry in entries or ())
 
 
 def of_world(world: World) -> tuple[Interferer, ...]:
-    """Return the interferers of a World, those without a place last."""
+    """Return the interferers of a World, those without a position last."""
     present = world.sky.interference if isinstance(world.sky, SlottedSky) else None
     if present is None:
         return ()
@@ -102,12 +102,12 @@ def _parsed_interferer(kind: str, values: Mapping[str, Any]) -> Interferer:
 
 
 def _names(satellites: object) -> list[str]:
-    """Return names of satellites, none where they are known by their numbers only."""
+    """Return the texts in a list of satellites; [] if they are given by number."""
     return [name for name in satellites if isinstance(name, str)] if isinstance(satellites, list | tuple) else []
 
 
 def lost_within(power_w: float, band: str) -> float:
-    """Return within what distance [m] of a jammer a receiver above it loses satellites that it had with 45 dB-Hz."""
+    """Return the distance [m] within which a jammer makes a receiver above it lose satellites of 45 dB-Hz."""
     return math.sqrt(float(strength(power_w, band)) * _FROM_BELOW / (LOST - 1.0))
 
 

@@ -213,7 +213,7 @@ def utc_now() -> str:
 
 
 def check_every(every: Mapping[str, int], streams: Collection[str]) -> None:
-    """Refuse a decimation that names no stream, or whose number is not an integer from 1; raises UsageError."""
+    """Raise UsageError for a decimation of an unknown stream, or a number that is not an integer from 1."""
     for stream, number in every.items():
         if stream == EVENTS:
             raise UsageError(f"every: '{EVENTS}' are all kept; known: {', '.join(streams)}")
@@ -224,7 +224,7 @@ def check_every(every: Mapping[str, int], streams: Collection[str]) -> None:
 
 
 def part_name(number: int) -> str:
-    """Return the file name of a part."""
+    """Return the file name of a stream's part."""
     return f"part-{number:05d}.parquet"
 
 
@@ -271,7 +271,7 @@ def _arrow_field(stream: str, column: Column) -> pa.Field:
 
 
 def column_of(item: pa.Field) -> Column:
-    """Return the description of a stored column."""
+    """Return the column's description stored in an Arrow field."""
     metadata = item.metadata or {}
     is_text = pa.types.is_dictionary(item.type) or pa.types.is_string(item.type)
     dtype = "str" if is_text else numpy_dtype(item.type).name

@@ -24,7 +24,7 @@ class MissionWatch:
         self.before = [_progress(state, -1) for state in start.state.fleets]
 
     def events(self, history: History) -> Iterator[tuple[int, Found]]:
-        """Yield what happened to missions in a history, each with the number of its fleet."""
+        """Yield (fleet number, event) for the legs that are late and missions that end in a history."""
         for i, (fleet, state) in enumerate(zip(self.fleets, history.state.fleets, strict=True)):
             progress, before = _progress(state), self.before[i]
             if progress is None or before is None:
@@ -37,7 +37,7 @@ class MissionWatch:
                     yield i, _mission_event(fleet, state, int(row), int(vehicle), kind)
 
     def ending(self, history: History) -> Iterator[tuple[int, Found]]:
-        """Yield the missions that a run ends before, at the last row of a history."""
+        """Yield (fleet number, event) for missions unfinished at the end of a run."""
         for i, (fleet, state) in enumerate(zip(self.fleets, history.state.fleets, strict=True)):
             now, route = state.guidance, fleet.route
             if not isinstance(now, MissionState) or not isinstance(route, Mission):
@@ -53,7 +53,7 @@ class MissionWatch:
 
 
 def _progress(state: FleetState, row: int | slice = slice(None)) -> tuple[Any, Any] | None:
-    """Return legs that took too long, and whether the mission is finished; None without a mission."""
+    """Return the number of late legs, and whether the mission is finished; None without a mission."""
     now = state.guidance
     return (now.late[row], now.finished[row]) if isinstance(now, MissionState) else None
 
@@ -75,7 +75,7 @@ def _mission_event(fleet: Fleet, state: FleetState, row: int, vehicle: int, kind
 
 
 def _leg(route: Mission, index: int, vehicle: int) -> str:
-    """Name a leg by where it leads."""
+    """Return the text that names a leg by its destination."""
     # To a millimetre: what is left of a conversion from degrees is no place.
     north, east, down = (round(float(getattr(route.position_ned, axis)[index, vehicle]), 3) for axis in "xyz")
     place = f"north {north:.4g} m, east {east:.4g} m"
@@ -83,7 +83,7 @@ def _leg(route: Mission, index: int, vehicle: int) -> str:
 
 
 def _why(fleet: Fleet, state: FleetState, row: int, vehicle: int) -> str:
-    """Say how far a vehicle is from the end of its leg, and what keeps it from being there."""
+    """Return as text how far a vehicle is from the end of its leg, and what keeps it from reaching it."""
     guidance, now, route = fleet.guidance, state.guidance, fleet.route
     assert isinstance(guidance, MissionGuidance)
     assert isinstance(now, MissionState)

@@ -100,7 +100,7 @@ def parse_panel(run: Run, text: str) -> Panel:
 
 
 def per_axis(panel: Panel) -> list[Panel]:
-    """Return a panel for each axis of the vectors in a panel; itself where it has none."""
+    """Return one panel for each axis of the vectors in a panel; the panel itself if it has no vectors."""
     asked = [word.strip() for word in panel.text.split(",")]
     if all(item.name in asked for item in panel.quantities):
         return [panel]
@@ -152,7 +152,7 @@ def draw_panels(
 def read_data(
     run: Run, wanted: Sequence[Quantity], vehicles: Sequence[str], start: float | None, end: float | None
 ) -> Data:
-    """Return quantities of the vehicles named, or of all, in a span of time. Raises as ``draw_panels`` does."""
+    """Return the values of quantities in a span of time, for the named vehicles or all; raises as ``draw_panels``."""
     for name in vehicles:
         if name not in run.vehicles:
             raise UsageError(f"{run.folder} has no vehicle '{name}'{did_you_mean(name, run.vehicles)}")
@@ -179,7 +179,7 @@ def read_data(
 
 
 def _rows(run: Run, time: Floats, start: float | None, end: float | None) -> NumpyArray:
-    """Return which of the ticks are in the span, both ends included."""
+    """Return a mask of the ticks in the span, ends included."""
     if not len(time):
         raise RunError(f"{run.folder}: nothing to draw, because no tick was recorded (state: {run.info.state})")
     slack = 1e-6 * run.info.time_step  # for the digits of a time that is a number of steps
@@ -210,7 +210,7 @@ def _draw_panel(axes: Axes, panel: Panel, data: Data) -> None:
 
 
 def _lines(axes: Axes, number: int, item: Quantity, data: Data) -> Iterator[Any]:
-    """Draw the quantity number ``number`` of a panel; yield one line for its legend."""
+    """Draw a quantity, the panel's ``number``-th; yield one line for the legend."""
     time, values = data.series[item]
     colour = colours_of(MOST_NAMED)[number]
     if len(data.names) > MOST_NAMED:
@@ -233,6 +233,6 @@ def _lines(axes: Axes, number: int, item: Quantity, data: Data) -> Iterator[Any]
 
 
 def _lone(values: Floats) -> Any:
-    """Return which values (T,) have no neighbour, so that a line would not show them."""
+    """Return a mask (T,) of finite values between NaNs, which a line would not show."""
     there = np.concatenate([[False], np.isfinite(values), [False]])
     return there[1:-1] & ~there[:-2] & ~there[2:]

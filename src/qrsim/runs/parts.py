@@ -58,14 +58,14 @@ class StreamParts:
         raise self.unknown(name)
 
     def unknown(self, name: str) -> UsageError:
-        """Return the error for an unknown column: of a vector with its axes, of others with the nearest name."""
+        """Return the error for an unknown column, with the nearest name or a vector's axes."""
         known = [column.name for column in self.columns]
         axes = [each for each in known if each.rpartition(".")[0] == name]
         hint = f"; its columns are {', '.join(axes)}" if axes else did_you_mean(str(name), known)
         return UsageError(f"stream '{self.stream}' has no column '{name}'{hint}")
 
     def table(self, names: Sequence[str] | None = None) -> pa.Table:
-        """Return the rows of all parts with the named columns, in that order (None: with all).
+        """Return all rows with the named columns, in that order (None: all columns).
 
         Raises:
             UsageError: unknown column.
@@ -89,7 +89,7 @@ class StreamParts:
             yield self._read_part(number, self._arrow_schema, chosen)
 
     def _span(self, number: int) -> tuple[float, float]:
-        """Return the first and the last time of a part [s]."""
+        """Return the first and last time [s] of a part."""
         if number not in self._spans:
             times = self._read_part(number, self._arrow_schema, ["time"])["time"]
             self._spans[number] = (times[0].as_py(), times[-1].as_py()) if len(times) else (-math.inf, -math.inf)
@@ -107,7 +107,7 @@ class StreamParts:
 
     @cached_property
     def _usable(self) -> list[int]:
-        """Numbers of the parts to read, ascending; never empty."""
+        """Numbers of the readable parts, ascending; raises RunError if there are none."""
         expected = range(max(self.count, 1, *(number + 1 for number in self.found[-1:])))
         usable, schema = [], None
         for number in expected:

@@ -89,7 +89,7 @@ class Bins(NamedTuple):
 
 
 def binned(time: Floats, values: Floats) -> Bins:
-    """Put values (T, n) at times (T,) into BINS bins of as many ticks each.
+    """Group values (T, n) at times (T,) into BINS bins of equal numbers of ticks.
 
     No value is lost to a picture by this: the lowest and the highest of each bin stay what they were.
     """
@@ -103,17 +103,17 @@ def binned(time: Floats, values: Floats) -> Bins:
 
 
 def is_long(time: Floats) -> bool:
-    """Return whether so many ticks are drawn in bins."""
+    """Return whether there are so many ticks that lines are drawn as bins."""
     return len(time) > MOST_TICKS
 
 
 def binned_text(time: Floats) -> str:
-    """Return how the ticks of a long line are drawn, "" for others."""
+    """Return the note on how a long line's ticks are drawn; "" for short ones."""
     return f"; lines: mean and range of {(time[-1] - time[0]) / BINS:.2g} s each" if is_long(time) else ""
 
 
 def trace(axes: Axes, time: Floats, values: Floats, **look: Any) -> Any:
-    """Draw values (T,) as a line; of a long one mean and range in bins. Return the line."""
+    """Draw values (T,) as a line, or, if there are many, mean and range in bins; return the line."""
     if not is_long(time):
         return axes.plot(time, values, **look)[0]
     bins = binned(time, values[:, None])
@@ -126,7 +126,7 @@ def trace(axes: Axes, time: Floats, values: Floats, **look: Any) -> Any:
 
 
 def path_rows(points: Floats, most: int) -> NumpyArray:
-    """Return rows of a path (T, 2) that show it: about ``most`` of them, all its extremes in bins of time among them.
+    """Return about ``most`` row indices of a path (T, 2) that keep its shape and extremes.
 
     Every so-many-th point would cut the corners off.
     """
@@ -144,7 +144,7 @@ def path_rows(points: Floats, most: int) -> NumpyArray:
 
 
 def spread(axes: Axes, time: Floats, values: Floats, colour: Any, style: Any = "-") -> Any:
-    """Draw range, quartiles and median of (T, n) values over many vehicles; return the line of the median."""
+    """Draw median, quartiles and range of values (T, n) over the vehicles; return the median's line."""
     # Once all vehicles have stopped there is no value left, and no range; the gap stays a gap.
     some = np.isfinite(values).any(axis=1)
     five = np.full((5, len(time)), np.nan)

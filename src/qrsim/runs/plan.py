@@ -65,17 +65,17 @@ class Paths:
 
     @property
     def few(self) -> bool:
-        """Whether each vehicle has a colour of its own."""
+        """Whether there are few enough vehicles for a colour each."""
         return len(self.names) <= MOST_NAMED
 
     @property
     def many(self) -> bool:
-        """Whether there are too many for anything but their paths."""
+        """Whether there are so many vehicles that only their paths are drawn."""
         return len(self.names) > MOST_NUMBERED
 
 
 def draw_plan(axes: Axes, paths: Paths, around: Surroundings, terrain: Terrain) -> None:
-    """Draw the paths from above, the legs that were flown, the ground, and what there was besides vehicles."""
+    """Draw paths, legs, ground and surroundings from above, north up."""
     seen = [paths.position, paths.setpoint]
     seen += [paths.reported] if paths.few and paths.reported is not None else []
     flown = np.concatenate([part[..., :2].reshape(-1, 2) for part in seen])
@@ -118,20 +118,20 @@ def _plan_title(paths: Paths, around: Surroundings, whole: bool) -> str:
 
 
 def span(values: Floats, least: float) -> tuple[float, float]:
-    """Return limits around all values, at least so far apart that noise does not fill the panel."""
+    """Return axis limits around all values, at least ``least`` apart."""
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     half = 0.55 * max(high - low, least)
     return (low + high) / 2 - half, (low + high) / 2 + half
 
 
 def _limits(points: Floats) -> tuple[Floats, Floats]:
-    """Return the lowest and highest north and east (2,) around points (P, 2)."""
+    """Return the lowest and the highest (north, east) of points (P, 2)."""
     limits = [span(points[:, axis], 4.0) for axis in (0, 1)]
     return np.array([limit[0] for limit in limits]), np.array([limit[1] for limit in limits])
 
 
 def _is_whole(around: Surroundings, low: Floats, high: Floats) -> bool:
-    """Return whether the whole area is drawn: the flight fills much of it, or there is something to see in it."""
+    """Return whether to draw the whole area, because the flight fills much of it or it has contents."""
     if not len(around.outline):
         return False
     part = np.max(high - low) / np.max(np.ptp(around.outline, axis=0))
@@ -181,7 +181,7 @@ def draw_surroundings(axes: Any, around: Surroundings) -> None:
 
 
 def zone_patches(zone: Zone) -> list[Any]:
-    """Return a zone from above: its sides, and hatched the zone or the holes of it that vehicles stay out of."""
+    """Return the patches of a zone from above: its edges, and hatching where vehicles may not be."""
     outline, *holes = (np.array(ring)[:, ::-1] for ring in (zone.outline, *zone.rings[1:]))
     keep_out = {"fc": (*share(KEEP_OUT), 0.12), "ec": share(KEEP_OUT), "hatch": "///", "lw": 1.2, "zorder": 1}
     barred: dict[str, Any] = {**keep_out, "label": "stay out"}
@@ -193,7 +193,7 @@ def zone_patches(zone: Zone) -> list[Any]:
 
 
 def name_marks(axes: Any, around: Surroundings) -> None:
-    """Add a legend of what there is at single places, where it covers least of what is drawn."""
+    """Add a legend of marked places (sources, goals, persons), placed over as little as possible."""
     labels = {label for label, _, _ in _marks(around)}
     handles = [line for line in axes.lines if line.get_label() in labels]
     zones = {patch.get_label(): patch for patch in axes.patches if patch.get_label() in ("stay in", "stay out")}
@@ -224,14 +224,14 @@ def _marks(around: Surroundings) -> list[tuple[str, Floats, dict[str, Any]]]:
 
 
 def _said(item: Interferer) -> str:
-    """Return the text of an interferer in the legend."""
+    """Return the legend text of an interferer."""
     if not math.isfinite(item.radius):
         return item.label
     return f"{item.label}: {'heard' if item.kind == 'spoofer' else 'lost'} within {item.radius:.3g} m"
 
 
 def _with_interferers(around: Surroundings, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Return limits (2,) that hold what interferes too, if it is not farther away than they are wide."""
+    """Return plot limits, each (2,), widened to include interferers that are not too far away."""
     wide = float(np.max(high - low))
     places = [item.place_ned[:2] for item in around.interference if item.place_ned is not None]
     near = [place for place in places if np.all(place > low - wide) and np.all(place < high + wide)]
@@ -240,7 +240,7 @@ def _with_interferers(around: Surroundings, low: Floats, high: Floats) -> tuple[
 
 
 def _footprint(obstacle: Any) -> object:
-    """Return an obstacle from above."""
+    """Return an obstacle's outline from above as a patch."""
     look: dict[str, Any] = {"fc": "0.75", "ec": "0.35", "lw": 1.0, "zorder": 1}
     if "radius" in obstacle:
         return Circle((obstacle["y"], obstacle["x"]), obstacle["radius"], **look)
@@ -276,7 +276,7 @@ def _draw_vehicles(axes: Any, paths: Paths, most: int) -> None:
 
 
 def _swarm(axes: Any, paths: Paths, most: int) -> None:
-    """Draw very many vehicles: thin paths, small points."""
+    """Draw many vehicles as thin paths and small points."""
     own = [paths.position[:, i, :2] for i in range(len(paths.names))]
     lines = [path[path_rows(path, most)][:, ::-1] for path in own]
     axes.add_collection(LineCollection(lines, colors=paths.colours, linewidths=0.6, alpha=0.7, rasterized=True))
@@ -289,7 +289,7 @@ def _swarm(axes: Any, paths: Paths, most: int) -> None:
 
 
 def held_places(setpoint: Floats) -> Floats:
-    """Return (K, 2) the places north and east at which a set-point (T, 3) stayed; one that moves has none."""
+    """Return the places (K, 2), north and east, at which a set-point (T, 3) stayed constant."""
     points = setpoint[np.isfinite(setpoint).all(axis=1)]
     held = np.zeros(len(points), bool)
     held[1:] = np.all(points[1:] == points[:-1], axis=1)
@@ -297,7 +297,7 @@ def held_places(setpoint: Floats) -> Floats:
 
 
 def _without_repeats(points: Floats) -> Floats:
-    """Return (L, 2) points in the order in which they were flown to."""
+    """Return points (L, 2) in the order flown, each once."""
     points = points[np.isfinite(points).all(axis=1)]
     fresh = np.ones(len(points), bool)
     fresh[1:] = np.any(points[1:] != points[:-1], axis=1)
@@ -315,7 +315,7 @@ def _contours(axes: Any, terrain: Terrain, low: Floats, high: Floats) -> None:
 
 
 def _wind_arrow(axes: Any, mean: Floats) -> None:
-    """Show below the plan, where it covers nothing, where the mean wind blows to."""
+    """Draw an arrow below the plan that points where the mean wind blows to."""
     speed = float(np.hypot(mean[0], mean[1]))
     if speed == 0.0:
         return

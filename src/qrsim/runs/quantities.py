@@ -29,7 +29,7 @@ def quantities(run: Run) -> list[Quantity]:
 
 
 def find_quantities(run: Run, name: str) -> list[Quantity]:
-    """Return the quantity of a name, or the parts of a vector, of angles and the like.
+    """Return the quantities that a name means: one, or the components of a vector or other group.
 
     Raises:
         UsageError: there is none of this name.
@@ -45,7 +45,7 @@ def find_quantities(run: Run, name: str) -> list[Quantity]:
 
 
 def _groups(every: list[Quantity]) -> dict[str, list[Quantity]]:
-    """Return the groups whose members are plain numbers, by name, with their members.
+    """Return group name -> members, for groups (such as vectors) whose members are all numbers.
 
     ``truth.position_ned`` is a group of three; a sensor with a vector among its quantities is none.
     """

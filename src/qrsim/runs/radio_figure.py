@@ -28,7 +28,7 @@ STYLES = {"too weak": (0, (1, 1)), "by chance": "--", "to others": "-."}
 
 
 def draw_radio(run: Run, vehicles: Sequence[str] = (), start: float | None = None, end: float | None = None) -> Figure:
-    """Draw who heard whom in a span of time, and over that time delivery and connectivity (needs no display).
+    """Draw who received whose packets in a span of time, and delivery and connectivity over time.
 
     Args:
         run: of a scenario with ``world.radio``.
@@ -60,7 +60,7 @@ def draw_radio(run: Run, vehicles: Sequence[str] = (), start: float | None = Non
 
 
 def _radios(run: Run) -> Floats:
-    """Return (n,) whether each vehicle has a radio."""
+    """Return a bool array (n,) of which vehicles have a radio."""
     fleets = run.scenario["fleets"].values()
     own = [(fleet.get("radio") or {}).get("works", True) is not False for fleet in fleets]
     found = np.repeat(own, [len(fleet["vehicles"]) for fleet in fleets])
@@ -68,7 +68,7 @@ def _radios(run: Run) -> Floats:
 
 
 def _graph(figure: Figure, axes: Axes, run: Run, packets: Packets) -> None:
-    """Draw the vehicles where they are at the end, and half a line for each direction: the half at who hears."""
+    """Draw vehicles at their last positions, and received packets as half-lines at the receiver's end."""
     truth = run["truth"]
     row = np.searchsorted(truth.time, packets.time[-1] - 1e-9).clip(max=len(truth.time) - 1)
     north, east = (truth[f"position_ned.{axis}"][row] for axis in "xy")
@@ -102,7 +102,7 @@ def _graph(figure: Figure, axes: Axes, run: Run, packets: Packets) -> None:
 
 
 def _width(strength: Floats) -> Floats:
-    """Return a line's width by the strength [dBm] of what was heard: thin where nothing was."""
+    """Return line widths for received strengths [dBm]; thin for NaN (nothing received)."""
     there = np.isfinite(strength)
     if not there.any():
         return np.full(strength.shape, 0.8)

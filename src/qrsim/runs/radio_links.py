@@ -38,20 +38,20 @@ class Packets:
 
     @property
     def meant(self) -> NumpyArray:
-        """(P, K, n) whether a packet was sent, and for the receiver."""
+        """Whether a packet was sent and meant for the receiver, (P, K, n) bool."""
         return (self.sender >= 0) & (self.outcome != Outcome.NOTHING)
 
     @property
     def heard(self) -> NumpyArray:
-        """(P, K, n) whether the packet was sent and heard."""
+        """Whether a packet was sent and received, (P, K, n) bool."""
         return (self.sender >= 0) & (self.outcome == Outcome.HEARD)
 
     def part(self, rows: NumpyArray) -> Packets:
-        """Return those of some periods."""
+        """Return the packets of the selected periods."""
         return Packets(self.time[rows], self.sender[rows], self.outcome[rows], self.rssi[rows], self.flies[rows])
 
     def counts(self) -> tuple[NumpyArray, NumpyArray, NumpyArray]:
-        """Return packets sent and heard from i to j (n, n), and their mean strength [dBm], NaN where none was heard."""
+        """Return packets sent and received from i to j (n, n), and their mean strength [dBm], NaN without any."""
         n = self.flies.shape[1]
         pair = np.where(self.sender >= 0, self.sender, 0) * n + np.arange(n)
 
@@ -121,7 +121,7 @@ class Connectivity:
 
 
 def connectivity(packets: Packets, bins: int, radios: NumpyArray) -> Connectivity:
-    """Return how connected the vehicles were; a link is a pair of which each has heard the other in the bin.
+    """Return connectivity over time; a link is a pair that received packets both ways within a bin.
 
     Args:
         packets: of P periods.
@@ -142,7 +142,7 @@ def connectivity(packets: Packets, bins: int, radios: NumpyArray) -> Connectivit
 
 
 def components_of(packets: Packets, radios: NumpyArray) -> tuple[int, float]:
-    """Return the number of groups of vehicles with radios that fly, and the part of them in the largest one."""
+    """Return the number of connected groups of flying vehicles with radios, and the largest group's share."""
     there = np.flatnonzero(packets.flies[-1] & radios)
     if not len(there):
         return 0, float("nan")

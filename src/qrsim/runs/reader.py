@@ -120,7 +120,7 @@ class Run(Tabled):
             raise RunError(f"{source} is damaged: {error.problems[0]}") from error
 
     def built(self) -> Scenario:
-        """Return the recorded scenario, checked as if it were to be flown, without warnings.
+        """Return the recorded scenario as a ``Scenario``, checked but without warnings.
 
         Raises:
             ScenarioError: it cannot be flown any more, or names code that is not loaded (see ``open_run``).
@@ -159,7 +159,7 @@ class Run(Tabled):
 
     @property
     def unfinished(self) -> str:
-        """One line where the run is being written, or was killed while it was; "" where it has ended."""
+        """Text that says that the run is still being written or was killed; "" for a finished run."""
         if self.info.state != "running":
             return ""
         return f"{self.folder}: the run has not ended, or was killed; the data end at its last flush"
@@ -202,20 +202,20 @@ class Run(Tabled):
         return self._stream_parts(stream).table(columns)
 
     def batches(self, stream: str, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
-        """Yield the rows of ``table`` in batches, for logs larger than memory; raises as table."""
+        """Yield the rows of ``table`` in batches, for logs larger than memory; raises as ``table``."""
         return self._stream_parts(stream).tables(columns)
 
     def describe(self, stream: str) -> tuple[Column, ...]:
-        """Return name, unit, meaning and type of each column, time, tick and vehicle included; raises as table."""
+        """Return the description of each column, with time, tick and vehicle; raises as ``table``."""
         return self._stream_parts(stream).columns
 
     def units(self, stream: str) -> dict[str, str]:
-        """Return column -> unit ("" where there is none), time, tick and vehicle included; raises as table."""
+        """Return column -> unit ("" without one), with time, tick and vehicle; raises as ``table``."""
         return {column.name: column.unit for column in self.describe(stream)}
 
     @property
     def events(self) -> list[Event]:
-        """All events in the order in which they were recorded; raises as table."""
+        """All events in the order of recording; raises as ``table``."""
         table = self.table(EVENTS)
         expected = stream_schema(EVENTS, (), self.info)
         if not table.schema.equals(expected, check_metadata=False):
@@ -283,7 +283,7 @@ LONGEST_NAME = 200
 
 
 def _problem(info: RunInfo) -> str:
-    """Return the first impossible value of a run, "" if there is none."""
+    """Return a text about the first impossible value in a run's info; "" if all are possible."""
     if not info.vehicles:
         return "vehicles: there are none"
     # They may be anybody's, and are shown on pages and terminals.

@@ -66,26 +66,26 @@ class Watcher(Protocol):
     """Observer of a simulation in flight, which may pace it: a page (see ``qrsim.view.live``)."""
 
     def begin(self, simulation: Simulation, title: str, places: Places | None = None) -> None:
-        """Receive a simulation at its start, and the places that its task is about."""
+        """Show a simulation at its start, with the places of its task."""
 
     def note(self, text: str) -> None:
-        """Receive one line about the run as a whole, "" for none."""
+        """Show one line about the whole run; "" clears it."""
 
     def offer(self, history: History) -> None:
-        """Receive the states flown since the last call."""
+        """Show the states flown since the last call."""
 
     def change(self, simulation: Simulation) -> None:
-        """Apply the changes requested since the last call."""
+        """Apply the changes that the page's users requested since the last call."""
 
     def wait(self, ticks: int) -> int:
-        """Wait until ticks are due, and return their number."""
+        """Wait until ticks may be flown, and return how many, at most ``ticks``."""
 
 
 class Flyer(Protocol):
     """Who flies a simulation from outside: a user's functions (``Pilot``), or an autopilot's firmware."""
 
     def record(self, ticks: int, capacity: int = CHUNK_TICKS) -> History:
-        """Fly at most so many ticks and return their states."""
+        """Fly at most ``ticks`` ticks and return their states."""
 
 
 def fly(
@@ -223,7 +223,7 @@ def _referee(scenario: Scenario, simulation: Simulation) -> Referee | None:
 
 @contextmanager
 def _scored(referee: Referee | None, writer: RunWriter, policy: object) -> Iterator[None]:
-    """Note the score of the flight in this context, also if it is interrupted."""
+    """Context manager: write the task's score when the flight in it ends, also if it is interrupted."""
     try:
         yield
     except KeyboardInterrupt:
@@ -253,7 +253,7 @@ def _new_pilot(simulation: Simulation, policy: object, estimator: object, policy
 
 
 def _record(simulation: Simulation, ticks: int, pilot: Flyer | None, once: bool = False) -> Iterator[History]:
-    """Fly so many ticks, or fewer where user's functions are slow, and yield their states; ``once`` for one call."""
+    """Fly ``ticks`` ticks, or fewer if user functions are slow, yielding their states; ``once``: one call only."""
     capacity = max(ticks, CHUNK_TICKS)
     if pilot is None:
         yield simulation.record(ticks, capacity=capacity)
@@ -293,7 +293,7 @@ def _loop(
     view: Watcher | None = None,
     chunk: int = CHUNK_TICKS,
 ) -> Pace:
-    """Fly up to a number of ticks in chunks, hand each to ``keep``, and return the pace."""
+    """Fly until tick ``ticks`` in chunks, pass each to ``keep``, and return the pace."""
     if realtime:
         chunk = max(1, min(CHUNK_TICKS, round(REALTIME_CHUNK_S / simulation.world.time_step)))
     start = time.perf_counter()

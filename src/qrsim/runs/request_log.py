@@ -24,7 +24,7 @@ class RequestLog:
 
     @property
     def has_new(self) -> bool:
-        """Whether requests were made since the last call of ``write_new``."""
+        """Whether requests were made since the last ``write_new``."""
         return len(self._simulation.requests) > self._count
 
     def write_new(self) -> None:

@@ -27,7 +27,7 @@ class Separation:
 
     @property
     def text(self) -> str:
-        """The sentence for tables."""
+        """Sentence about the smallest separation, for tables."""
         one, other = self.vehicles
         return f"separation: {self.distance_m:.2f} m at least, of {one} and {other} at {self.time_s:.2f} s"
 
@@ -37,7 +37,7 @@ class Separation:
 
 
 def smallest_separation(run: Run) -> Separation | None:
-    """Return the smallest separation of a run, None where no two vehicles can meet.
+    """Return the smallest distance of any pair in which a vehicle moves; None without such pairs.
 
     It is of the logged ticks, and of pairs of which one moves in the run and has not stopped; as in a rollout, the
     other may have.
@@ -57,7 +57,7 @@ def smallest_separation(run: Run) -> Separation | None:
 
 
 def _nearer(position: Floats, active: NumpyArray, best: float) -> Iterator[tuple[float, int, tuple[int, int]]]:
-    """Yield ever smaller distances below ``best``, with tick and pair, of positions (T, n, 3).
+    """Yield (distance, tick, pair) for ever smaller distances below ``best`` [m] in positions (T, n, 3).
 
     Vehicles are sorted along the axis on which they spread farthest; those that are farther apart than the nearest
     pair along that axis alone are not compared.

@@ -38,7 +38,7 @@ def _scenario(run: Run) -> object:
 
 
 def _differences(path: str, first: object, second: object) -> Iterator[Setting]:
-    """Yield the differences of two trees; a list of plain values is one value."""
+    """Yield the differing settings of two nested structures; lists of plain values count as one value."""
     mine, other = _children(first), _children(second)
     if mine is not None and other is not None:
         for key in dict.fromkeys([*mine, *other]):

@@ -70,7 +70,7 @@ def draw_sky(run: Run, vehicles: Sequence[str] = (), start: float | None = None,
 
 
 def _seen(run: Run, vehicle: int) -> dict[str, Floats]:
-    """Return the fields of satellites (T, K) of the first receiver that reports them."""
+    """Return field -> values (T, K) of the satellites of the first receiver that logs them."""
     stream = run["measurements"]
     columns = stream.columns()
     sensor = next((column.removesuffix(".cn0.0") for column in columns if column.endswith(".cn0.0")), None)
@@ -88,7 +88,7 @@ def _seen(run: Run, vehicle: int) -> dict[str, Floats]:
 
 
 def _draw(axes: Axes, name: str, seen: dict[str, Floats], where: Any) -> str:
-    """Draw one satellite, and return the letter of its system."""
+    """Draw the track of one satellite, and return its system's letter."""
     system = name[0]
     turn, low = seen["azimuth"][where], 90.0 - np.degrees(seen["elevation"][where])
     state = seen["satellite_state"][where]

@@ -53,14 +53,14 @@ class Stream(Tabled):
 
     @cached_property
     def _grid(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
-        """(T,) times and ticks, after a check that the rows are what the arrays' shape promises."""
+        """Times and ticks, each (T,); raises RunError unless every tick has a row for each vehicle."""
         # Piece by piece: of all rows only the ticks are kept.
         steps = [self._steps(table) for table in self._parts.tables([column.name for column in INDEX])]
         times, ticks = (np.concatenate(found) for found in zip(*steps, strict=True))
         return times, ticks
 
     def _steps(self, table: pa.Table) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
-        """Return (T,) times and ticks of some rows, after the same check."""
+        """Return times and ticks, each (T,), of a table's rows; raises as ``_grid``."""
         count = len(self.vehicles)
         order = _codes(table["vehicle"], self.vehicles)
         times: npt.NDArray[np.float64] = to_numpy(table["time"])
@@ -144,7 +144,7 @@ class Stream(Tabled):
 
 
 def _codes(vehicle: pa.ChunkedArray, vehicles: Sequence[str]) -> npt.NDArray[np.int64]:
-    """Return the index of each row's vehicle; -1 for a name that is not one of the run's."""
+    """Return each row's vehicle index; -1 for a vehicle that is not in the run."""
     index = {name: i for i, name in enumerate(vehicles)}
     chunks = [np.zeros(0, np.int64)]
     # In a file that was damaged it may be plain text, or something else.

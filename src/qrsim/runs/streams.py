@@ -89,7 +89,7 @@ def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, 
 
 
 def _believed(fleet: Fleet, state: FleetState) -> list[tuple[str, Any]]:
-    """Return the estimate of a fleet's estimator, or of a controller's own, with its std and innovations."""
+    """Return (name prefix, record) of the estimate, its standard deviations and innovations; [] without one."""
     belief = state.belief
     if belief is None:
         return []
@@ -111,7 +111,7 @@ def _believed(fleet: Fleet, state: FleetState) -> list[tuple[str, Any]]:
 
 
 def loads(fleet: Fleet, state: FleetState, has: set[str]) -> list[tuple[str, Any, str, str]]:
-    """Return thrust, power and voltage of electric vehicles, as ``_tree`` does, without existing columns."""
+    """Return (column, array, unit, doc) of thrust, power and voltage of electric vehicles, without those in ``has``."""
     if not fleet.vehicle.gives_power:
         return []
     load = _load(fleet.vehicle, state.vehicle)
@@ -159,7 +159,7 @@ def values(world: World, history: History, wanted: dict[str, list[Column]]) -> d
 
 
 def _side_by_side(parts: list[NumpyArray]) -> NumpyArray:
-    """Return the columns of all fleets as one; of a single fleet without copying it."""
+    """Return the columns of all fleets side by side; those of a single fleet without a copy."""
     return np.concatenate(parts, axis=1) if len(parts) > 1 else np.asarray(parts[0])
 
 
@@ -185,10 +185,10 @@ class EventFinder:
 
     @staticmethod
     def _sources() -> dict[str, Callable[[History], Any]]:
-        """Return by name a function of what events are found in: arrays (ticks, vehicles)."""
+        """Return name -> function of a history that gives the array (T, n) whose changes are events."""
 
         def together(pick: Callable[[FleetState], Any]) -> Callable[[History], Any]:
-            """Return a function that joins a value of all fleets, (ticks, vehicles)."""
+            """Return a function that joins a value of all fleets to (T, n)."""
             return lambda history: np.concatenate([pick(fleet) for fleet in history.state.fleets], axis=1)
 
         return {
@@ -214,7 +214,7 @@ class EventFinder:
         return [event for _, _, event in found]
 
     def ending(self, history: History) -> list[Content]:
-        """Return the events of the end of a run: missions that it does not finish, and what crowds came to."""
+        """Return the events at the end of a run: unfinished missions, and totals of crowded readings."""
         found = [event for _, _, event in self._of_missions(history, self.missions.ending(history))]
         for crowd in crowds_of(self.world, history.state):
             looks = int(crowd.looks[-1].sum())
@@ -224,7 +224,7 @@ class EventFinder:
         return found
 
     def _crowds(self, history: History) -> list[tuple[int, int, Content]]:
-        """Return the first look of each radio, sensor and guidance that may have missed others."""
+        """Return the first event of each radio, sensor or guidance whose neighbour list overflowed."""
         found = []
         for crowd in crowds_of(self.world, history.state):
             rows = np.argwhere(crowd.looks > 0)
@@ -241,7 +241,7 @@ class EventFinder:
         return found
 
     def _of_missions(self, history: History, found: Iterable[tuple[int, Found]]) -> list[tuple[int, int, Content]]:
-        """Return what a watch of missions found as events, each with its row and vehicle."""
+        """Return the events of missions with their row and vehicle."""
         firsts = np.cumsum([0, *(fleet.size for fleet in self.world.fleets)])
         events = []
         for number, (row, own, kind, value, message) in found:
@@ -297,7 +297,7 @@ class EventFinder:
         return found
 
     def _losses(self, history: History) -> list[tuple[int, int, Content]]:
-        """Return where a GNSS receiver of a flying vehicle has no fix for want of satellites, or finds it again."""
+        """Return the events at which a flying vehicle's GNSS receiver loses its fix or regains it."""
         found, first = [], 0
         for fleet, state in zip(self.world.fleets, history.state.fleets, strict=True):
             for sensor, reading in zip(fleet.sensor_names, state.readings, strict=True):
@@ -357,7 +357,7 @@ class EventFinder:
         return found
 
     def _at(self, history: History, row: int, vehicle: int) -> Content:
-        """Return time, tick and vehicle of an event."""
+        """Return time, tick and vehicle as the fields of an event."""
         return {"time": float(history.time[row]), "tick": int(history.ticks[row]), "vehicle": self.names[vehicle]}
 
     def _event(self, key: str, history: History, row: int, vehicle: int) -> Content:
@@ -386,7 +386,7 @@ class EventFinder:
         return self.names[self._nearest_to(history, row, own, vehicle)]
 
     def _nearest_to(self, history: History, row: int, where: NumpyArray, but: int | None = None) -> int:
-        """Return who is nearest to a place (3,), without one of them where that is asked for."""
+        """Return the index of the vehicle nearest to a place (3,), ignoring vehicle ``but``."""
         distance = np.linalg.norm(self._positions(history, row) - where, axis=1)
         if but is not None:
             distance[but] = np.inf

@@ -102,7 +102,7 @@ MOST_TOLD = 6
 
 
 def score_text(score: Mapping[str, Any]) -> str:
-    """Return what a flight scored in its task (``RunInfo.score``), in words."""
+    """Return a flight's score in its task (``RunInfo.score``) as text."""
     returns, steps = dict(score["agents"]), f"step {score['steps']} of {score['of_steps']}"
     ends = {
         "flown_to_the_end": "flown to the end",
@@ -133,7 +133,7 @@ def score_text(score: Mapping[str, Any]) -> str:
 
 
 def common_rows(run: Run, *streams: str) -> list[Rows]:
-    """Return the rows (T,) of each named stream at the ticks common to all.
+    """Return for each stream the rows of the ticks that all of them have.
 
     Streams of different decimation have different ticks. Where a disk ran full or the process was killed, some streams
     are longer than others: the rows end where the first of all ends.
@@ -199,7 +199,7 @@ def gnss_error(run: Run) -> tuple[Floats, Floats]:
 
 
 def gnss_latency(run: Run, sensor: str) -> Floats:
-    """Return the age (n,) [s] of a receiver's fixes when they are reported, by the scenario of the run."""
+    """Return the latency (n,) [s] of a receiver's fixes, from the run's scenario."""
     found: list[float] = []
     fleets = run.scenario.get("fleets") if isinstance(run.scenario, dict) else None
     for fleet in fleets.values() if isinstance(fleets, dict) else ():
@@ -213,7 +213,7 @@ def gnss_latency(run: Run, sensor: str) -> Floats:
 
 
 def _truth_at(run: Run, time: Floats, latency: Floats) -> Floats:
-    """Return the true positions (E, n, 3) [m] a latency (n,) [s] before times (E,) [s], at the earliest the first."""
+    """Return true positions (E, n, 3) [m] at times (E,) [s] minus a latency (n,) [s]."""
     truth, known = vectors(run["truth"], "position_ned"), run["truth"].time
     found = np.empty((len(time), *truth.shape[1:]))
     # A run that was killed at once has no ticks, and one with a damaged part may have no truth.
@@ -223,7 +223,7 @@ def _truth_at(run: Run, time: Floats, latency: Floats) -> Floats:
 
 
 def radii_of(run: Run, rows: Rows | slice = slice(None)) -> Floats:
-    """Return the radius (T, n) [m] of the circle that each vehicle flew round its waypoint, 0 or NaN without one."""
+    """Return each vehicle's circling radius (T, n) [m] about its waypoint; 0 or NaN if it does not circle."""
     commands = run["commands"]
     if "setpoint.radius" in commands:
         return np.asarray(commands["setpoint.radius"], np.float64)[rows]
@@ -257,14 +257,14 @@ def tracking_error(position: Floats, waypoint: Floats) -> Floats:
 
 
 def _rms(values: Floats, axis: int | tuple[int, ...] = 0) -> Floats:
-    """Root mean square without NaN; NaN where nothing is left."""
+    """Return the root mean square along axes, ignoring NaN; NaN if all values are NaN."""
     count = np.sum(np.isfinite(values), axis=axis)
     total = np.nansum(np.square(values), axis=axis)
     return np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
 def _without_start(waypoints: Floats, flying: Floats) -> Floats:
-    """Return the waypoints (T, n, 3), NaN for a vehicle that has only that of the start, which a policy replaced."""
+    """Return waypoints (T, n, 3) with NaN for vehicles whose only waypoint is the start."""
     replaced = np.isfinite(waypoints[1:, :, 2]).sum(axis=0) == 0
     return np.where((replaced & (np.nansum(flying, axis=0) > 1.0))[:, None], np.nan, waypoints)
 
@@ -327,7 +327,7 @@ def _battery(run: Run, position: Floats, flying: Rows) -> tuple[Floats, Floats]:
 
 
 def _airborne(run: Run, position: Floats) -> Rows:
-    """Return which vehicles were in the air (T, n), those that drive under way, as the metrics of a rollout have it."""
+    """Return a mask (T, n) of vehicles in the air, or, for ground vehicles, in motion."""
     truth = run["truth"]
     height = terrain_of(run).down(position[..., 0], position[..., 1]) - position[..., 2]
     found = height > AIRBORNE_M

@@ -79,19 +79,19 @@ class Surroundings:
 
     @property
     def places(self) -> Places:
-        """The places that the task is about."""
+        """The places of the task, for pictures."""
         from qrsim.tasks.places import Places
 
         return Places(self.goals, self.sources, self.locations)
 
     @property
     def drawn(self) -> bool:
-        """Whether there is anything that was drawn at random."""
+        """Whether persons, sources or locations were drawn at random."""
         return bool(len(self.persons) or len(self.sources) or len(self.locations))
 
 
 def surroundings_of(run: Run) -> Surroundings:
-    """Return what a run had besides its vehicles, as far as its scenario says so.
+    """Return the surroundings of a run: area, obstacles, and the contents drawn for its seed.
 
     Raises:
         RunError: the events are damaged, or the scenario is no YAML.
@@ -120,7 +120,7 @@ def surroundings_of(run: Run) -> Surroundings:
 
 
 def fixed_parts(world: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the attributes of ``Surroundings`` that a scenario's world has without a run, in NED.
+    """Return the attributes of ``Surroundings`` that follow from a scenario's world alone, in NED.
 
     Raises:
         KeyError, TypeError, ValueError: it is of another version of qrsim.
@@ -164,7 +164,7 @@ def _zones(area: Any) -> tuple[Zone, ...]:
 
 
 def _goals(run: Run) -> dict[str, Floats]:
-    """Return where a simple task wants its vehicles."""
+    """Return {"goals": positions} of a task with goals for its vehicles; {} without truth or vehicles."""
     from qrsim.core.vectors import Vec3
     from qrsim.tasks.places import goals_of
 
@@ -228,7 +228,7 @@ class _Beginning(NamedTuple):
 
 
 def _begin(world: World, task: Any, keys: object, stream: Any, places: Any) -> tuple[Any, Any, Any]:
-    """Return contents at the start, the places of a task, and the mean concentration at some places (or None)."""
+    """Return drawn contents, a plume task's locations, and the mean concentration at ``places`` (None without)."""
     import jax.numpy as jnp
 
     from qrsim.core.noise import Draw
@@ -266,7 +266,7 @@ def _edges(area: object) -> tuple[Floats, Floats]:
 
 
 def _grid(area: Any) -> object:
-    """Return the middles of the cells at all heights, (HEIGHTS * CELLS * CELLS,)."""
+    """Return the centres of the area's cells at all heights, (HEIGHTS * CELLS * CELLS,)."""
     from qrsim.core.vectors import Vec3
 
     north, east = (0.5 * (edges[1:] + edges[:-1]) for edges in _edges(area))
@@ -278,7 +278,7 @@ def _grid(area: Any) -> object:
 
 
 def _found(run: Run, persons: int) -> Floats:
-    """Return when each person (P,) was found [s], infinite where it was not."""
+    """Return the time [s] at which each person (P,) was found, infinite if never."""
     found = np.full(persons, np.inf)
     for event in run.events if EVENTS in run else ():
         if event.kind == PERSON_FOUND and event.value is not None and 0 <= int(event.value) < persons:

@@ -34,7 +34,7 @@ class Terrain:
         self.level = self._ground is None
 
     def down(self, north: Floats, east: Floats) -> Floats:
-        """Return the down coordinate [m] of the ground at places of any shape, NaN where a place is."""
+        """Return the ground's z coordinate [m, down] at places of any shape; NaN for NaN places."""
         if self._ground is None:
             return np.full(np.shape(north), self._down)
         from qrsim.core.vectors import Vec3
@@ -52,7 +52,7 @@ def terrain_of(run: Run) -> Terrain:
 
 
 def _built(run: Run) -> object:
-    """Return the ground of a run's scenario; None, with a warning, where it cannot be built any more."""
+    """Return the ground of a run's scenario; None, with a warning, if it can no longer be built."""
     from qrsim.scenarios.build import ground_of
 
     try:

@@ -19,7 +19,7 @@ from qrsim.world.state import World
 
 
 def weather_events(world: World, history: History) -> Iterator[tuple[int, Content]]:
-    """Yield the row in a history and the event of each number of the weather that begins to change then."""
+    """Yield (row, event) for each weather parameter that begins to change in a history."""
     for request in scheduled(world):
         for row in np.flatnonzero(history.ticks == request.tick):
             for event in events_of([request], world.time_step):
@@ -27,7 +27,7 @@ def weather_events(world: World, history: History) -> Iterator[tuple[int, Conten
 
 
 def scheduled(world: World) -> Iterator[Injection]:
-    """Yield the changes that a world has at set times, as requests of its scenario."""
+    """Yield the weather changes that a world has at set times, as injections."""
     changes = world.changes
     if changes is None:
         return

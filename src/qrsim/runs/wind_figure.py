@@ -70,7 +70,7 @@ def _draw_profile(scenario: ScenarioSpec) -> Figure:
 
 
 def _winds(scenario: ScenarioSpec, heights: Floats) -> list[tuple[str, Floats, Floats]]:
-    """Return a label and the velocities to north and east [m/s] at some times; of a steady wind at one."""
+    """Return (label, north, east [m/s]) over height at several times, or at one for a steady wind."""
     wind = cast(wind_of(scenario), np.float32)
     zero = np.zeros(HEIGHTS, np.float32)
     place = record_of(Vec3, zero, zero, -heights.astype(np.float32))
@@ -86,7 +86,7 @@ def _winds(scenario: ScenarioSpec, heights: Floats) -> list[tuple[str, Floats, F
 
 
 def _unbroken(bearing: Floats, speed: Floats, near: Floats) -> Floats:
-    """Return bearings without a jump from 360 to 0 degrees, close to the first ones; NaN where there is no wind."""
+    """Return bearings unwrapped across 360 degrees and near the first values; NaN in calm."""
     there, found = speed >= STILL, np.full(len(bearing), np.nan)
     if there.any():
         found[there] = np.unwrap(bearing[there], period=360.0)
@@ -96,7 +96,7 @@ def _unbroken(bearing: Floats, speed: Floats, near: Floats) -> Floats:
 
 
 def _widen(axes: Axes, bearings: Floats) -> None:
-    """Let the axis of bearings span some tens of degrees, as that of a steady wind would show rounding errors."""
+    """Widen the axis of bearings to some tens of degrees, so that rounding errors do not show."""
     if not np.isfinite(bearings).any():
         axes.set_xlim(0.0, 360.0)
         return

@@ -219,7 +219,7 @@ class RunWriter:
         self._finish_writing()
 
     def _begin_writing(self) -> None:
-        """Let a thread write what is buffered, once what was buffered before is on disk; raises as ``flush``."""
+        """Start a thread that writes the buffered data, after the last one has ended; raises as ``flush``."""
         self._finish_writing()
         pending = {stream: len(buffer.pending) for stream, buffer in self._buffers.items()}
         times = [buffer.last_time for buffer in self._buffers.values() if buffer.last_time is not None]
@@ -318,7 +318,7 @@ class RunWriter:
         return {stream: buffer.number for stream, buffer in self._buffers.items()}
 
     def _fail(self, error: OSError, doing: str) -> RunError:
-        """Close the run as failed, as far as the disk still lets it, and return the error to raise."""
+        """Mark the run as failed, if the disk still allows it, and return the error to raise."""
         self._closed = True
         self._writing = None
         self._thread.shutdown(wait=False)

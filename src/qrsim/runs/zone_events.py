@@ -32,7 +32,7 @@ class ZoneWatch:
         self._before: NumpyArray | None = None
 
     def events(self, history: History) -> Iterator[Found]:
-        """Yield the zones that vehicles leave and enter where that is reported, and ends no flight."""
+        """Yield an event for each vehicle that leaves or enters a zone, in areas that only report this."""
         if self._area is None or self._area.breach != "report":
             return
         places = _places(history)
@@ -56,7 +56,7 @@ class ZoneWatch:
                 yield int(row), int(vehicle), ZONE_LEFT if left else ZONE_ENTERED, zone.name, float(distance), words
 
     def name(self, history: History, row: int, vehicle: int) -> str:
-        """Return the name of the zone by which a flight ended at a row, in quotes; "" where that is not known.
+        """Return the name of the zone that ended a flight, as " ('NAME')"; "" if unknown.
 
         A vehicle that ends is put back to where it was, so its last way is followed on from there.
         """
@@ -77,7 +77,7 @@ def _places(history: History) -> NumpyArray:
 
 
 def _ground(ground: Any) -> Any:
-    """Return the down coordinate of a ground by north and east [m]; None without one."""
+    """Return a function from north and east [m] to the ground's z coordinate [m, down]; None without one."""
     if ground is None:
         return None
 

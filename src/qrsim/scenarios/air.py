@@ -48,7 +48,7 @@ def air_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def air_warnings(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a warning if the field of gusts stands still, so that a hovering vehicle meets a steady wind."""
+    """Yield a warning if the gust field hardly moves or changes, so that a hovering vehicle meets a steady wind."""
     turbulence = scenario.world.turbulence
     if turbulence.type != FIELD or _speed_20ft(scenario) <= 0.0:
         return
@@ -67,7 +67,7 @@ _mean = on_host(lambda wind, height: wind.mean_velocity_ned(height))
 
 
 def convection_speed(scenario: ScenarioSpec) -> float:
-    """Return the speed [m/s] of the wind that carries turbulence and gusts; infinite if its file cannot be read."""
+    """Return the wind speed [m/s] that carries the gust field along; infinite if the wind's file cannot be read."""
     turbulence = vars(scenario.world.turbulence)
     given = turbulence.get("convection_ned")
     if given is not None:
@@ -82,6 +82,6 @@ def convection_speed(scenario: ScenarioSpec) -> float:
 
 
 def _speed_20ft(scenario: ScenarioSpec) -> float:
-    """Return the mean wind speed at 20 ft [m/s] that turbulence takes: its own, or that of the wind, or 0."""
+    """Return the mean wind speed [m/s] at 20 ft of the turbulence, else of the wind, else 0."""
     own = vars(scenario.world.turbulence).get("speed_20ft")
     return float(own if own is not None else vars(scenario.world.wind).get("speed_20ft", 0.0))

@@ -22,18 +22,18 @@ class _Polygon(Strict):
 
     @property
     def north(self) -> list[float]:
-        """Corners [m]."""
+        """North coordinates of the corners [m]."""
         return [north for north, _ in self.corners_ned]  # type: ignore[attr-defined]
 
     @property
     def east(self) -> list[float]:
-        """Corners [m]."""
+        """East coordinates of the corners [m]."""
         return [east for _, east in self.corners_ned]  # type: ignore[attr-defined]
 
 
 @cache
 def polygon_model() -> Any:
-    """Return the schema of a polygon with its corners; a type checker cannot see into it."""
+    """Return the schema of a polygon area with its corners."""
     text = "[north, east] [m] of each corner, in order; the last is joined to the first"
     corners = (list[Corner], Field(description=text, min_length=3, max_length=MOST_CORNERS))
     return component_model("polygon", PolygonArea, arrays={"corners_ned": corners}, base=_Polygon)
@@ -41,7 +41,7 @@ def polygon_model() -> Any:
 
 @cache
 def _fence_model() -> type[Strict]:
-    """Return the schema of a polygon whose corners are in a file."""
+    """Return the schema of a fence: a polygon area with its corners in a file."""
     places = {
         "file": (
             str,
@@ -57,12 +57,12 @@ def _fence_model() -> type[Strict]:
 
 @cache
 def _area_model(name: str, area: type) -> type[Strict]:
-    """Return the pydantic model of a type of area, made once for each class."""
+    """Return the pydantic model of an area class, cached by class."""
     return component_model(name, area)
 
 
 def _areas() -> dict[str, Maker]:
-    """Return the makers of the schemas of areas: those of the catalogue, and a file with the polygon of one."""
+    """Return name -> maker of the schema for each area type: those of the catalogue, and "fence"."""
     own = {"polygon": polygon_model, "zones": zones_model}
     others = {name: partial(_area_model, name, area) for name, area in known.AREAS.items() if name not in own}
     return {**others, **own, "fence": _fence_model}

@@ -52,7 +52,7 @@ from qrsim.world.state import Fleet, Start, World
 
 
 def vehicle_of(fleet: FleetSpec, scenario: ScenarioSpec) -> Any:
-    """Build the vehicles of a fleet, in the air of the site."""
+    """Build the vehicles of a fleet, with the air density of the site."""
     return component(fleet.vehicle, known.VEHICLES, scenario).in_air(air_of(scenario))
 
 
@@ -97,7 +97,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
 
 
 def weather_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the problem of ``world.events`` that building the world raises; the scenario has no other problem."""
+    """Yield the error that building the world raises, if the scenario has ``world.events``."""
     if scenario.world.events:
         try:
             build_world(scenario, "float64")
@@ -111,18 +111,18 @@ def build_task(scenario: ScenarioSpec, precision: str) -> Any:
 
 
 def network_of(scenario: ScenarioSpec) -> Network | None:
-    """Build the radio of a world without what fleets have of their own; None without one."""
+    """Build the radio network of a world without its fleets' own settings; None without a radio."""
     return None if scenario.world.radio is None else component(scenario.world.radio, Network, scenario)
 
 
 def _area(scenario: ScenarioSpec, ground: object) -> Any:
-    """Build the area, with its zones where it has them."""
+    """Build the area of a scenario, with the ground for zones above terrain."""
     area = component(scenario.world.area, known.AREAS, scenario)
     return area.of(zones_of(scenario.world.area), ground) if isinstance(area, ZonesArea) else area
 
 
 def _skyline(scenario: ScenarioSpec, obstacles: Obstacles) -> Any:
-    """Return what obstacles hide of satellites and, if there are jammers, of those."""
+    """Return the skyline of receivers, with the obstacles as solids if there are jammers; None without one."""
     found = skyline(scenario)
     jams = any(entry.kind == "jammer" for entry in scenario.world.interference)
     return replace(found, solids=obstacles) if found is not None and jams else found
@@ -132,7 +132,7 @@ def _obstacles(scenario: ScenarioSpec) -> Obstacles:
     """Gather the obstacles of each kind into one record of arrays."""
 
     def gather(kind: str) -> object:
-        """Return one record of all obstacles of a kind, each field an array with one number for each."""
+        """Return all obstacles of a kind as one record, each field an array with one number per obstacle."""
         cls = known.OBSTACLES[kind]
         specs = [spec for spec in scenario.world.obstacles if spec.type == kind]
         names = [field.name for field in dataclasses.fields(cls)]
@@ -148,7 +148,7 @@ def _obstacles(scenario: ScenarioSpec) -> Obstacles:
 
 
 def _largest_radius(scenario: ScenarioSpec) -> float:
-    """Return the largest distance [m] that vehicles keep from obstacles."""
+    """Return the largest distance [m] at which a vehicle of the scenario collides with an obstacle."""
     own = [fleet.radius for fleet in scenario.fleets.values() if fleet.radius is not None]
     return float(max([0.5 * scenario.world.collision_distance, *own]))
 
@@ -179,7 +179,7 @@ def ground_of(scenario: ScenarioSpec) -> Any:
 
 
 def on_ground(scenario: ScenarioSpec) -> ScenarioSpec:
-    """Return a scenario with the starts on the ground in NED; as it is where the ground cannot be built."""
+    """Return a scenario with the heights of starts on the ground computed; unchanged if the ground cannot be built."""
     ground = ground_if_any(scenario) if any(v.on_ground for f in scenario.fleets.values() for v in f.vehicles) else None
     if ground is None:
         return scenario
@@ -197,7 +197,7 @@ def on_ground(scenario: ScenarioSpec) -> ScenarioSpec:
 
 
 def ground_if_any(scenario: ScenarioSpec) -> Any:
-    """Return the ground, None where it cannot be built, which is a fault of its own."""
+    """Return the ground, None where it cannot be built, which another check reports."""
     try:
         return ground_of(scenario)
     except UsageError:

@@ -23,7 +23,7 @@ _LOWEST = math.tan(math.radians(5.0))
 
 
 def with_buildings(scenario: ScenarioSpec, quiet: bool = False) -> tuple[ScenarioSpec, list[str]]:
-    """Return a scenario with the buildings of its file among its obstacles, and what is wrong with them.
+    """Return a scenario with the buildings of its file as obstacles, and the problems of that file.
 
     Buildings without a height are told in a warning, as is what is no polygon. Those too far from the area to matter
     are left out.
@@ -72,7 +72,7 @@ def with_buildings(scenario: ScenarioSpec, quiet: bool = False) -> tuple[Scenari
 
 
 def _tell(file: str, found: BuildingsFile, default: float) -> None:
-    """Warn of buildings without a height, and of features that were left out."""
+    """Warn of a file's buildings without a usable height, and of features that were left out."""
     unread = [building for building in found.buildings if building.unread]
     if unread:
         first, *others = unread
@@ -95,7 +95,7 @@ def _tell(file: str, found: BuildingsFile, default: float) -> None:
 
 
 def _prism(building: Building, height: float, ground: Ground | None) -> object:
-    """Return a building as a scenario has it; its ground is the lowest at its corners."""
+    """Return a building as a prism obstacle; its base is at the lowest ground of its corners."""
     outline, *holes = building.rings
     down = 0.0
     if ground is not None and not ground.at_zero:

@@ -128,7 +128,7 @@ def read_buildings(file: str, frame: str, site: Site, trees: float | None = None
 
 
 def _content(file: str) -> Content:
-    """Return the GeoJSON object of a file; raise UsageError if it is not JSON, or not GeoJSON with polygons."""
+    """Return the GeoJSON object of a file; raises UsageError if it is not GeoJSON with polygons."""
     with readable(file):
         text = read_text(file, LARGEST_TABLE)
     try:
@@ -145,7 +145,7 @@ def _content(file: str) -> Content:
 
 
 def _check_frame(file: str, content: Mapping[str, object], frame: str) -> None:
-    """Refuse a file that states other coordinates than it is read with."""
+    """Raise UsageError if the file states other coordinates than ``frame``."""
     crs = content.get("crs")
     properties = crs.get("properties") if isinstance(crs, dict) else None
     name = properties.get("name") if isinstance(properties, dict) else None
@@ -157,12 +157,12 @@ def _check_frame(file: str, content: Mapping[str, object], frame: str) -> None:
 
 
 def _features(file: str, content: Mapping[str, object]) -> Iterator[tuple[str, Content, Content]]:
-    """Yield name, properties and geometry of each feature."""
-    features = [content]
+    """Yield (name, properties, geometry) of each feature."""
+    features: object = [content]
     if content["type"] == "FeatureCollection":
-        features = content.get("features")  # type: ignore[assignment]
-        if not isinstance(features, list):
-            raise UsageError(f"{file}: its features are no list")
+        features = content.get("features")
+    if not isinstance(features, list):
+        raise UsageError(f"{file}: its features are no list")
     for number, feature in enumerate(features):
         if not isinstance(feature, dict):
             raise UsageError(f"{file}: feature {number} is no object")
@@ -178,7 +178,7 @@ def _features(file: str, content: Mapping[str, object]) -> Iterator[tuple[str, C
 def _chosen(
     everything: list[tuple[str, Content, Content]], trees: bool
 ) -> tuple[list[tuple[str, Content, Content]], BuildingsFile]:
-    """Return the features that become obstacles, and how many are left out.
+    """Return the features that become obstacles, and the counts of those left out.
 
     In exports of OpenStreetMap the buildings are ``building=*``; in files without its keys all polygons are.
     """
@@ -214,7 +214,7 @@ def _is_tree(properties: Mapping[str, object]) -> bool:
 
 
 def _polygons(geometry: Mapping[str, object]) -> list[object]:
-    """Return the polygons of a geometry, each a list of rings where the file is right."""
+    """Return the polygons of a geometry, each a list of rings; [] for other geometries."""
     found, parts = [], [geometry]
     while parts:
         part = parts.pop()
@@ -238,7 +238,7 @@ def _points(geometry: Mapping[str, object]) -> int:
 
 
 def _outline(rings: object, frame: str, site: Site) -> list[Ring]:
-    """Return the rings of a polygon in NED; raises UsageError where they are none."""
+    """Return the rings of a polygon as [north, east] [m] corners; raises UsageError if they are invalid."""
     if not isinstance(rings, list) or not rings:
         raise UsageError("its coordinates are no rings of pairs of numbers")
     placed = [_placed(ring, frame, site) for ring in rings]
@@ -247,7 +247,7 @@ def _outline(rings: object, frame: str, site: Site) -> list[Ring]:
 
 
 def _crown(properties: Mapping[str, object], geometry: Mapping[str, object], frame: str, site: Site) -> Ring:
-    """Return the outline of the crown of a tree that is a point."""
+    """Return a circle of [north, east] [m] corners: the crown of a tree that is a point."""
     ((north, east),) = _in_metres(_pairs([geometry.get("coordinates")]), frame, site)
     radius = (_length(properties, "diameter_crown") or _CROWN) / 2.0
     angles = [2.0 * math.pi * i / _CROWN_CORNERS for i in range(_CROWN_CORNERS)]
@@ -255,7 +255,7 @@ def _crown(properties: Mapping[str, object], geometry: Mapping[str, object], fra
 
 
 def _placed(ring: object, frame: str, site: Site) -> Ring:
-    """Return the corners [north, east] [m] of a ring, without the last one, which is the first again."""
+    """Return a ring's corners as [north, east] [m], without repeats; raises UsageError for too few or too many."""
     corners = _pairs(ring)
     corners = corners[np.append((corners[1:] != corners[:-1]).any(axis=1), True)]
     if len(corners) > 1 and (corners[0] == corners[-1]).all():
@@ -266,7 +266,7 @@ def _placed(ring: object, frame: str, site: Site) -> Ring:
 
 
 def _pairs(points: Any) -> NumpyArray:
-    """Return points as GeoJSON has them as an array (k, 2); raises UsageError where they are none."""
+    """Return GeoJSON points as an array (k, 2); raises UsageError unless they are finite numbers."""
     try:
         pairs = np.array([point[:2] for point in points], np.float64)
     except (TypeError, ValueError, KeyError, OverflowError):
@@ -277,7 +277,7 @@ def _pairs(points: Any) -> NumpyArray:
 
 
 def _in_metres(corners: NumpyArray, frame: str, site: Site) -> Ring:
-    """Return corners (k, 2) of a file as [north, east] [m] each."""
+    """Convert corners (k, 2) of a file to [north, east] [m] pairs; raises UsageError out of range."""
     if frame == "local":
         far = float(np.hypot(*corners.T).max())
         if far > FARTHEST:
@@ -297,7 +297,7 @@ def _in_metres(corners: NumpyArray, frame: str, site: Site) -> Ring:
 
 
 def _check(placed: list[Ring]) -> None:
-    """Refuse an outline that crosses itself, and holes that are not in it."""
+    """Raise UsageError for an outline that crosses itself, or a hole outside it."""
     if len(placed) - 1 > MOST_HOLES:
         raise UsageError(f"it has {len(placed) - 1} holes; allowed: at most {MOST_HOLES}")
     shapely = load("buildings", "a file of buildings", "shapely")
@@ -323,7 +323,7 @@ def _check(placed: list[Ring]) -> None:
 
 
 def _heights(properties: Mapping[str, object]) -> tuple[float | None, float]:
-    """Return height and base [m] over the ground of a building; None where the file has no height.
+    """Return height and base [m] of a building over the ground; None for a height that the file lacks.
 
     The rules are those of OpenStreetMap's Simple 3D Buildings: ``height`` includes the roof, ``building:levels`` does
     not. A height or a number of levels of 0 is none.
@@ -345,7 +345,7 @@ def _heights(properties: Mapping[str, object]) -> tuple[float | None, float]:
 
 
 def _unread(properties: Mapping[str, object]) -> str:
-    """Return the first property of a building's height that has a value and is no height, "" where none has."""
+    """Return the first height property with a value that is no height, as "name 'value'"; "" without one."""
     for names, read in ((_HEIGHTS, _length), (_LEVELS, _levels)):
         for name in names:
             value = properties.get(name)
@@ -355,7 +355,7 @@ def _unread(properties: Mapping[str, object]) -> str:
 
 
 def _length(properties: Mapping[str, object], *names: str) -> float | None:
-    """Return the first of some properties that is a number, of metres or feet; texts that are none do not count."""
+    """Return the first of the named properties that is a length, in metres; None without one."""
     for name in names:
         value = properties.get(name)
         number = _plain(value)
@@ -372,7 +372,7 @@ def _length(properties: Mapping[str, object], *names: str) -> float | None:
 
 
 def _levels(properties: Mapping[str, object], *names: str) -> float | None:
-    """Return the first of some properties that is a number of levels, or the largest of a list of them ("1,2").
+    """Return the first of the named properties that is a number of levels (largest of a list "1,2"); else None.
 
     Levels below the ground do not count.
     """
@@ -388,7 +388,7 @@ def _levels(properties: Mapping[str, object], *names: str) -> float | None:
 
 
 def _plain(value: object) -> float | None:
-    """Return the finite number in a property, or None."""
+    """Return a property as a finite number; None if it is not one."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     try:

@@ -58,7 +58,7 @@ _DECLARED: dict[str, tuple[Callable[[object], bool], str]] = {
 
 
 def attribute_type_problems(kind: str, component: type, contract: type | None) -> Iterator[str]:
-    """Yield the class attributes of a component that are not what its contract says, in one sentence each."""
+    """Yield a sentence for each class attribute with a type that differs from its kind's contract."""
     fields = getattr(component, "__dataclass_fields__", {})
     for name, declared in getattr(contract, "__annotations__", {}).items():
         fits, words = _DECLARED.get(str(declared).replace('"', "'"), (None, ""))
@@ -74,7 +74,7 @@ def attribute_type_problems(kind: str, component: type, contract: type | None) -
 
 
 def _command_problems(component: type[Vehicle]) -> Iterator[str]:
-    """Yield what is wrong with the commands of a vehicle; that they are a class and a tuple of classes is known."""
+    """Yield the problems of a vehicle class's ``command_type`` and ``actions``."""
     # Of the actions one may be a base class of records.
     own, actions = component.command_type, component.actions
     if not is_record(own):
@@ -86,5 +86,5 @@ def _command_problems(component: type[Vehicle]) -> Iterator[str]:
 
 
 def _wrong(component: type, name: str, value: object, words: str) -> str:
-    """Return the problem of a class attribute, with its value and, in ``words``, the expected one."""
+    """Return the sentence for a wrong class attribute: its value, and the expected one in ``words``."""
     return f"{component.__name__}.{name} is {value!r:.80}; expected {words}"

@@ -28,7 +28,7 @@ WITHOUT_PARAMETERS = ("calm", "still", "none", "clear", "given")
 
 
 def _add_degrees(schema: Content) -> None:
-    """Say in the JSON schema that every angle can be given in degrees instead."""
+    """Add to a JSON schema that every angle can be given in degrees, as ``x_deg``."""
     properties = schema.get("properties", {})
     for name in [name for name in properties if name.endswith("_rad")]:
         twin = name.removesuffix("_rad") + "_deg"
@@ -38,7 +38,7 @@ def _add_degrees(schema: Content) -> None:
 
 
 def _radians(degrees: object) -> object:
-    """Convert a number or each of a list; anything else is left for the check to find."""
+    """Convert degrees to radians, also in lists; values of other types are returned unchanged."""
     if isinstance(degrees, list):
         return [_radians(entry) for entry in degrees]
     if isinstance(degrees, bool) or not isinstance(degrees, int | float):
@@ -83,20 +83,20 @@ class Strict(BaseModel):
 
 
 def _bounds(info: FieldInfo) -> Content:
-    """Return the bounds of a parameter as keyword arguments of pydantic: ge, le, gt."""
+    """Return the bounds of a parameter as pydantic's keyword arguments ge, le, gt."""
     bounds = {"ge": info.minimum, "le": info.maximum, "gt": info.above}
     return {name: bound for name, bound in bounds.items() if bound is not None}
 
 
 def _described(info: FieldInfo) -> Content:
-    """Return the description and the unit of a parameter as keyword arguments of pydantic."""
+    """Return the description and unit of a parameter as pydantic's keyword arguments."""
     inherited = f" (default: that of {info.inherits})" if info.inherits else ""
     inherited = " (default: that of the sensors)" if info.of_sensors else inherited
     return {"description": info.doc + inherited, "json_schema_extra": {"unit": info.unit}}
 
 
 def _optional(info: FieldInfo) -> bool:
-    """Return whether a scenario may give null, which another part of it then fills."""
+    """Return whether the parameter may be null in a scenario, to be filled from another part."""
     return bool(info.inherits) or info.nullable or info.of_sensors
 
 
@@ -114,7 +114,7 @@ _ONE_OR_SEVERAL = Annotated[
 
 
 def _for_each(info: FieldInfo) -> object:
-    """Return the annotation of a number of a fleet: one for all vehicles, or a list with one for each."""
+    """Return the annotation of a fleet's parameter: one number for all vehicles, or a list with one for each."""
     number = Annotated[float, Field(allow_inf_nan=False, strict=True, **_bounds(info))]
     entry = number | None if _optional(info) else number
     return Annotated[
@@ -176,7 +176,7 @@ def component_model(
     base: type[Strict] = Strict,
     more: Mapping[str, object] | None = None,
 ) -> type[Strict]:
-    """Make the schema of one component.
+    """Make the pydantic model of one component class.
 
     Args:
         name: its name in the catalogue.
@@ -206,7 +206,7 @@ def component_model(
 
 
 def _preset_base(base: type[Strict], presets: Mapping[str, Mapping[str, object]]) -> type[Strict]:
-    """Return the base of the schema of a component whose ``preset`` says what is not given."""
+    """Return a base model that fills missing parameters from the preset that its ``preset`` names."""
 
     class Preset(base):  # type: ignore[misc, valid-type]
         @model_validator(mode="before")

@@ -14,7 +14,7 @@ from qrsim.scenarios.schema import ScenarioSpec
 
 
 def component(spec: BaseModel, choices: Mapping[str, Any] | type, scenario: ScenarioSpec) -> Any:
-    """Build the component of a part of a scenario, with its inherited parameters."""
+    """Build the component that a part of a scenario describes, with inherited parameters filled in."""
     cls = choices if isinstance(choices, type) else choices[spec.type]  # type: ignore[attr-defined]
     values: dict[str, object] = {}
     for field in dataclasses.fields(cls):
@@ -37,7 +37,7 @@ def component(spec: BaseModel, choices: Mapping[str, Any] | type, scenario: Scen
 
 
 def inherited(scenario: ScenarioSpec, path: str) -> object:
-    """Return the value at a dotted path of the scenario, or None."""
+    """Return the value at a dotted path of the scenario, None if there is no such value."""
     value: Any = scenario
     for part in path.split("."):
         value = getattr(value, part, None)

@@ -188,7 +188,7 @@ def _a(kind: str) -> str:
 
 
 def _shown(part: inspect.Parameter) -> str:
-    """Return a parameter of a signature as a message shows it, "=..." for a default."""
+    """Return a parameter of a signature as text for a message, with "=..." for a default."""
     stars = "*" if part.kind is part.VAR_POSITIONAL else "**" if part.kind is part.VAR_KEYWORD else ""
     return f"{stars}{part.name}" + ("" if part.default is part.empty else "=...")
 
@@ -216,7 +216,7 @@ def _attribute_problems(kind: str, component: type) -> Iterator[str]:
 
 
 def _calls(kind: str, component: type) -> Iterator[tuple[str, list[str], list[str]]]:
-    """Yield the required methods of a kind: name, positional and named arguments; "..." where they are unknown."""
+    """Yield (name, positional, named arguments) of the methods that a kind requires; "..." where they are unknown."""
     contract = CONTRACTS.get(kind)
     if contract is None:
         for name, arguments in CALLS.get(kind, {}).items():
@@ -249,13 +249,13 @@ def _arguments(component: object, function: Callable[..., object]) -> tuple[list
 
 
 def _reads(component: object) -> tuple[str, ...]:
-    """Return the names in a class's ``reads``; () if only its objects know them."""
+    """Return the class attribute ``reads``; () if it is a property."""
     reads = getattr(component, "reads", ())
     return () if isinstance(reads, property) else reads
 
 
 def _common(kind: str) -> list[str]:
-    """Return the public methods that all built-in components of a kind have."""
+    """Return the sorted names of the public methods that all built-in components of a kind have."""
     built_in = [known for known in catalogue.KINDS[kind].values() if known.__module__.startswith("qrsim.")]
     methods = [
         {name for name in dir(known) if not name.startswith("_") and callable(getattr(known, name))}
@@ -265,7 +265,7 @@ def _common(kind: str) -> list[str]:
 
 
 def _meant(component: type, name: str, method: bool = False) -> str:
-    """Return a hint with the class's own name that is nearest to a missing one; "" if none is near."""
+    """Return a "did you mean" hint with the class's own name nearest to a missing one; "" without one."""
     own = [
         known
         for known, value in vars(component).items()
@@ -276,7 +276,7 @@ def _meant(component: type, name: str, method: bool = False) -> str:
 
 
 def _complete(kind: str, component: type) -> None:
-    """Add to a class the defaults of its contract that it lacks."""
+    """Add the default methods of the contract that a class lacks to the class, in place."""
     contract = CONTRACTS.get(kind)
     if contract is None or contract in component.__mro__:
         return

@@ -29,7 +29,7 @@ PAIRS = (
 
 
 def contents_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the faults of plume, ground, persons and random starts."""
+    """Yield the problems of plume, ground, persons and random starts."""
     world = scenario.world
     parts = {f"world.{name}": getattr(world, name) for name in ("plume", "terrain", "persons")}
     parts |= {f"fleets.{name}.placement": fleet.placement for name, fleet in scenario.fleets.items()}
@@ -48,14 +48,14 @@ def contents_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _order_problems(path: str, part: object) -> Iterator[str]:
-    """Yield the pairs of bounds in a part, such as smallest and largest, that are in the wrong order."""
+    """Yield a problem for each pair of bounds in a part (smallest, largest) that is in the wrong order."""
     for low, high in PAIRS:
         if low in vars(part) and getattr(part, low) > getattr(part, high):
             yield f"{path}.{low}: {getattr(part, low):g}; allowed: at most {high}, {getattr(part, high):g}"
 
 
 def _plume_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a problem if a plume needs a wind that there is not, or more puffs than it may have."""
+    """Yield a problem if a plume needs a wind and the scenario has none, or needs too many puffs."""
     plume, wind = scenario.world.plume, scenario.world.wind
     if not known.PLUMES[plume.type].needs_wind:
         return
@@ -81,7 +81,7 @@ def puffs_in_the_air(plume: Any, area: Any, speed: float) -> int:
     across = math.hypot(area.x_max - area.x_min, area.y_max - area.y_min)
     flown = across
     for _ in range(20):
-        flown = across + float(trail(plume.spread_factor, plume.spread_exponent, flown))  # type: ignore[arg-type]
+        flown = across + float(trail(plume.spread_factor, plume.spread_exponent, flown))
     # Next to no time between two puffs would be more of them than numbers can say.
     mean = min(flown / max(speed * plume.gap, 1e-300), 1e15)
     return math.ceil(mean + 6.0 * math.sqrt(mean))
@@ -96,7 +96,7 @@ def _share_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _ring_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the fleets with more vehicles than fit into the ring in which they are placed."""
+    """Yield a problem for each fleet with more vehicles than fit into its ring of random starts."""
     for name, fleet in scenario.fleets.items():
         if fleet.placement.type != "ring":
             continue

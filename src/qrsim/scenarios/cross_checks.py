@@ -64,7 +64,7 @@ FED = {"measurements": "measurements", "filter": "a filter of measurements"}
 
 
 def problems(scenario: ScenarioSpec) -> list[str]:
-    """Check the parameters against each other; one sentence per fault."""
+    """Return the problems of parameters that contradict each other, one sentence each."""
     return [
         *timing_problems(scenario),
         *fitting_problems(scenario),
@@ -93,7 +93,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
 
 
 def _path_problems(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec, floor: bool) -> Iterator[str]:
-    """Yield why a path cannot carry a fleet's vehicles."""
+    """Yield why a prescribed path (``moves_on``) cannot carry a fleet's vehicles within area and limits."""
     path = f"fleets.{fleet_name}.vehicle.moves_on"
     try:
         vehicle = component(fleet.vehicle, known.VEHICLES, scenario).prepared(scenario.duration)
@@ -113,7 +113,7 @@ def _path_problems(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec, fl
 
 
 def _inheritance_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the numbers of turbulence that would come from the wind, which has none."""
+    """Yield the turbulence parameters that should come from the wind, if the wind lacks them."""
     turbulence = scenario.world.turbulence
     cls = known.TURBULENCES[turbulence.type]
     for field in dataclasses.fields(cls):
@@ -163,7 +163,7 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _ground_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a ground that cannot be built, and starts and waypoints below it."""
+    """Yield a problem if the ground cannot be built, and each start and waypoint below it."""
     try:
         ground = ground_of(scenario)
     except UsageError as error:
@@ -177,7 +177,7 @@ def _ground_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _standing_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield vehicles that start on a ground that ends their flight, and fleets that cannot park."""
+    """Yield the vehicles that start on a ground that ends their flight, and fleets that cannot park."""
     for name, fleet in scenario.fleets.items():
         for i, vehicle in enumerate(fleet.vehicles):
             if vehicle.on_ground and not (rides(fleet) or stands(fleet)):
@@ -188,7 +188,7 @@ def _standing_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _name_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield names of fleets and sensors that paths, columns and noise streams cannot have."""
+    """Yield the names of fleets and sensors that are not allowed in paths, columns and noise streams."""
     for path, name in [("fleets", fleet_name), *((f"fleets.{fleet_name}.sensors", name) for name in fleet.sensors)]:
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
             yield (
@@ -204,7 +204,7 @@ def _name_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _length_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield lists of numbers that do not have one for each vehicle."""
+    """Yield the parameter lists whose length is not the number of vehicles."""
     size = len(fleet.vehicles)
     parts = {name: getattr(fleet, name) for name in ("vehicle", "controller", "guidance", "limits", "battery")}
     optional = {"estimator": fleet.estimator, "failsafes": fleet.failsafes}
@@ -217,7 +217,7 @@ def _length_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _battery_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield a battery that the vehicle cannot drain, or voltages that do not fall as it empties."""
+    """Yield why a fleet's battery cannot be used: the vehicle cannot drain it, or its voltages rise."""
     battery, vehicle = known.BATTERIES[fleet.battery.type], known.VEHICLES[fleet.vehicle.type]
     if battery.needs_power and not vehicle.gives_power:
         yield (
@@ -243,7 +243,7 @@ def _battery_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _numbers(part: BaseModel, path: str) -> Iterator[tuple[str, object]]:
-    """Yield path and value of each leaf of a part of a scenario."""
+    """Yield (path, value) of each leaf of a part of a scenario."""
     for name in type(part).model_fields:
         value = getattr(part, name)
         if isinstance(value, BaseModel):
@@ -253,7 +253,7 @@ def _numbers(part: BaseModel, path: str) -> Iterator[tuple[str, object]]:
 
 
 def _guidance_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield a guidance with set-points that the controller does not take."""
+    """Yield a problem if the controller does not take the set-points of the fleet's guidance."""
     accepted = known.CONTROLLERS[fleet.controller.type].setpoints
     # Tracks of both are of one kind, but a rover's end where it stops, and a wing's in a circle.
     others = {"rover": "fixed_wing", "fixed_wing": "rover"}.get(fleet.controller.type)
@@ -266,7 +266,7 @@ def _guidance_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _fitting_problems(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a controller that cannot fly the vehicle; the vehicle alone is checked elsewhere."""
+    """Yield a problem if the fleet's controller cannot fly its vehicle."""
     if any(controller_problems(fleet_name, fleet)):
         return
     try:
@@ -291,7 +291,7 @@ def _too_fast(path: str, velocity_body: list[float], fleet: FleetSpec, i: int) -
 
 
 def _estimated(estimator: str) -> dict[str, str]:
-    """Return the quantities that an estimator needs, each with a sensor that measures it."""
+    """Return quantity -> sensor type for each quantity that an estimator needs."""
     kind = known.FILTERS[estimator]
     return {quantity: sensor for sensor in kind.reads for quantity, types in PROVIDED.items() if sensor in types}
 
@@ -343,7 +343,7 @@ def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _wind_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield why the wind of a scenario cannot be built."""
+    """Yield the reason if the wind of a scenario cannot be built."""
     try:
         wind_of(scenario)
     except UsageError as error:
@@ -351,7 +351,7 @@ def _wind_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _orbit_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Read the ephemeris and see that it spans the run."""
+    """Yield the problems of the orbits' file: unreadable, or not spanning the run."""
     orbits = scenario.world.sky.orbits
     try:
         ephemeris = for_receivers(scenario, component(orbits, known.ORBITS, scenario))

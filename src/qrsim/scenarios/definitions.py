@@ -30,7 +30,7 @@ def with_short_names(schema: Mapping[str, object]) -> dict[str, object]:
 
 
 def _look(node: object, key: str, names: dict[str, str]) -> None:
-    """Collect long name -> short name from the choices of a component below ``key``."""
+    """Collect long name -> short name of the definitions below ``key`` of a JSON schema into ``names``."""
     if isinstance(node, list):
         for part in node:
             _look(part, key, names)

@@ -29,7 +29,7 @@ DRAIN_STEP_S, MOST_ENDURANCE_S = 5.0, 86_400.0
 
 
 def derived_of(scenario: Scenario) -> dict[str, dict[str, float]]:
-    """Return derived quantities of each fleet that has some, by name; units end the names."""
+    """Return fleet -> derived quantities by name, such as hover throttle and endurance; units end the names."""
     found = {}
     for name, fleet in scenario.spec.fleets.items():
         vehicle = vehicle_of(fleet, scenario.spec)
@@ -68,7 +68,7 @@ def heights_line(scenario: Scenario) -> str:
 
 
 def _level_flight(vehicle: FixedWing) -> dict[str, float]:
-    """Return throttle, angle of attack and elevator of level cruise, and the stall speed, of the first aeroplane."""
+    """Return throttle, angle of attack and elevator of level cruise, and the stall speed, of the first vehicle."""
     alpha, elevator, throttle = cruise(vehicle, np.asarray(vehicle.cruise_airspeed))  # type: ignore[arg-type]
     each: dict[str, Any] = {
         "stall_speed_m_s": stall_speed(vehicle),
@@ -80,7 +80,7 @@ def _level_flight(vehicle: FixedWing) -> dict[str, float]:
 
 
 def _first(leaf: Any) -> Any:
-    """Return the first number of an array: the one of the first vehicle."""
+    """Return the first element of an array as float32: the value of the first vehicle."""
     return np.float32(np.ravel(leaf)[0])
 
 

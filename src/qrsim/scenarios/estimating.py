@@ -39,17 +39,28 @@ MANOEUVRE_S, MANOEUVRE = 2.0, 1.0
 LEVEL_DOP, DOWN_DOP = 0.85, 1.5
 # What is left where a sensor has no error of a kind: ticks are no instants, and no model is exact.
 LEAST: Mapping[str, float] = {
-    "gyroscope_noise": 3e-4, "accelerometer_noise": 0.01, "gyroscope_walk": 1e-5, "accelerometer_walk": 1e-4,
-    "gyroscope_bias_std": 1e-4, "gyroscope_calibrated_std": 2e-5, "accelerometer_bias_std": 0.01, "position_std": 0.1,
-    "vertical_std": 0.1, "velocity_std": 0.03, "height_std": 0.1, "yaw_std": 0.005, "field_bias_std": 0.1,
-    "field_std": 0.1, "airspeed_std": 0.3,
-}  # fmt: skip
+    "gyroscope_noise": 3e-4,
+    "accelerometer_noise": 0.01,
+    "gyroscope_walk": 1e-5,
+    "accelerometer_walk": 1e-4,
+    "gyroscope_bias_std": 1e-4,
+    "gyroscope_calibrated_std": 2e-5,
+    "accelerometer_bias_std": 0.01,
+    "position_std": 0.1,
+    "vertical_std": 0.1,
+    "velocity_std": 0.03,
+    "height_std": 0.1,
+    "yaw_std": 0.005,
+    "field_bias_std": 0.1,
+    "field_std": 0.1,
+    "airspeed_std": 0.3,
+}
 # Share of the field of currents that changes with the thrust within a flight, and readings for which that lasts.
 CURRENT_SHARE, CURRENT_READINGS = 0.1, 20.0
 
 
 def sensed(sensors: Sequence[object], calibration_time: float, errors: object = None) -> Stds:
-    """Return the parameters of the filter that sensors determine, by name: of each, the first sensor that does.
+    """Return filter parameter -> value for those that sensors determine; the first sensor of several counts.
 
     Args:
         sensors: of a fleet, in its order.
@@ -66,7 +77,7 @@ def sensed(sensors: Sequence[object], calibration_time: float, errors: object = 
 
 
 def with_sensed(kalman: T, spec: object, sensors: Sequence[object], errors: object) -> T:
-    """Return an estimator with the parameters that its spec leaves out taken from the sensors."""
+    """Return a filter with the parameters that its spec leaves out computed from the sensors."""
     if not isinstance(kalman, KalmanParameters):
         return kalman
     found = sensed(sensors, kalman.calibration_time, errors)
@@ -74,7 +85,7 @@ def with_sensed(kalman: T, spec: object, sensors: Sequence[object], errors: obje
 
 
 def left_out(spec: object) -> Iterator[str]:
-    """Yield the parameters of a filter that are those of the sensors, of which its spec gives none."""
+    """Yield the names of the filter parameters that come from the sensors and that the spec leaves out."""
     for field in dataclasses.fields(KalmanParameters):
         if field_info(field).of_sensors and getattr(spec, field.name) is None:
             yield field.name

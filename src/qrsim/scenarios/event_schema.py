@@ -76,6 +76,6 @@ Changeable = Annotated[list[Literal["wind", "gusts", "jam"]], BeforeValidator(_e
 
 
 def may_be_jammed(scenario: Any) -> bool:
-    """Return whether the power of jammers may change, so that those without power are built too."""
+    """Return whether jammers can change their power in flight, so that those with no power are built too."""
     world = scenario.world
     return JAM in world.injectable or any(event.jam is not None for event in world.events)

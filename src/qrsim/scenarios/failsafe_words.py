@@ -12,7 +12,7 @@ from qrsim.scenarios.component_schema import Strict
 
 
 def _add_numbers(schema: Content) -> None:
-    """Add PX4's numbers to the words that a JSON schema allows."""
+    """Add PX4's numbers to the words that a JSON schema allows, in place."""
     for name, words in WORDS.items():
         field = schema["properties"][name]
         field["enum"] = [*words, *words.values()]

@@ -29,7 +29,7 @@ FAR_AWAY = 1e6
 def failsafes(
     given: Failsafes, fleet: FleetSpec, scenario: ScenarioSpec, ground_of: Callable[[ScenarioSpec], Ground]
 ) -> Failsafes:
-    """Return the failsafes of a fleet with the ceiling of the area and the rally points of its vehicles.
+    """Return a fleet's failsafes with the area's ceiling and its vehicles' rally points filled in.
 
     Args:
         given: as the scenario has them.
@@ -46,7 +46,7 @@ def failsafes(
 
 
 def _rally(fleet: FleetSpec, number: int, ground: Ground) -> RallyPoint:
-    """Return a rally point of all vehicles, far away for those with fewer."""
+    """Return rally point ``number`` of all vehicles, each (n,); far away for vehicles that have fewer."""
     none = [FAR_AWAY, 0.0, 0.0]
     places = [each.rally_ned[number] if number < len(each.rally_ned) else none for each in fleet.vehicles]
     north, east, down = np.array(places, np.float64).T
@@ -70,7 +70,7 @@ def failsafe_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _flight_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield why a failsafe could not fly the vehicles of a fleet, or land them."""
+    """Yield why a fleet's vehicles cannot fly a failsafe's action, or land by it."""
     controller, guidance = known.CONTROLLERS.get(fleet.controller.type), known.GUIDANCE.get(fleet.guidance.type)
     if controller is None or guidance is None:
         return
@@ -104,7 +104,7 @@ def _flies_paths(controller: Any) -> bool:
 
 
 def _level_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield what is wrong with the levels of a battery."""
+    """Yield the problems of a failsafe's battery levels."""
     spec: Any = fleet.failsafes
     if spec.COM_LOW_BAT_ACT != "warn" and not known.BATTERIES[fleet.battery.type].drains:
         yield f"{path}.COM_LOW_BAT_ACT: a battery of type '{fleet.battery.type}' has no charge that could be low"
@@ -120,7 +120,7 @@ def _level_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _floor_problems(path: str, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield why a vehicle that lands would leave the area."""
+    """Yield a problem if a vehicle that lands would leave the area."""
     area: Any = scenario.world.area
     ground: Any = scenario.world.ground
     if area.type in ("box", "polygon", "zones") and ground.type == "flat" and area.z_max < -ground.height:
@@ -131,7 +131,7 @@ def _floor_problems(path: str, scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _link_problems(path: str, name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield why a fleet cannot lose a link."""
+    """Yield why a fleet's link failsafe cannot act."""
     spec: Any = fleet.failsafes
     if spec.NAV_DLL_ACT == "none":
         if spec.link_to:

@@ -30,7 +30,7 @@ def _all_of(value: object) -> object:
 
 
 def or_all(schema: dict[str, Any]) -> None:
-    """Add the word "all" to a JSON schema."""
+    """Allow the word "all" in a JSON schema, in place."""
     named = {name: schema.pop(name) for name in ("type", "items", "anyOf", "$ref") if name in schema}
     schema["anyOf"] = [*named.pop("anyOf", []), *([named] if named else []), {"const": ALL}]
 
@@ -172,7 +172,7 @@ _TYPES: dict[str, type[Strict]] = {
 
 
 def _what_fails(fault: object) -> str:
-    """Return the type of a fault as a scenario writes it; those of sensors need not say it."""
+    """Return the type of a fault in a scenario, such as "rotor"; "sensor" if it is left out."""
     if isinstance(fault, dict):
         fault_type = fault.get("type", "sensor")
         return fault_type if isinstance(fault_type, str) else "sensor"

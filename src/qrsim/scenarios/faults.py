@@ -87,7 +87,7 @@ def faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[F
 
 
 def _draw_alike(one: FaultSpec, other: FaultSpec) -> bool:
-    """Return whether two faults are of one sensor of one vehicle, and begin at one time."""
+    """Return whether two faults draw the same normals: same sensor, vehicle and start."""
     shared = one.vehicles is None or other.vehicles is None or set(one.vehicles) & set(other.vehicles)
     return bool(shared) and (one.sensor, one.start, kind_of(one.kind)) == (
         other.sensor,
@@ -97,7 +97,7 @@ def _draw_alike(one: FaultSpec, other: FaultSpec) -> bool:
 
 
 def _white_noise(fleet: FleetSpec, sensor: str, scenario: ScenarioSpec) -> dict[str, Any]:
-    """Return the white noise that a sensor states, by field."""
+    """Return field -> white noise that a sensor's class declares."""
     found: dict[str, Any] = component(fleet.sensors[sensor], known.SENSORS, scenario).white_noise()
     return found
 
@@ -107,7 +107,7 @@ def _numbers_given(spec: FaultSpec) -> dict[str, float | None]:
 
 
 def tick_of(seconds: float | None, dt: float) -> Any:
-    """Return a time [s] in ticks, () int32; None: never."""
+    """Return a time [s] in ticks as an int32 scalar array; None becomes never."""
     return np.array(LAST_TICK if seconds is None else min(round(seconds / dt), LAST_TICK), np.int32)
 
 
@@ -178,7 +178,7 @@ TIMES = ("start", "end", "at")
 
 
 def drawn_paths(fleet: FleetSpec, number: int, name: str) -> list[tuple[str | int, ...]]:
-    """Return the paths in a Fleet of a number of one of its faults that an episode may draw; [] for others."""
+    """Return the World paths, within a Fleet, of a fault's parameter that an episode may draw; [] for others."""
     chosen = fleet.faults[number]
     place = sum(isinstance(fault, type(chosen)) for fault in fleet.faults[:number])
     if not isinstance(chosen, FaultSpec):
@@ -215,14 +215,14 @@ def is_pushable(fleet: FleetSpec) -> bool:
 
 
 def rotors_of(fleet: FleetSpec) -> int:
-    """Return how many rotors a vehicle of a fleet has that could fail; 0 where its model has none of its own."""
+    """Return how many rotors of a fleet's vehicle can fail; 0 for a model without separate rotors."""
     return len(fleet.vehicle.rotors) if issubclass(known.VEHICLES[fleet.vehicle.type], Multirotor) else 0
 
 
 def slots(
     fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec
 ) -> tuple[tuple[FaultSlot, ...], tuple[RotorFault, ...], BatteryFault | None, RadioFault | None, Push | None]:
-    """Build the slots of a fleet for faults of sensors, rotors, battery and radio and pushes in flight, all empty."""
+    """Build a fleet's empty slots for injected faults: sensors, rotors, battery, radio, push."""
     spec = injectable_of(fleet, scenario.world.radio is not None)
     dt, count = scenario.time_step, len(fleet.vehicles)
     sensors = []
@@ -241,12 +241,12 @@ def slots(
 
 
 def mask_of(names: tuple[str, ...], chosen: list[str] | None) -> Any:
-    """Return which vehicles (n,) are among the chosen names, bool; None: all."""
+    """Return a bool array (n,) that is True for the chosen vehicle names; all True for None."""
     return np.array([chosen is None or name in chosen for name in names])
 
 
 def reading_fields(sensor_type: str) -> list[str]:
-    """Return the dotted names of what a type of sensor reports; none of one from outside whose step does not say it."""
+    """Return the dotted field names of a sensor type's reading; [] if its step has no return annotation."""
     sensor: Any = known.SENSORS[sensor_type]
     says = sensor.init if sensor.step is Memoryless.step else sensor.step
     pair = typing.get_args(typing.get_type_hints(says).get("return"))
@@ -305,7 +305,7 @@ def _radio_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iter
 
 
 def push_problems(path: str, where: str, push: Any, fleet: FleetSpec) -> Iterator[str]:
-    """Yield why vehicles of a fleet cannot be pushed so; ``where`` is the path at which they are chosen."""
+    """Yield why a fleet's vehicles cannot be pushed this way; ``where`` is the path of the chosen vehicles."""
     if not is_pushable(fleet):
         yield f"{where}: a '{fleet.vehicle.type}' cannot be pushed"
     if push.acceleration_ned is None and push.acceleration_body is None:
@@ -313,7 +313,7 @@ def push_problems(path: str, where: str, push: Any, fleet: FleetSpec) -> Iterato
 
 
 def _injectable_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield what is wrong with what of a fleet may be made to fail in flight."""
+    """Yield the problems of a fleet's ``injectable``: parts that it lacks, or too many rotors."""
     spec = injectable_of(fleet, scenario.world.radio is not None)
     if spec.radio:
         yield from _radio_problems(f"{path}.radio", fleet, scenario)
@@ -336,6 +336,7 @@ def _injectable_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec) ->
 
 
 def _vehicle_problems(path: str, chosen: list[str] | None, names: tuple[str, ...]) -> Iterator[str]:
+    """Yield a problem for each chosen name that is not a vehicle of the fleet."""
     for name in chosen or []:
         if name not in names:
             yield f"{path}.vehicles: no vehicle of the fleet is called '{name}'{did_you_mean(name, names)}"
@@ -344,7 +345,7 @@ def _vehicle_problems(path: str, chosen: list[str] | None, names: tuple[str, ...
 def _moment_problems(
     path: str, fault: RotorFaultSpec | BatteryFaultSpec | RadioFaultSpec | PushSpec, scenario: ScenarioSpec
 ) -> Iterator[str]:
-    """Yield what is wrong with the times of a push, or of a fault that is not of a sensor."""
+    """Yield the problems of ``at`` and ``end`` of a push, or of a fault that is not of a sensor."""
     for name, seconds in (("at", fault.at), ("end", fault.end)):
         if seconds and not is_multiple(seconds, scenario.time_step, math.inf):
             yield f"{path}.{name}: {seconds:g} s is not a multiple of the time step {scenario.time_step:g} s"
@@ -354,7 +355,6 @@ def _moment_problems(
 
 
 def _battery_problems(path: str, fault: BatteryFaultSpec, fleet: FleetSpec) -> Iterator[str]:
-    """Yield what is wrong with the fault of a battery."""
     if not known.BATTERIES[fleet.battery.type].drains:
         yield f"{path}.type: a battery of type '{fleet.battery.type}' has no charge that it could lose"
     if fault.charge is None and fault.health is None:
@@ -364,7 +364,6 @@ def _battery_problems(path: str, fault: BatteryFaultSpec, fleet: FleetSpec) -> I
 
 
 def _rotor_problems(path: str, fault: RotorFaultSpec, fleet: FleetSpec) -> Iterator[str]:
-    """Yield what is wrong with the fault of a rotor."""
     if fault.speed is not None and fault.health > 0.0:
         yield f"{path}.health: a rotor that is stuck at a speed has none"
     if not issubclass(known.VEHICLES[fleet.vehicle.type], Multirotor):
@@ -375,6 +374,7 @@ def _rotor_problems(path: str, fault: RotorFaultSpec, fleet: FleetSpec) -> Itera
 
 
 def _span_problems(path: str, fault: FaultSpec, scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield the problems of a sensor fault's start and end: off the time step, or outside the run."""
     for name, seconds in (("start", fault.start), ("end", fault.end)):
         # An end beyond all steps is that of the run.
         if seconds and not is_multiple(seconds, scenario.time_step, math.inf):
@@ -383,6 +383,7 @@ def _span_problems(path: str, fault: FaultSpec, scenario: ScenarioSpec) -> Itera
 
 
 def _sensor_fault_problems(path: str, fault: FaultSpec, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield the problems of a sensor fault's sensor and parameters."""
     if fault.sensor not in fleet.sensors:
         yield f"{path}.sensor: no sensor is called '{fault.sensor}'{did_you_mean(fault.sensor, fleet.sensors)}"
         return

@@ -54,7 +54,7 @@ def fixed_wing_problems(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> 
 
 
 def _stalls(stall: float) -> str:
-    """Return the words of a problem: an airspeed is below the stall speed ``stall`` [m/s]."""
+    """Return the text that an airspeed is below the stall speed ``stall`` [m/s]."""
     return f"is below its stall at {stall:.3g} m/s; allowed: above that"
 
 
@@ -74,7 +74,7 @@ def _on_ground(name: str, fleet: FleetSpec, scenario: ScenarioSpec, span: float)
 
 
 def _inertia(name: str, vehicle: FixedWing) -> Iterator[str]:
-    """Yield a problem if the product of inertia is larger than that of any body."""
+    """Yield a problem if the inertia tensor is impossible: inertia_xz^2 at least inertia_x times inertia_z."""
     x, z, xz = (np.asarray(part, float) for part in (vehicle.inertia_x, vehicle.inertia_z, vehicle.inertia_xz))
     if np.any(x * z <= xz * xz):
         yield (
@@ -84,7 +84,7 @@ def _inertia(name: str, vehicle: FixedWing) -> Iterator[str]:
 
 
 def _circles(name: str, fleet: FleetSpec, scenario: ScenarioSpec, cruise: float) -> Iterator[str]:
-    """Yield circles that are smaller than the bank allows at the speed over ground downwind."""
+    """Yield a problem for each circle that is too tight for the bank limit at the downwind ground speed."""
     path, radius = "guidance.radius", vars(fleet.guidance).get("radius")
     if fleet.guidance.type == "route":
         path, radius = "controller.loiter_radius", vars(fleet.controller).get("loiter_radius")

@@ -23,7 +23,7 @@ TURBULENT = ("dryden", "dryden_field", "dryden_first_order")
 
 
 def insert_forecast(content: Mapping[str, object], source: str) -> None:
-    """Replace, in place, the ``FORECAST`` of a log_shear by its ``speed_20ft`` and a turbulence.
+    """Replace a log_shear's forecast parameters by ``speed_20ft`` and turbulence, in place.
 
     A wind that is a number is a ``log_shear`` with that ``speed`` [m/s] from the north.
 
@@ -63,7 +63,7 @@ def turbulence_speed(sigma: float, height: float) -> float:
 
 
 def _unknown(wind: Mapping[str, object], forecast: bool) -> str:
-    """Return the problem of a name that neither a forecast nor a log_shear has, or "".
+    """Return the problem of an unknown parameter of the wind, "" without one.
 
     Args:
         wind: without the names of forecasts.
@@ -77,7 +77,7 @@ def _unknown(wind: Mapping[str, object], forecast: bool) -> str:
 
 
 def _problem(given: Content, wind: Content) -> str:
-    """Return the problem of a forecast, or ""."""
+    """Return the problem of a forecast's numbers, "" if they are valid."""
     for name, value in {**given, "roughness": wind.get("roughness", ROUGHNESS_M)}.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             return f"{name}: expected a number, found {'null' if value is None else f'{value!r:.60}'}"

@@ -22,7 +22,7 @@ NEAR_IT = 0.5
 
 
 def bounds_of(area: Any) -> tuple[float, float, float, float] | None:
-    """Return south, north, west and east [m] of an area, None where it has no bounds that are known."""
+    """Return south, north, west and east [m] of an area; None for an area without known bounds."""
     if area.type == "box":
         return area.x_min, area.x_max, area.y_min, area.y_max
     if area.type == "polygon":
@@ -35,24 +35,24 @@ def bounds_of(area: Any) -> tuple[float, float, float, float] | None:
 
 
 def top_of(area: Any) -> float | None:
-    """Return the greatest height [m] over the origin that an area allows, None where none is known."""
+    """Return the area's ceiling as a height [m] over the origin; None without one."""
     return -area.z_min if area.type in ("box", "polygon", "zones") else None
 
 
 def has_floor(scenario: ScenarioSpec) -> bool:
-    """Return whether the ground is the plane z = 0, where the floor of the area ends flights."""
+    """Return whether the ground is z = 0 and the area's floor there ends flights."""
     ground = scenario.world.ground
     return bool(ground.type == "flat" and ground.height == 0.0)
 
 
 def rides(fleet: FleetSpec) -> bool:
-    """Return whether the vehicles of a fleet move on the ground."""
+    """Return whether the vehicles of a fleet drive on the ground."""
     vehicle = known.VEHICLES[fleet.vehicle.type]
     return bool(vehicle.rides)
 
 
 def riding_problems(name: str, fleet: FleetSpec, ground: Ground) -> Iterator[str]:
-    """Yield which vehicles of a fleet that moves on the ground start elsewhere, or are sent elsewhere."""
+    """Yield each start and waypoint of a ground vehicle's fleet that is not on the ground."""
     points: dict[str, list[float]] = {}
     for i, vehicle in enumerate(fleet.vehicles):
         path = f"fleets.{name}.vehicles.{i}"
@@ -72,7 +72,7 @@ def riding_problems(name: str, fleet: FleetSpec, ground: Ground) -> Iterator[str
 def put_on_ground(
     scenario: ScenarioSpec, ground: Ground, standing_height: Callable[[FleetSpec], NumpyArray]
 ) -> ScenarioSpec:
-    """Return a scenario in which the vehicles that start on the ground stand on it.
+    """Return a scenario in which vehicles with ``on_ground`` have the start height of standing on the ground.
 
     Args:
         scenario: with starts by north and east.
@@ -114,7 +114,7 @@ def below_ground(scenario: ScenarioSpec, ground: Ground) -> Iterator[str]:
 
 
 def below(path: str, z: float, down: float) -> str:
-    """Return the problem of a place at z [m] below a ground at down coordinate ``down`` [m]."""
+    """Return the problem text of a point at z [m] below a ground at ``down`` [m]."""
     return (
         f"{path}: z = {z:g} m is {z - down:.4g} m below the ground, which is at z = {down:.6g} m there; allowed: at "
         "most that"
@@ -122,12 +122,12 @@ def below(path: str, z: float, down: float) -> str:
 
 
 def stands(fleet: FleetSpec) -> bool:
-    """Return whether the vehicles of a fleet can stand on the ground."""
+    """Return whether the vehicles of a fleet can stand on the ground: by contact points, or because they are parked."""
     return has_contact(known.VEHICLES[fleet.vehicle.type]) or vars(fleet).get("ground") == "parked"
 
 
 def standing_problems(name: str, kind: str, vehicle: Vehicle) -> Iterator[str]:
-    """Yield why the vehicles of a fleet, of a kind, cannot be parked; those with a contact of their own just stand."""
+    """Yield why a fleet's vehicles cannot be parked; vehicles with contact points need no parking."""
     if has_contact(vehicle):
         return
     if "ground" in vehicle.reads:

@@ -9,7 +9,7 @@ from qrsim.scenarios.schema import ScenarioSpec
 
 
 def hand_lists(scenario: ScenarioSpec) -> list[str]:
-    """Return the paths of the receivers that use the published list of satellites."""
+    """Return the paths of the GNSS receivers that use the published list of satellites."""
     return [
         f"fleets.{name}.sensors.{sensor_name}.satellites"
         for name, fleet in scenario.fleets.items()

@@ -46,7 +46,7 @@ class RowsSpec(Strict):
         return self
 
     def vehicles(self) -> list[Content]:
-        """Return the vehicles one by one, as a list of them in a scenario has them."""
+        """Return the vehicles of the rows as a list, in the form that a scenario's list of vehicles has."""
         columns = min(self.columns or math.ceil(math.sqrt(self.count)), self.count)
         rows = -(-self.count // columns)
         legs = [leg.model_dump(exclude_unset=True) | {"type": leg.type} for leg in self.legs]
@@ -71,12 +71,12 @@ class RowsSpec(Strict):
 
 
 def _shifted(point: list[float], off: tuple[float, ...]) -> list[float]:
-    """Return a place of two or three numbers [m], shifted."""
+    """Return a point [m] of two or three numbers, moved by ``off``."""
     return [axis + shift for axis, shift in zip(point, off, strict=False)]
 
 
 def one_by_one(value: object) -> object:
-    """Return vehicles that are given in rows one by one, and anything else as it is.
+    """Return vehicles given in rows as a list of vehicles; any other value unchanged.
 
     Raises:
         ValueError: the rows are wrong; says what of them.
@@ -95,7 +95,7 @@ def one_by_one(value: object) -> object:
 
 
 def count_of(value: object) -> int:
-    """Return how many vehicles the content of a scenario asks for, 0 where that cannot be read."""
+    """Return the number of vehicles in a fleet's content, a list or rows; 0 if it is neither."""
     if isinstance(value, dict):
         value = value.get("count", 0)
         return value if isinstance(value, int) and not isinstance(value, bool) else 0

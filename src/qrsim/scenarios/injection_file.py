@@ -34,7 +34,7 @@ PLAIN = (BATTERY, RADIO, BODY, LINK)
 
 
 def read_injections(scenario: Scenario, path: Path) -> tuple[Scenario, tuple[Injection, ...]]:
-    """Return a scenario in which the injections of a file are possible, and the requests that are made in flight.
+    """Return a scenario that allows the injections of a file, and the requests to make in flight.
 
     A file is a list of entries with ``target`` (a sensor, ``rotor N``, ``battery``, ``radio``, ``body``, ``link`` or
     ``world``), ``kind``, ``at`` [s], perhaps ``end`` [s] and ``vehicles``, and the numbers of the kind. Entries of a
@@ -49,8 +49,10 @@ def read_injections(scenario: Scenario, path: Path) -> tuple[Scenario, tuple[Inj
     Raises:
         UsageError: the file cannot be read, is too large, or an entry is not possible in the scenario.
     """
-    entries = [(f"{path}: entry {number}", _checked(entry, f"{path}: entry {number}"))
-               for number, entry in enumerate(_entries(path), 1)]  # fmt: skip
+    entries = [
+        (f"{path}: entry {number}", _checked(entry, f"{path}: entry {number}"))
+        for number, entry in enumerate(_entries(path), 1)
+    ]
     in_flight = any(_in_flight(entry) for _, entry in entries)
     content = scenario.spec.model_dump(mode="json")
     requests, wheres, written = [], [], dict[str, str]()
@@ -73,7 +75,7 @@ def read_injections(scenario: Scenario, path: Path) -> tuple[Scenario, tuple[Inj
 
 
 def _of_entries(problems: Sequence[str], written: Mapping[str, str]) -> Iterator[str]:
-    """Yield the problems of a scenario by the entries of a file, once each, by their paths in the scenario."""
+    """Yield problems with the path of a fault replaced by its entry in the file, each problem once."""
     told = set[str]()
     for problem in problems:
         found = re.match(r"fleets\.[^.]+\.faults\.\d+\.", problem)
@@ -87,13 +89,13 @@ def _of_entries(problems: Sequence[str], written: Mapping[str, str]) -> Iterator
 
 
 def _in_flight(entry: Content) -> bool:
-    """Return whether an entry can only be injected in flight: by its tick, kind, target or numbers by field."""
+    """Return whether an entry must be injected in flight, because a scenario's faults cannot express it."""
     by_field = any(isinstance(value, dict) for value in entry.values())
     return "tick" in entry or entry["kind"] == OK or entry["target"] == LINK or by_field
 
 
 def _possible(scenario: Scenario, requests: Sequence[Injection], wheres: Sequence[str]) -> Iterator[Injection]:
-    """Yield requests with the names of their vehicles, by tick.
+    """Yield the requests sorted by tick, with vehicle names filled in; raises UsageError for an impossible one.
 
     Raises:
         UsageError: one is not possible.
@@ -109,7 +111,7 @@ def _possible(scenario: Scenario, requests: Sequence[Injection], wheres: Sequenc
 
 
 def _entries(path: Path) -> list[object]:
-    """Return the entries of a YAML list of injections; raise UsageError for any other content."""
+    """Return the entries of a YAML list of injections; raises UsageError for any other content."""
     try:
         text = read_text(path, LARGEST_BYTES)
     except OSError as error:
@@ -124,7 +126,7 @@ def _entries(path: Path) -> list[object]:
 
 
 def _checked(entry: object, where: str) -> Content:
-    """Return an entry after a check of the types of its parts."""
+    """Return an entry unchanged; raises UsageError if a part of it has the wrong type."""
     if not isinstance(entry, dict):
         raise UsageError(f"{where}: expected target, kind, at and others, not {type(entry).__name__}")
     for name in ("target", "kind", "at"):
@@ -156,13 +158,13 @@ def _checked(entry: object, where: str) -> Content:
 
 
 def _rotor(target: str) -> int | None:
-    """Return the number of a rotor; None for another target."""
+    """Return the number in "rotor N"; None for any other target."""
     found = re.fullmatch(r"rotor ([0-9]{1,3})", target)
     return int(found[1]) if found else None
 
 
 def _has(fleet: FleetSpec, target: str, world: WorldSpec) -> bool:
-    """Return whether a fleet has the target of an injection: a rotor, a sensor, link, radio, body or battery."""
+    """Return whether a fleet has a target of injections: a rotor, sensor, link, radio, body or battery."""
     rotor = _rotor(target)
     if rotor is not None:
         return rotor < rotors_of(fleet)
@@ -176,7 +178,7 @@ def _has(fleet: FleetSpec, target: str, world: WorldSpec) -> bool:
 
 
 def _fleets(scenario: Scenario, where: str, entry: Content) -> list[tuple[str, list[str] | None]]:
-    """Return the fleets of an entry, and which of their vehicles; None: all."""
+    """Return (fleet, chosen vehicles or None for all) of an entry; raises UsageError if no fleet has the target."""
     target, vehicles = entry["target"], entry.get("vehicles")
     found, placed = [], set[str]()
     for name, fleet in scenario.spec.fleets.items():
@@ -208,12 +210,12 @@ def _targets(scenario: Scenario) -> list[str]:
 
 
 def _numbers(entry: Content) -> Content:
-    """Return the numbers of an entry: all that it gives but the keys that every entry has."""
+    """Return the entry without the keys that every entry has: the parameters of its fault."""
     return {name: value for name, value in entry.items() if name not in KEYS and value is not None}
 
 
 def _fault(where: str, entry: Content, vehicles: list[str] | None) -> Content:
-    """Return an entry as a fault of a fleet."""
+    """Return an entry as the content of a fault in a scenario's fleet; raises UsageError."""
     target, kind, numbers = entry["target"], entry["kind"], _numbers(entry)
     rest = {"end": entry["end"]} if "end" in entry else {}
     rest |= {} if vehicles is None else {"vehicles": vehicles}
@@ -241,7 +243,7 @@ def _fault(where: str, entry: Content, vehicles: list[str] | None) -> Content:
 
 
 def _request(scenario: Scenario, where: str, entry: Content) -> Injection:
-    """Return an entry as a request; without a ``tick`` it is made as late as it can."""
+    """Return an entry as an injection request, without a ``tick`` made as late as possible; raises UsageError."""
     dt, target = scenario.spec.time_step, entry["target"]
     for name in ("at", "end"):
         if entry.get(name) and not is_multiple(entry[name], dt, math.inf):
@@ -265,7 +267,7 @@ def _request(scenario: Scenario, where: str, entry: Content) -> Injection:
 
 
 def _make_room(content: Content, entry: Mapping[str, Any], fleets: list[tuple[str, list[str] | None]]) -> None:
-    """Make room in a scenario's content, in place, for what a request injects."""
+    """Declare in a scenario's content, in place, the slots that a request needs."""
     target, rotor = entry["target"], _rotor(entry["target"])
     if target == WORLD and entry["kind"] in TAKES and (entry["kind"] != WIND or entry.get("over")):
         world = content["world"]

@@ -55,7 +55,7 @@ _GIVEN: dict[str, dict[str, tuple[object, object]]] = {
 
 @cache
 def _model(kind: str) -> type[Strict]:
-    """Return the schema of a kind, which carries its name."""
+    """Return the schema of a kind of interference, with the kind as its name."""
     named = {"kind": (Literal[kind], Field(description="what it is"))}
     return component_model(kind, _CLASSES[kind], tagged=False, arrays={**named, **_GIVEN[kind]})
 
@@ -75,7 +75,7 @@ def interference(scenario: object, ephemeris: Ephemeris) -> Interference | None:
 
 
 def _kept(scenario: Any) -> list[tuple[int, Any]]:
-    """Return the parts that are built, by their numbers: all but jammers without power that get none by a range."""
+    """Return (number, spec) of the interferers to build: all but jammers that can never have power."""
     drawn, jammed = {item.path for item in scenario.ranges}, may_be_jammed(scenario)
     return [
         (i, spec)
@@ -85,7 +85,7 @@ def _kept(scenario: Any) -> list[tuple[int, Any]]:
 
 
 def _built(spec: Any, ephemeris: Ephemeris) -> object:
-    """Build an interferer from its part of a scenario, with no limit of time or radius where none is given."""
+    """Build an interferer from its spec, with a missing time or radius as unlimited."""
     cls = _CLASSES[spec.kind]
     values: dict[str, object] = {}
     for field in dataclasses.fields(cls):
@@ -100,14 +100,14 @@ def _built(spec: Any, ephemeris: Ephemeris) -> object:
 
 
 def _failing(spec: Any, ephemeris: Ephemeris) -> NumpyArray:
-    """Return which satellites (S,) an outage silences, bool."""
+    """Return which satellites (S,) an outage silences, as bool."""
     names, systems = spec.satellites or (), spec.systems or ""
     pairs = zip(ephemeris.satellites, ephemeris.system_of, strict=True)
     return np.array([name in names or letter in systems for name, letter in pairs])
 
 
 def world_path(scenario: object, path: str) -> tuple[str | int, ...] | None:
-    """Return where a World has a number ``world.interference.I.NAME``, None if it is not there."""
+    """Return the World path of ``world.interference.I.NAME``, None if it is not built."""
     _, _, number, *rest = path.split(".")
     before: dict[str, int] = {}
     for i, spec in _kept(scenario):
@@ -119,7 +119,7 @@ def world_path(scenario: object, path: str) -> tuple[str | int, ...] | None:
 
 
 def spoofed(scenario: object, names: Sequence[str]) -> tuple[NumpyArray, ...] | None:
-    """Return for each spoofer which vehicles of these names it is for; None without any."""
+    """Return for each spoofer a bool array over ``names``: the vehicles that it affects; None without a spoofer."""
     specs = [spec for _, spec in _kept(scenario) if spec.kind == "spoofer"]
     chosen = tuple(np.array([spec.vehicles is None or name in spec.vehicles for name in names]) for spec in specs)
     return chosen or None

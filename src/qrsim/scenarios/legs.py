@@ -40,14 +40,14 @@ class _LegSpec(Strict):
 
     @model_validator(mode="after")
     def _one_heading(self) -> _LegSpec:
-        """Refuse a leg with both a yaw and a place to face."""
+        """Raise ValueError for a leg with both a yaw and a place to face."""
         if self.yaw_rad is not None and self.facing_ned is not None:
             raise ValueError("gives both 'yaw_rad' and 'facing_ned'; give one")
         return self
 
 
 def _called(name: str) -> Callable[[type[S]], type[S]]:
-    """Give a schema the name that a scenario has for it, which messages look for."""
+    """Return a class decorator that gives a schema its type's name in scenarios, which messages use."""
 
     def rename(cls: type[S]) -> type[S]:
         """Return the class with the name set."""
@@ -72,7 +72,7 @@ class FlyLeg(_LegSpec):
 
     @model_validator(mode="after")
     def _one_place(self) -> FlyLeg:
-        """Refuse a leg that gives no place to fly to, or two."""
+        """Raise ValueError unless a leg gives exactly one place to fly to."""
         _check_one(self, "to_ned", "to_geodetic")
         return self
 
@@ -112,7 +112,7 @@ class LoiterLeg(_LegSpec):
 
     @model_validator(mode="after")
     def _consistent(self) -> LoiterLeg:
-        """Refuse a loiter with both time and turns, turns without a radius, or two places."""
+        """Raise ValueError for a loiter with time and turns, turns without radius, or two places."""
         if self.time is not None and self.turns is not None:
             raise ValueError("gives both 'time' and 'turns'; give one, or none for a loiter that does not end")
         if self.turns is not None and self.radius == 0.0:

@@ -51,13 +51,13 @@ class Request:
 
 
 def wind(speed: float, from_deg: float, over: float = 0.0) -> Request:
-    """Return the request for a mean wind: speed [m/s] at 20 ft, bearing it comes from [degrees], over a time [s]."""
+    """Return the request for a mean wind: speed [m/s] at 20 ft from ``from_deg`` [deg], reached after ``over`` [s]."""
     later = {"over": over} if over else {}
     return Request(WORLD, WIND, numbers=dict(zip(WIND_NUMBERS, (speed, from_deg), strict=True)) | later)
 
 
 def apply(simulation: Simulation, request: Request, asked_by: str) -> str:
-    """Apply a request from the next tick on, and return a line that describes it.
+    """Apply a request from the next tick on; return a line that describes it.
 
     Args:
         simulation: reset, and not being advanced by another thread.
@@ -90,7 +90,7 @@ def apply(simulation: Simulation, request: Request, asked_by: str) -> str:
 
 
 def _weather(simulation: Simulation, request: Request, asked_by: str) -> str:
-    """Change the weather, and return a line that describes it; raises UsageError."""
+    """Change the weather as requested; return a line that describes the change; raises UsageError."""
     if request.vehicles is not None:
         raise UsageError(f"vehicles: {request.kind[:LONGEST_WORD]} of the world is that of all")
     if request.at is not None or request.duration is not None:
@@ -109,7 +109,7 @@ def _weather(simulation: Simulation, request: Request, asked_by: str) -> str:
 
 
 def _listed(names: Iterable[str]) -> str:
-    """Return the first four names with commas, and how many more there are."""
+    """Return the first four names as text, and the number of further ones."""
     found = list(names)
     return ", ".join(found[:4]) + (f" and {len(found) - 4} more" if len(found) > 4 else "")
 
@@ -118,7 +118,7 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def parsed(text: str) -> Request:
-    """Return the request in a line of words.
+    """Parse a line such as "gnss off uav1 at=5" to a request; raises UsageError.
 
     ``inject TARGET KIND [VEHICLE ...] [NAME=VALUE ...] [at SECONDS] [for SECONDS]``, ``clear [TARGET] [VEHICLE ...]``,
     or ``wind SPEED FROM_DEG [over SECONDS]``.
@@ -151,7 +151,7 @@ def parsed(text: str) -> Request:
 
 
 def numbers_of(text: str) -> dict[str, Any]:
-    """Return the numbers of a text such as ``field=height bias=2``; raises UsageError."""
+    """Parse a text such as ``field=height bias=2`` to a dict; raises UsageError."""
     names, numbers, times = _arguments(text.replace(",", " ").split())
     for word in [*names, *times]:
         raise UsageError(f"'{word[:LONGEST_WORD]}': expected NAME=VALUE, such as bias=2")
@@ -166,7 +166,7 @@ def _target(words: list[str]) -> tuple[str | None, list[str]]:
 
 
 def _arguments(words: list[str]) -> tuple[list[str], dict[str, Any], dict[str, float]]:
-    """Return names of vehicles, numbers of the kind, and times [s]."""
+    """Return vehicle names, fault parameters and times [s] in the words of a request."""
     names: list[str] = []
     numbers: dict[str, Any] = {}
     times: dict[str, float] = {}
@@ -195,7 +195,7 @@ def _number(name: str, word: str) -> float:
 
 
 def injected_rows(simulation: Simulation) -> list[dict[str, Any]]:
-    """Return present and future faults as plain values; start and end [s], None: to the end of the flight."""
+    """Return present and future faults as dicts of plain values; an ``end`` of None is the end of the flight."""
     dt = simulation.world.time_step
     return [
         {

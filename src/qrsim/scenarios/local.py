@@ -37,14 +37,14 @@ def local_ned(site: Site, places: Sequence[tuple[float, float, float]]) -> list[
 
 
 def swapped_hint(latitude: object, longitude: object) -> str:
-    """Return a hint where what is given as a latitude [deg] can only be a longitude, and the other way round."""
+    """Return a hint if a latitude [deg] can only be a longitude, or a longitude a latitude; else ""."""
     pair = [float(each) for each in (latitude, longitude) if isinstance(each, int | float)]
     swapped = len(pair) == 2 and 90.0 < abs(pair[0]) <= 180.0 and abs(pair[1]) <= 90.0
     return "; latitude and longitude seem to be swapped" if swapped else ""
 
 
 def _if_swapped(site: Site, place: tuple[float, float, float]) -> str:
-    """Return a hint where a place is near the site with its latitude and longitude [deg] swapped."""
+    """Return a hint if the place is near the site once latitude and longitude [deg] are swapped; else ""."""
     latitude, longitude, height = place
     if abs(longitude) > 90.0:
         return ""

@@ -57,16 +57,16 @@ class _Author:
         self.problems: list[str] = []
 
     def ground_down(self, north: float, east: float) -> float:
-        """Return the down coordinate of the ground at a place [m]."""
+        """Return the z coordinate [m, down] of the ground at a place (north, east) [m]."""
         place = record_of(Vec3, *(np.array([value], np.float64) for value in (north, east, 0.0)))
         return float(down_at(self.ground, place)[0])
 
     def legs(self, specs: Sequence[LegSpec], first: int = 0) -> list[list[Leg]]:
-        """Return the parts of each leg from the first on."""
+        """Return for each entry from index ``first`` on the legs that it becomes."""
         return [renumbered(self._parts(spec, j), spec.item or j + 1) for j, spec in enumerate(specs[first:], first)]
 
     def _parts(self, spec: LegSpec, j: int) -> list[Leg]:
-        """Return the legs that entry j of a mission becomes, and note what is wrong with its order."""
+        """Return the legs that entry ``j`` becomes; record a problem if its place in the order is wrong."""
         where = f"{self.path}.{j}"
         if self.endless:
             self.problems.append(f"{where}: is never flown, because {self.endless}, a loiter, does not end")
@@ -79,14 +79,14 @@ class _Author:
         return parts
 
     def _own(self, spec: LegSpec) -> Content:
-        """Return speeds, heading and radius of acceptance of a leg, which all kinds of leg share."""
+        """Return speeds, heading and acceptance radius of an entry as keyword arguments of ``Leg``."""
         facing = tuple(spec.facing_ned) if spec.facing_ned else None
         speed = spec.speed or self.guidance.speed
         own = {"speed": speed, "yaw": spec.yaw_rad, "facing_ned": facing, "climb": spec.climb_speed}
         return {**own, "sink": spec.sink_speed, "accept_radius": self.guidance.accept_radius}
 
     def _line(self, place: Sequence[float], spec: LegSpec, **more: object) -> Leg:
-        """Return a straight leg to a place in NED [m]; ``more`` overrides the values of its entry."""
+        """Return a straight leg to a position NED [m]; ``more`` overrides values of its entry."""
         north, east, down = place
         return Leg((north, east, down), **{**self._own(spec), **more})
 
@@ -113,7 +113,7 @@ class _Author:
     def _down_to(
         self, north: float, east: float, spec: LandLeg | ReturnLeg, where: str, hold: float = 0.0
     ) -> list[Leg]:
-        """Return the legs to above a place, and down to the ground."""
+        """Return the legs to a position above a place (north, east) [m] and down to the ground; record problems."""
         down = self.ground_down(north, east)
         if not self.can_stand:
             self.problems.append(
@@ -141,7 +141,7 @@ class _Author:
         return self._circle(centre, spec)
 
     def _circle(self, centre: tuple[float, ...], spec: LoiterLeg) -> list[Leg]:
-        """Return the leg to the nearest point of a circle, and the circle."""
+        """Return the leg to the nearest point of a circle, and the circle itself."""
         north, east = self.place[0] - centre[0], self.place[1] - centre[1]
         first = math.atan2(east, north) if math.hypot(north, east) > SAME_PLACE else 0.0
         radius = abs(spec.radius)
@@ -156,7 +156,7 @@ class _Author:
         return [to_it, self._line(ends[1], spec, kind="circle", centre_ned=(centre[0], centre[1]), angle=turn)]
 
     def _return(self, spec: ReturnLeg, where: str) -> list[Leg]:
-        """Return the legs back to the start: a climb where a height is given, and a landing if asked for."""
+        """Return the legs back to the start, with a climb or landing if the entry asks for them."""
         parts = []
         if spec.height is not None and -spec.height < self.place[2] - SAME_PLACE:
             parts.append(self._line((*self.place[:2], -spec.height), spec, stop=True))
@@ -168,19 +168,19 @@ class _Author:
 
 
 def _short(path: str) -> str:
-    """Return the last two parts of a path, such as legs.3."""
+    """Return the last two parts of a dotted path, such as "legs.3"."""
     return ".".join(path.split(".")[-2:])
 
 
 def _specs(vehicle: VehicleSpec) -> tuple[str, Sequence[LegSpec]]:
-    """Return the legs of a vehicle and the name of their list; waypoints are legs too."""
+    """Return the name of a vehicle's list, "legs" or "waypoints_ned", and its entries as legs."""
     if vehicle.legs:
         return "legs", vehicle.legs
     return "waypoints_ned", [FlyLeg.model_validate({"to_ned": waypoint}) for waypoint in vehicle.waypoints_ned]
 
 
 def _again(fleet: FleetSpec, vehicle: VehicleSpec) -> int | None:
-    """Return the index of the leg that follows the last one, None where none does."""
+    """Return the index of the leg that follows the last one; None if the mission ends."""
     return 0 if vehicle.repeat_from is None and fleet.guidance.repeat else vehicle.repeat_from
 
 
@@ -191,7 +191,7 @@ def _author(fleet: FleetSpec, vehicle: VehicleSpec, ground: object, path: str) -
 
 
 def mission_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec, ground: object) -> Iterator[str]:
-    """Yield what is wrong with the missions of a fleet; ``ground`` is the world's."""
+    """Yield the problems of a fleet's missions; ``ground`` is that of the world."""
     if fleet.guidance.type != MISSION:
         for i, vehicle in enumerate(fleet.vehicles):
             if vehicle.legs:
@@ -225,7 +225,7 @@ def mission_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec, ground
 
 
 def _outside(path: str, parts: list[Leg], scenario: ScenarioSpec, author: _Author) -> Iterator[str]:
-    """Yield where a leg leads out of the area or below the ground; the ground, where it lands, may be its floor."""
+    """Yield a problem for each leg that leads out of the area or below the ground; landings may touch its floor."""
     floor = has_floor(scenario)
     for leg in parts:
         north, east, down = leg.position_ned
@@ -242,7 +242,7 @@ def _outside(path: str, parts: list[Leg], scenario: ScenarioSpec, author: _Autho
 
 
 def ways_of(fleet: FleetSpec, vehicle: VehicleSpec, ground: object) -> Iterator[tuple[str, Leg]]:
-    """Yield each part of a vehicle's mission with its place in the vehicle's legs or waypoints; loops once more."""
+    """Yield (path of the entry, leg) for each leg of a vehicle's mission, the repeated part twice."""
     name, specs = _specs(vehicle)
     again = _again(fleet, vehicle)
     author = _author(fleet, vehicle, ground, name)

@@ -61,7 +61,7 @@ def _geometry(path: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def thrust_to_weight(fleet: FleetSpec, scenario: ScenarioSpec) -> float | None:
-    """Return the least ratio of largest thrust to weight in a fleet, in the air of the site; None of other vehicles."""
+    """Return a fleet's smallest ratio of largest thrust to weight at the site; None for other vehicles."""
     if not issubclass(known.VEHICLES[fleet.vehicle.type], Multirotor):
         return None
     found = _thrust_and_weight(fleet, float(air_of(scenario).site_density))
@@ -69,7 +69,7 @@ def thrust_to_weight(fleet: FleetSpec, scenario: ScenarioSpec) -> float | None:
 
 
 def _thrust_and_weight(fleet: FleetSpec, density: float) -> tuple[NumpyArray, NumpyArray] | None:
-    """Return thrust at speed_max and weight [N] in air of a density [kg/m^3]; None for lists of unlike lengths."""
+    """Return largest thrust and weight [N] in air of ``density`` [kg/m^3]; None if list lengths differ."""
     spec = fleet.vehicle
     names = ("thrust_coefficient", "speed_max", "mass", "gravity", "air_density")
     each = [np.asarray(getattr(spec, key), float) for key in names]
@@ -82,17 +82,18 @@ def _thrust_and_weight(fleet: FleetSpec, density: float) -> tuple[NumpyArray, Nu
 
 
 def _lift(path: str, fleet: FleetSpec, density: float) -> Iterator[str]:
-    """Yield a vehicle that cannot lift itself at its largest rotor speed, in the air of the site [kg/m^3]."""
+    """Yield a problem if a vehicle cannot lift itself in air of ``density`` [kg/m^3]."""
     spec = fleet.vehicle
     found = _thrust_and_weight(fleet, density)
     if found is None:
         return
     most, weight = found
-    mass, own_density = (np.asarray(getattr(spec, key), float) for key in ("mass", "air_density"))
-    i = int(np.argmin(np.atleast_1d(most / weight)))
-    lift, heavy = (float(np.broadcast_to(part, (i + 1,))[i]) for part in (most, weight))
+    mass = np.asarray(spec.mass, float)
+    own_density, most, weight = map(np.ravel, np.broadcast_arrays(spec.air_density, most, weight))
+    i = int(np.argmin(most / weight))
+    lift, heavy = float(most[i]), float(weight[i])
     if lift <= heavy:
-        thin = density < 0.99 * float(np.broadcast_to(own_density, (i + 1,))[i])
+        thin = density < 0.99 * float(own_density[i])
         yield (
             f"{path}: cannot hover: {len(spec.rotors)} rotors lift {lift:.4g} N at speed_max"
             + (f" in the air of the site, {density:.4g} kg/m^3" if thin else "")
@@ -102,7 +103,7 @@ def _lift(path: str, fleet: FleetSpec, density: float) -> Iterator[str]:
 
 
 def _lags(path: str, fleet: FleetSpec, time_step: float) -> Iterator[str]:
-    """Yield rotors that are too fast for a substep, so that their speeds would oscillate and overflow."""
+    """Yield a problem for rotors with a lag too short for a substep, so that their speeds would oscillate."""
     longest = min(fleet.vehicle.longest_substep, time_step)
     for name in ("spin_up", "spin_down"):
         least = float(np.min(getattr(fleet.vehicle, name)))
@@ -114,7 +115,7 @@ def _lags(path: str, fleet: FleetSpec, time_step: float) -> Iterator[str]:
 
 
 def _standing(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield starts with a foot in the ground, from where the vehicle would be thrown up."""
+    """Yield a problem for each start with a foot below the ground."""
     if scenario.world.ground.type != "flat" or fleet.placement.type != "given":
         return
     high, ground = max(foot[2] for foot in fleet.vehicle.feet), -scenario.world.ground.height

@@ -41,28 +41,28 @@ class _Prism(Strict):
 
     @property
     def north(self) -> list[float]:
-        """Where each edge begins [m]."""
+        """North coordinate of the start of each edge [m]."""
         return self._edges[0][:, 0].tolist()
 
     @property
     def east(self) -> list[float]:
-        """Where each edge begins [m]."""
+        """East coordinate of the start of each edge [m]."""
         return self._edges[0][:, 1].tolist()
 
     @property
     def north_to(self) -> list[float]:
-        """Where each edge ends [m]."""
+        """North coordinate of the end of each edge [m]."""
         return self._edges[1][:, 0].tolist()
 
     @property
     def east_to(self) -> list[float]:
-        """Where each edge ends [m]."""
+        """East coordinate of the end of each edge [m]."""
         return self._edges[1][:, 1].tolist()
 
 
 @cache
 def prism_model() -> Any:
-    """Return the schema of a prism; a type checker cannot see into it."""
+    """Return the schema of a prism obstacle."""
     ring = list[Corner]
     text = "[north, east] [m] of each corner, in order; the last is joined to the first"
     parts = {

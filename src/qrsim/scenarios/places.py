@@ -42,7 +42,7 @@ LAND = "NAV_LAND"
 
 
 def in_ned(scenario: ScenarioSpec) -> tuple[ScenarioSpec, list[str], dict[str, str], list[PlannedVehicle]]:
-    """Convert positions, routes and fence of a scenario to NED.
+    """Return a scenario in NED, its problems, the written path of each converted place, and the vehicles with plans.
 
     What a plan asks for that is not flown is told in warnings.
 
@@ -70,13 +70,13 @@ def in_ned(scenario: ScenarioSpec) -> tuple[ScenarioSpec, list[str], dict[str, s
 
 
 def _is_elsewhere(vehicle: VehicleSpec) -> bool:
-    """Return whether a vehicle has places in latitude and longitude, or a plan, that must become local."""
+    """Return whether a vehicle has places in latitude and longitude, or a plan, to be converted."""
     legs = any(vars(leg).get("to_geodetic") for leg in vehicle.legs)
     return bool(vehicle.position_geodetic or vehicle.waypoints_geodetic or vehicle.plan or legs)
 
 
 def _label(spec: RoutePlanSpec) -> str:
-    """Return the name of a plan in messages: its file, and what else makes it another one."""
+    """Return the text that identifies a plan and its options in messages, such as "a.plan, height 30"."""
     parts = [spec.file]
     if spec.route is not None:
         parts.append(f"route '{spec.route}'")
@@ -116,7 +116,7 @@ class _Places:
         self.on_ground = self.fails = False
 
     def _attempt(self, path: str, convert: Callable[[], list[T]]) -> list[T]:
-        """Return the points of a function; if it raises UsageError, note the problem and return none."""
+        """Return the points that ``convert`` returns; if it raises UsageError, record the problem and return []."""
         try:
             return convert()
         except ScenarioError as error:
@@ -126,7 +126,7 @@ class _Places:
         return []
 
     def _place(self, site: SiteSpec) -> SiteSpec:
-        """Return the site in numbers, those of its plan's home if it has a plan."""
+        """Return the site with its numbers filled in, those of its plan's home if it has a plan."""
         homes = self._attempt("site.plan", lambda: [home_of(site)]) if site.plan else []
         for latitude, longitude, height in homes:
             named = {"latitude_deg": latitude, "longitude_deg": longitude, "height_amsl": height, "plan": None}
@@ -134,7 +134,7 @@ class _Places:
         return self._with_height(site, "site.height_amsl")
 
     def _with_height(self, site: SiteSpec, path: str) -> SiteSpec:
-        """Return a site with its geoid in numbers, and its height above the ellipsoid if it has one above the sea."""
+        """Return a site with its geoid's numbers and its height above the ellipsoid filled in."""
         unread = site.geoid is not None and site.geoid.file is not None
         geoids = self._attempt("site.geoid", lambda: [geoid_of_site(site)]) if unread else []
         for geoid in geoids:
@@ -147,7 +147,7 @@ class _Places:
         return site
 
     def fleet(self, path: str, fleet: FleetSpec) -> FleetSpec:
-        """Return a fleet in NED; one with a plan flies its routes once unless it says otherwise.
+        """Return a fleet in NED; a fleet with a plan does not repeat routes unless it says so.
 
         Where a plan takes off or lands and the fleet does not say what the ground does to it, its vehicles can stand.
         """
@@ -168,14 +168,14 @@ class _Places:
         return fleet.model_copy(update={"vehicles": vehicles, "guidance": guidance})
 
     def _read(self, spec: RoutePlanSpec) -> Plan | None:
-        """Return a plan, None where it cannot be read, which is told of the vehicle that names it."""
+        """Return a plan, None if it cannot be read, which the vehicle's own problem reports."""
         try:
             return self._planned(spec)
         except UsageError:
             return None
 
     def _planned(self, spec: RoutePlanSpec) -> Plan:
-        """Return a plan, read once."""
+        """Return a plan, read at the first call."""
         label = _label(spec)
         if label not in self.flown:
             home = Home(*spec.home) if spec.home else None
@@ -183,7 +183,7 @@ class _Places:
         return self.flown[label]
 
     def _vehicle(self, path: str, vehicle: VehicleSpec, mission: bool) -> VehicleSpec:
-        """Return a vehicle with all places local in NED [m]; note problems and where each place was given."""
+        """Return a vehicle with all places in NED [m]; record problems and where each place was written."""
         start, route, legs = vehicle.position_ned, vehicle.waypoints_ned, list(vehicle.legs)
         again = vehicle.repeat_from
         for j, leg in enumerate(legs):
@@ -224,7 +224,7 @@ class _Places:
         return vehicle.model_copy(update={**changes, "position_geodetic": None, "waypoints_geodetic": [], "plan": None})
 
     def _rally(self, path: str, plan: Plan) -> list[list[float]]:
-        """Return the rally points of a plan in NED; their heights are above its home."""
+        """Return a plan's rally points in NED [m]."""
         home = (plan.home.latitude_deg, plan.home.longitude_deg, 0.0)
         around = [home, *((each.latitude_deg, each.longitude_deg, 0.0) for each in plan.rally)]
         first, *places = self._attempt(f"{path}.plan", lambda: local_ned(self.site, around)) or [[0.0, 0.0, 0.0]]
@@ -232,7 +232,7 @@ class _Places:
         return [[*place[:2], level - each.height_above_home] for place, each in zip(places, plan.rally, strict=False)]
 
     def _leg(self, path: str, leg: Any) -> Any:
-        """Return a leg in NED."""
+        """Return a leg with its places in NED [m]."""
         place = vars(leg).get("to_geodetic")
         if place is None:
             return leg
@@ -241,7 +241,7 @@ class _Places:
         return leg.model_copy(update={"to_ned": points[0] if points else [0.0, 0.0, 0.0], "to_geodetic": None})
 
     def _legs(self, path: str, spec: RoutePlanSpec, start: list[float], yaw_deg: float) -> tuple[list[Any], int | None]:
-        """Return the legs of a plan for a vehicle that starts at a place, and which follows the last."""
+        """Return a plan's legs for a vehicle with a start NED [m] and yaw, and the index that follows the last."""
         label = _label(spec)
         plan = self.flown[label]
         try:
@@ -266,11 +266,11 @@ class _Places:
         return legs, again
 
     def _waypoints(self, label: str) -> tuple[Waypoint, ...]:
-        """Return the waypoints of a plan by its label; none where it could not be read."""
+        """Return the waypoints of a plan by its label; () if it could not be read."""
         return self.flown[label].waypoints if label in self.flown else ()
 
     def _note(self, path: str, spec: RoutePlanSpec, items: list[int | None]) -> None:
-        """Keep which item each leg or waypoint of a vehicle comes from."""
+        """Record which plan item each leg or waypoint of a vehicle comes from."""
         label = _label(spec)
         if label in self.flown:
             mission = path.endswith(".legs")
@@ -282,7 +282,7 @@ class _Places:
             self.planned.append(PlannedVehicle(path, label, spec.file, plan, tuple(items), mission, values))
 
     def _placed(self, plan: Plan) -> list[list[float]]:
-        """Return the home of a plan, on the ground, and its waypoints, NED [m]."""
+        """Return a plan's home on the ground, then its waypoints, as [north, east, down] [m]."""
         around = [(plan.home.latitude_deg, plan.home.longitude_deg, 0.0)]
         around += [(each.latitude_deg, each.longitude_deg, 0.0) for each in plan.waypoints]
         places = local_ned(self.site, around)
@@ -295,7 +295,7 @@ class _Places:
         return found
 
     def _plan(self, spec: RoutePlanSpec, needs_start: bool) -> list[list[float]]:
-        """Return the start of a plan, then its route; nobody lands: over a landing the height before it is kept."""
+        """Return a plan's start, then its route NED [m]; a landing keeps the height of the waypoint before."""
         file, plan = _label(spec), self._planned(spec)
         if len(plan.waypoints) > LONGEST_ROUTE:
             raise UsageError(f"{file}: has {len(plan.waypoints)} waypoints; allowed: at most {LONGEST_ROUTE}")
@@ -316,7 +316,7 @@ class _Places:
         return [start, *route]
 
     def area(self, area: Any) -> Any:
-        """Return an area in NED: the polygon of a fence, the zones of files, any other as it is."""
+        """Return an area in NED: the polygon of a fence, the zones of files; other areas unchanged."""
         if area.type == "fence":
             found = self._attempt("world.area", partial(fence_as_zones, area))
             if not found:
@@ -377,7 +377,7 @@ class _Places:
             warn_user(words)
 
     def _notes(self, plan: Plan, by_route: bool) -> list[Ignored]:
-        """Return the parts of the plan that are not flown as planned."""
+        """Return the parts of the plan that are not flown as planned, for warnings."""
         lands = [each for each in plan.waypoints if _lands(each)] if by_route else []
         notes = [Ignored(each.item, LAND, "not landed, but flown over") for each in lands]
         if (plan.polygons or plan.circles) and self.area_type != "fence" and plan not in self.fences.values():
@@ -387,7 +387,7 @@ class _Places:
 
 
 def _parameters(file: str) -> list[dict[str, float]]:
-    """Return a list of one: the parameters in a file, by name."""
+    """Return a list with one dict: the parameters in a file by name."""
     return [read_parameters(file)]
 
 

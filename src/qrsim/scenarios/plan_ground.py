@@ -29,26 +29,26 @@ class PlanGround:
 
     @property
     def relief(self) -> bool:
-        """True where its height differs from place to place."""
+        """True if the ground's height varies."""
         return bool(self._scenario.world.ground.type != "flat")
 
     @cached_property
     def _ground(self) -> Any:
-        """The ground of the scenario, built at first use; None where it cannot be built."""
+        """Ground of the scenario, built at first use; None if it cannot be built."""
         return build.ground_if_any(self._scenario)
 
     def down(self, north: npt.ArrayLike, east: npt.ArrayLike) -> Floats:
-        """Return down coordinates (...) [m] of places (...) [m]; of 0 where the ground cannot be built."""
+        """Return the ground's z coordinate [m, down] at places north and east (...) [m]; 0 without a ground."""
         if self._ground is None:
             return np.zeros(np.broadcast(north, east).shape)
         return ground_down(self._ground)(north, east)
 
 
 def ground_down(ground: Ground) -> GroundDown:
-    """Return a function that gives down coordinates (...) [m] of a ground at places north and east (...) [m]."""
+    """Return a function of north and east (...) [m] that returns the ground's z coordinate (...) [m, down]."""
 
     def down(north: npt.ArrayLike, east: npt.ArrayLike) -> Floats:
-        """Return the down coordinate of the ground [m] at north and east [m], in their shape."""
+        """Return the ground's z coordinate (...) [m, down] at north and east (...) [m]."""
         places = np.broadcast_arrays(np.asarray(north, np.float64), np.asarray(east, np.float64), 0.0)
         found = down_at(ground, record_of(Vec3, *map(np.atleast_1d, places)))
         # Added to zero, because a ground at z = 0 may be at -0.
@@ -58,7 +58,7 @@ def ground_down(ground: Ground) -> GroundDown:
 
 
 def amsl_of(given: SiteSpec, place: SiteSpec) -> float | None:
-    """Return the altitude of a site above mean sea level [m], None where nothing gives its height.
+    """Return a site's altitude above mean sea level [m], None if neither site nor plan gives a height.
 
     Args:
         given: as the scenario has it.

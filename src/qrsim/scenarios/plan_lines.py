@@ -38,7 +38,7 @@ class PlannedVehicle:
 
 
 def plan_lines(planned: Iterable[PlannedVehicle]) -> Iterator[str]:
-    """Yield lines about the plans of vehicles, for a person."""
+    """Yield printable lines about the plans of vehicles."""
     for vehicle in planned:
         home = vehicle.plan.home
         level = "" if math.isnan(home.altitude_amsl) else f", {home.altitude_amsl:g} m above the sea"
@@ -67,7 +67,7 @@ def plan_lines(planned: Iterable[PlannedVehicle]) -> Iterator[str]:
 
 
 def listed(notes: list[Ignored]) -> str:
-    """List items by their kinds: DO_GRIPPER (items 3, 5), DO_MOUNT_CONTROL (item 4)."""
+    """Return items grouped by kind as text: "DO_GRIPPER (items 3, 5), DO_MOUNT_CONTROL (item 4)"."""
     numbers: dict[str, list[str]] = {}
     for note in notes:
         numbers.setdefault(note.name, []).append(str(note.item))

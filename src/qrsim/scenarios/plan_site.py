@@ -23,7 +23,7 @@ USUAL_HEIGHT, FOOT = 150.0, 0.3048
 
 
 def home_of(site: SiteSpec) -> list[float]:
-    """Return latitude, longitude [deg] and altitude above the sea [m] of the home of a site's plan.
+    """Return latitude [deg], longitude [deg] and altitude above the sea [m] of the home in a site's plan.
 
     Raises:
         UsageError: the plan cannot be read, no site can be that high, or the site has numbers of its own.
@@ -44,7 +44,7 @@ def home_of(site: SiteSpec) -> list[float]:
 
 
 def geoid_of_site(site: SiteSpec) -> GeoidSpec:
-    """Return the geoid of a site's file in numbers.
+    """Return the geoid of a site, with the numbers of its file filled in.
 
     Raises:
         UsageError: the file cannot be read, or has no geoid there.
@@ -65,7 +65,7 @@ def geoid_of_site(site: SiteSpec) -> GeoidSpec:
 
 
 def ellipsoidal_height(site: SiteSpec) -> float:
-    """Return the height above the WGS-84 ellipsoid [m] of a site that has one above mean sea level.
+    """Return a site's height above the WGS-84 ellipsoid [m] from its height above mean sea level.
 
     Raises:
         UsageError: no site can be that high.
@@ -81,7 +81,7 @@ def ellipsoidal_height(site: SiteSpec) -> float:
 
 
 def height_of_home(scenario: ScenarioSpec) -> float | None:
-    """Return the altitude above mean sea level [m] of the home of a plan that is flown at a site without a height.
+    """Return the altitude [m] above mean sea level of the first plan's home near a site with no height; else None.
 
     It is that of the first plan with its home near the site; None without one, and for a site that has a height.
     """
@@ -102,7 +102,7 @@ def height_of_home(scenario: ScenarioSpec) -> float | None:
 
 
 def _from_site(site: Site, home: Home) -> tuple[float, float]:
-    """Return how far north and east of a site a home is [m]."""
+    """Return the offset (north, east) [m] of a home from a site."""
     place = math.radians(home.latitude_deg), math.radians(home.longitude_deg)
     north, east, _ = site.geodetic_to_ned(*place, site.height)
     return float(north), float(east)
@@ -114,7 +114,7 @@ def _distance(site: Site, home: Home) -> float:
 
 
 def far_from_home(plans: Mapping[str, Plan], site: Site, ground_down: GroundDown | None) -> str | None:
-    """Return a sentence on the plan whose home is farthest from the site or its ground, None where all are near.
+    """Return a sentence about the plan with the home farthest from the site or ground; None if all are near.
 
     Args:
         plans: by their files.
@@ -144,7 +144,7 @@ def far_from_home(plans: Mapping[str, Plan], site: Site, ground_down: GroundDown
 
 
 def items_far_from_home(file: str, plan: Plan) -> str | None:
-    """Return a sentence on a plan that begins far from its own home, None where it begins near."""
+    """Return a sentence if a plan's first item is far from its home; else None."""
     if not plan.waypoints:
         return None
     first, home = plan.waypoints[0], plan.home
@@ -157,7 +157,7 @@ def items_far_from_home(file: str, plan: Plan) -> str | None:
 
 
 def in_feet(file: str, plan: Plan, ceiling: float | None, winged: bool) -> str | None:
-    """Return a hint that the heights of a plan may be in feet, None if they are plausible in metres.
+    """Return a hint that a plan's heights may be in feet; None if they are plausible in metres.
 
     Args:
         file: of the plan.

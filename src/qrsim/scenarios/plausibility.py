@@ -79,7 +79,7 @@ def plausibility_warnings(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _sky(scenario: ScenarioSpec) -> Iterator[str]:
-    """Warn of range errors of several metres, which put every fix metres away."""
+    """Yield a warning of range errors that move every fix by metres."""
     std = vars(scenario.world.sky.errors).get("std", 0.0)
     read = any(sensor.type in RECEIVERS for fleet in scenario.fleets.values() for sensor in fleet.sensors.values())
     if read and not is_outside("sky", scenario.world.sky.errors.type) and std >= ROUGH_STD_M:
@@ -90,7 +90,7 @@ def _sky(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _wind(scenario: ScenarioSpec) -> Iterator[str]:
-    """Warn of a recorded wind that is faster than winds are, and of an area beyond its data."""
+    """Yield a warning of implausibly fast recorded wind, and of an area beyond its data."""
     try:
         wind = component(scenario.world.wind, known.WINDS, scenario).at(scenario.duration)
         found = wind.beyond(bounds_of(scenario.world.area), top_of(scenario.world.area))
@@ -103,7 +103,7 @@ def _wind(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _ground(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the notes of the files of the ground."""
+    """Yield the notes on a file of elevations."""
     ground = component(scenario.world.ground, known.GROUNDS, scenario)
     if isinstance(ground, ElevationFile):
         place = scenario.site
@@ -112,7 +112,7 @@ def _ground(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _fast(file: str, wind: Any) -> Iterator[str]:
-    """Warn of a recorded wind that is faster than winds are."""
+    """Yield a warning of a recorded wind with implausible speeds."""
     axes = (np.asarray(axis, np.float64) for axis in (wind.air_ned.x, wind.air_ned.y, wind.air_ned.z))
     speed = np.sqrt(sum(np.square(axis) for axis in axes))
     row = int(np.unravel_index(int(np.argmax(speed)), speed.shape)[0])
@@ -125,7 +125,7 @@ def _fast(file: str, wind: Any) -> Iterator[str]:
 
 
 def _estimator(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Warn of a filter with much smaller errors in its parameters than its sensors have."""
+    """Yield a warning of a filter whose noise parameters are much smaller than its sensors' errors."""
     if fleet.estimator is None or not issubclass(known.FILTERS[fleet.estimator.type], KalmanParameters):
         return
     spec = fleet.estimator
@@ -160,13 +160,13 @@ class _Constants:
 
 
 def _worst(path: str, name: str, value: object, score: Any) -> tuple[int, str]:
-    """Return the vehicle with the largest score, and the path of its number."""
+    """Return the index of the largest ``score`` and the path of that vehicle's number."""
     i = int(np.argmax(score))
     return i, f"{path}.{name}" + (f".{i}" if isinstance(value, list) else "")
 
 
 def _lift(path: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield implausible gravity, mass and thrust: of vehicles that cannot stay up, or cannot come down."""
+    """Yield a warning of implausible gravity, mass or thrust: a vehicle that cannot stay up or come down."""
     of, volts = _Constants(fleet), voltages(fleet)
     if not ((of.gravity >= EARTH[0]) & (of.gravity <= EARTH[1])).all():
         i, where = _worst(path, "vehicle.gravity", fleet.vehicle.gravity, np.abs(of.gravity - 9.81))
@@ -213,7 +213,7 @@ def _battery(path: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _capacity(path: str, fleet: FleetSpec) -> Iterator[str]:
-    """Warn of a battery whose capacity was given in mAh."""
+    """Yield a warning of a battery capacity that looks like mAh."""
     capacity = vars(fleet.battery).get("capacity")
     if capacity is None or is_outside("battery", fleet.battery.type):
         return
@@ -257,7 +257,7 @@ def _unstable(path: str, fleet: FleetSpec, of: _Constants, i: int, dt: float) ->
 
 
 def _lists(vehicle: Any) -> list[object]:
-    """Return the names of parameters that are lists with one number for each vehicle."""
+    """Return the names of a vehicle's parameters that are lists, one number for each vehicle."""
     return [name for name in type(vehicle).model_fields if isinstance(getattr(vehicle, name), list)]
 
 
@@ -267,7 +267,7 @@ def _growth(z: complex) -> float:
 
 
 def _axes(fleet: FleetSpec, of: _Constants, i: int) -> Iterator[tuple[str, str, float, float]]:
-    """Yield axis, names of its constants, stiffness and damping of the tilt of a vehicle, linear about level."""
+    """Yield (axis, names of its gains, stiffness, damping) of a vehicle's tilt loops, linearised about level."""
     law = vars(fleet.vehicle).get("tilt_law", "")
     if law:
         step = 1e-4

@@ -45,7 +45,7 @@ _PLAIN = {
 
 
 def describe(error: ValidationError, model: type[BaseModel], data: object) -> list[str]:
-    """Describe each fault in one sentence, in schema order; beyond the number printed, in pydantic's words."""
+    """Return a sentence for each error of a validation, in schema order; further ones in pydantic's words."""
     found = error.errors(include_url=False)
     told = [_Fault(details, model, data).sentence() for details in found[:MOST_PROBLEMS]]
     # To find the place and the nearest name of a hundred thousand takes many seconds, and nobody reads them.
@@ -84,7 +84,7 @@ class _Fault:
         self._locate(data)
 
     def _locate(self, data: object) -> None:
-        """Follow pydantic's location through data and schema: set path, owner, field and value."""
+        """Follow the error's location through data and schema, and set path, owner, field and value."""
         for part in self.details["loc"]:
             if part == "[key]":
                 continue
@@ -109,7 +109,7 @@ class _Fault:
             data = self._descend(part, data)
 
     def _name_of(self, model: type[BaseModel]) -> str:
-        """Return the user's name of a part: its type, its kind, or its field."""
+        """Return the name of a part in scenarios: its type, its kind, or its field."""
         if model.__name__.endswith("Spec"):
             return re.sub(r"(?<!^)(?=[A-Z])", " ", model.__name__.removesuffix("Spec")).lower()
         if {"type", "kind"} & set(model.model_fields):
@@ -117,7 +117,7 @@ class _Fault:
         return self.path[-1]
 
     def _descend(self, part: object, data: object) -> object:
-        """Add a part to the path and return what is there in the data; None if nothing is."""
+        """Append a key to the path and return the data there; None if there is none."""
         name, self.beside = str(part), data
         if isinstance(data, dict):
             twin = name.removesuffix("_rad") + "_deg"
@@ -129,7 +129,7 @@ class _Fault:
         return data[part] if isinstance(data, list) and isinstance(part, int) and part < len(data) else None
 
     def sentence(self) -> str:
-        """Return the fault in words."""
+        """Return the error as one sentence: path, problem, allowed values and hints."""
         kind, where = self.details["type"], ".".join(self.path) or "scenario"
         value = self.details["input"]
         context = self.details.get("ctx", {})
@@ -194,7 +194,7 @@ class _Fault:
         return swapped_hint(self.details["input"], self.beside.get("longitude_deg"))
 
     def _known(self) -> list[str]:
-        """Return the names of the fields that the owner has, angles in degrees included."""
+        """Return the field names of the owner, with those of angles in degrees."""
         names = [name for name in (self.owner.model_fields if self.owner else {}) if name != "type"]
         twins = [name.removesuffix("_rad") + "_deg" for name in names if name.endswith("_rad")]
         return names + twins
@@ -214,7 +214,7 @@ class _Fault:
         return f"; or give {name.removesuffix('_rad')}_deg in degrees" if name.endswith("_rad") else ""
 
     def _example(self, value: object) -> str:
-        """Show how a component is written to those who gave only its type."""
+        """Return a text that shows how a component is written, for a component given by its type alone."""
         models = [model for model in _models(self.annotation) if "type" in model.model_fields]
         if not models or not isinstance(value, str):
             return ""
@@ -233,7 +233,7 @@ class _Fault:
         return text if len(text) <= 60 else f"{text[:57]}..."
 
     def _rule(self, name: str) -> Any:
-        """Return a bound of the field or of the entry of a list, None where there is none."""
+        """Return a bound (such as ``ge``) of the field or of its list's entries; None without one."""
         rules = [*(self.field.metadata if self.field else []), *_rules(self.annotation)]
         found = [getattr(rule, name) for rule in rules if getattr(rule, name, None) is not None]
         return found[-1] if found else None
@@ -281,18 +281,18 @@ def _as_model(name: object) -> str:
 
 
 def _number(value: float) -> str:
-    """Write a bound so that it can be read at a glance: 0.5, 1.5708, 10 000 000."""
+    """Return a bound as short text: 0.5, 1.5708, 10 000 000."""
     return f"{value:,.0f}".replace(",", " ") if 1e4 <= abs(value) < 1e12 else f"{value:g}"
 
 
 def _characters(pattern: str) -> str:
-    """Say in words what a pattern such as ^[A-Za-z0-9][A-Za-z0-9_-]*$ allows."""
+    """Return in words which characters a pattern such as ^[A-Za-z0-9][A-Za-z0-9_-]*$ allows."""
     match = re.fullmatch(r"\^\[A-Za-z0-9\]\[A-Za-z0-9(.*)\]\*\$", pattern)
     return f"letters, digits and any of {' '.join(match[1])}, a letter or digit first" if match else pattern
 
 
 def _given(annotation: object) -> Any:
-    """Return the type of a value that may be left out as null."""
+    """Return the type T of an annotation "T | None"; other annotations unchanged."""
     others = [part for part in get_args(annotation) if part is not type(None)]
     return others[0] if get_origin(annotation) in (Union, UnionType) and len(others) == 1 else annotation
 
@@ -312,12 +312,12 @@ def _tagged(annotation: object, tag: object) -> object:
 
 
 def _entry(annotation: object) -> object:
-    """Return the type of an entry of a list or a mapping, None where it is neither."""
+    """Return the type of the entries of a list or mapping annotation, None for others."""
     return (get_args(_bare(annotation)) or (None,))[-1]
 
 
 def _rules(annotation: object) -> list[object]:
-    """Return the bounds that Annotated says about a type."""
+    """Return the constraint objects in an Annotated type."""
     annotation = _given(annotation)
     if get_origin(annotation) is not Annotated:
         return []
@@ -327,7 +327,7 @@ def _rules(annotation: object) -> list[object]:
 
 
 def _slot(annotation: object) -> type[Slot] | None:
-    """Return the ``Slot`` that an annotation contains, None if it contains none."""
+    """Return the ``Slot`` in an annotation, None without one."""
     bare = _bare(annotation)
     return bare if isinstance(bare, type) and issubclass(bare, Slot) else None
 

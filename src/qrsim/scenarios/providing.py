@@ -15,14 +15,14 @@ TRUST = "if you trust its author, --code loads it, in Python open_run(..., code=
 
 
 def places(content: object) -> Iterator[tuple[str, str, Content]]:
-    """Yield path, kind and content of every component with a type in a scenario."""
+    """Yield (path, kind, content) of every component of a scenario that has a type."""
     for path, kind, part in _parts(content):
         if isinstance(part, dict) and isinstance(part.get("type"), str):
             yield path, kind, part
 
 
 def _parts(content: object) -> Iterator[tuple[str, str, object]]:
-    """Yield path, kind and content of each place of a scenario that takes a component."""
+    """Yield (path, kind, content) of each place in a scenario that takes a component."""
     world, fleets = _mapping(content, "world"), _mapping(content, "fleets")
     for kind in WORLD_KINDS:
         yield f"world.{kind}", kind, world.get(kind)
@@ -41,7 +41,7 @@ def _parts(content: object) -> Iterator[tuple[str, str, object]]:
 
 
 def _mapping(content: object, key: object) -> Content:
-    """Return the mapping under a key, or the content itself for an empty key; {} if it is no mapping."""
+    """Return ``content[key]`` (``content`` for an empty key) if it is a mapping, else {}."""
     found = content.get(key) if key and isinstance(content, dict) else content
     return found if isinstance(found, dict) else {}
 
@@ -80,7 +80,7 @@ def provide_components(content: object, source: str, named_code: bool = True) ->
 
 
 def outside_components(content: object) -> list[dict[str, str]]:
-    """Return the record for run folders of a scenario's components that are not built in."""
+    """Return, for run folders, a record of each component of a scenario that is not built in."""
     found = []
     for path, kind, part in places(content):
         name = part["type"]
@@ -103,7 +103,7 @@ def outside_components(content: object) -> list[dict[str, str]]:
 
 
 def outside_problems(content: object) -> Iterator[str]:
-    """Yield the components that a scenario from the network may not name: code of this machine."""
+    """Yield a problem for each component in an uploaded scenario that would run code of this machine."""
     for path, kind, part in places(content):
         name = part["type"]
         if code.is_code(name) or ":" in name:

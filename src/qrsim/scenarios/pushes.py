@@ -17,7 +17,7 @@ from qrsim.scenarios.timing import is_multiple
 
 
 def pushes(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[Push, ...]:
-    """Build the pushes of a fleet: those among its faults, then those of the world's events that concern it."""
+    """Build a fleet's pushes: those among its faults, then those of the world's events that affect it."""
     names, dt = vehicle_names(fleet_name, fleet), scenario.time_step
     found = [(spec.at, spec.end, spec) for spec in fleet.faults if isinstance(spec, PushSpec)]
     if is_pushable(fleet):
@@ -26,11 +26,15 @@ def pushes(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[P
         found += [(at, at + getattr(push, "for"), push) for at, push in concerned]
     return tuple(
         record_of(
-            Push, tick_of(at, dt), tick_of(end, dt), mask_of(names, push.vehicles),
-            _vector(push.acceleration_ned), _vector(push.acceleration_body),
+            Push,
+            tick_of(at, dt),
+            tick_of(end, dt),
+            mask_of(names, push.vehicles),
+            _vector(push.acceleration_ned),
+            _vector(push.acceleration_body),
         )
         for at, end, push in found
-    )  # fmt: skip
+    )
 
 
 def _vector(acceleration: list[float] | None) -> Vec3:
@@ -39,7 +43,7 @@ def _vector(acceleration: list[float] | None) -> Vec3:
 
 
 def push_event_problems(path: str, push: Any, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield what is wrong with a push among the events of a scenario."""
+    """Yield the problems of a push among the events of a scenario."""
     lasts, dt = getattr(push, "for"), scenario.time_step
     if not is_multiple(lasts, dt, math.inf):
         yield f"{path}.for: {lasts:g} s is not a multiple of the time step {dt:g} s"

@@ -24,14 +24,14 @@ _MOST_PERIODS = 16
 
 
 def with_fleets(network: Network | None, scenario: ScenarioSpec) -> Network | None:
-    """Return the radio of a world with what its fleets have of their own, None without one."""
+    """Return a world's radio with its fleets' own settings filled in; None without a radio."""
     own = [fleet.radio for fleet in scenario.fleets.values()]
     if network is None or all(spec is None for spec in own):
         return network
     sizes = [len(fleet.vehicles) for fleet in scenario.fleets.values()]
 
     def each(name: str) -> NumpyArray:
-        """Return a parameter of the fleets' own radios for each vehicle (n,), NaN where not given."""
+        """Return a fleet radio's parameter for each vehicle (n,), NaN if not given."""
         values = [np.nan if spec is None or getattr(spec, name) is None else getattr(spec, name) for spec in own]
         return np.repeat(np.array(values, np.float64), sizes)
 
@@ -42,7 +42,7 @@ def with_fleets(network: Network | None, scenario: ScenarioSpec) -> Network | No
 
 
 def radio_problems(network: Network | None, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield what is wrong with the radio of a world, None without one, and of its fleets."""
+    """Yield the problems of a world's radio (None: it has none) and of its fleets' settings."""
     for name, fleet in scenario.fleets.items():
         if fleet.guidance.model_dump().get("knows") == "heard":
             yield from _unheard(f"fleets.{name}", fleet, network)
@@ -64,7 +64,7 @@ def radio_problems(network: Network | None, scenario: ScenarioSpec) -> Iterator[
 
 
 def _unheard(path: str, fleet: FleetSpec, network: Network | None) -> Iterator[str]:
-    """Yield guidances with ``knows: heard`` in fleets that cannot receive anything."""
+    """Yield a problem if a fleet's guidance has ``knows: heard`` and the fleet cannot receive."""
     guidance = f"{path}.guidance.knows: 'heard' is by radio"
     if network is None:
         yield f"{guidance}, and there is no world.radio; give one, or knows: all"
@@ -78,7 +78,7 @@ def _unheard(path: str, fleet: FleetSpec, network: Network | None) -> Iterator[s
 
 
 def _times(network: Network, dt: float) -> Iterator[str]:
-    """Yield a period that is not a multiple of the time step, and packets that do not fit into a slot."""
+    """Yield a problem if the MAC period is off the time step, or a packet does not fit into a slot."""
     mac, air = network.mac, network.air_time
     path = "world.radio.mac"
     if not is_multiple(mac.period, dt):

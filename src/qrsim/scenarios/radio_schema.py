@@ -34,7 +34,7 @@ class FleetRadioSpec(Strict):
     @model_validator(mode="before")
     @classmethod
     def _none(cls, data: object) -> object:
-        """Read "none" as a fleet without a radio; refuse other texts."""
+        """Turn "none" into a fleet with no radio; raises ValueError for other texts."""
         if isinstance(data, str):
             if data != NONE:
                 raise ValueError(f"is {data!r}; expected 'none', or values that differ from world.radio")

@@ -45,7 +45,7 @@ Path = tuple[str | int, ...]
 
 
 def range_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the faults of the ranges of a scenario."""
+    """Yield the problems of a scenario's ``ranges``."""
     seen: set[str] = set()
     for i, item in enumerate(scenario.ranges):
         path = in_radians(item)[0]
@@ -70,7 +70,7 @@ def in_radians(item: RangeSpec) -> tuple[str, float, float]:
 
 
 def _value_at(scenario: ScenarioSpec, parts: list[str]) -> tuple[object, str]:
-    """Return the value at a path of the scenario, or the fault of the path."""
+    """Return (value at a path of the scenario, ""), or (None, problem of the path)."""
     value = scenario
     for i, part in enumerate(parts):
         if isinstance(value, list):
@@ -121,7 +121,7 @@ def _is_setting(scenario: ScenarioSpec, path: str) -> bool:
 
 
 def _group(parts: list[str]) -> Mapping[str, type] | None:
-    """Return the types of component that a path without its last part may name; None if it takes no component."""
+    """Return type name -> class of the components at a path without its last part; None for other paths."""
     if parts[:2] == ["world", "updrafts"]:
         return known.UPDRAFTS
     if parts[0] == "world":
@@ -148,7 +148,7 @@ def _static(owner: Any, names: list[str]) -> bool:
 
 
 def _bound_problems(scenario: ScenarioSpec, i: int, item: RangeSpec, path: str) -> Iterator[str]:
-    """Yield a range that leaves the bounds of its number."""
+    """Yield a problem if a range exceeds the bounds of its parameter."""
     _, low, high = in_radians(item)
     for end, value in (("low", low), ("high", high)):
         content = copy.deepcopy(scenario.model_dump(mode="json"))
@@ -165,7 +165,7 @@ def _bound_problems(scenario: ScenarioSpec, i: int, item: RangeSpec, path: str) 
 
 
 def world_path(scenario: ScenarioSpec, path: str) -> Path | None:
-    """Return the path in a World of a number of the scenario, None if it may not be drawn."""
+    """Return the World path of a scenario's parameter, None if episodes cannot draw it."""
     for prefix, where in IN_WORLD.items():
         if path.startswith(f"{prefix}.") and (prefix != "world.base_station" or base_station(scenario) is not None):
             return (*where, *path.removeprefix(f"{prefix}.").split("."))
@@ -190,7 +190,7 @@ def world_path(scenario: ScenarioSpec, path: str) -> Path | None:
 
 
 def is_time_of_fault(path: str) -> bool:
-    """Return whether a path of a scenario is a time of a fault, which a World has in ticks."""
+    """Return whether a scenario path is a time of a fault, stored in ticks in a World."""
     parts = path.split(".")
     return len(parts) == 5 and parts[0] == "fleets" and parts[2] == "faults" and parts[-1] in TIMES
 
@@ -210,7 +210,7 @@ def ranges_of(scenario: ScenarioSpec) -> tuple[Range, ...]:
 
 
 def _heirs(scenario: ScenarioSpec, path: str) -> Iterator[Path]:
-    """Yield the places in a World of numbers that are inherited from this one."""
+    """Yield the further World paths of a parameter that inherit or repeat its value."""
     parts = path.split(".")
     if parts[0] == "fleets" and parts[2] == "faults":
         fleet = list(scenario.fleets).index(parts[1])

@@ -26,7 +26,7 @@ MOST_VALUES = 4_000_000
 
 
 def built_in_names() -> list[str]:
-    """Return the names of the scenarios that come with qrsim; those of a family are FAMILY/VARIANT."""
+    """Return the names of the built-in scenarios; those of a family are FAMILY/VARIANT."""
     folder = resources.files("qrsim.scenarios")
     alone = [item.name for item in folder.iterdir()]
     families = [item for item in folder.iterdir() if item.is_dir()]
@@ -45,7 +45,7 @@ def read_scenario(source: str | Path | Content) -> tuple[str, Content]:
 
 
 def _read(source: str | Content, children: list[tuple[str, str]]) -> tuple[str, Content]:
-    """Read a source that ``children`` (identity, label) extend, the first of them the user's; refuse a circle."""
+    """Read a source and merge in what it extends; ``children`` are the sources that extend it; refuses a loop."""
     identity, folder = _origin(source)
     name = "scenario" if isinstance(source, dict) else source
     if identity in (known for known, _ in children):
@@ -74,7 +74,7 @@ def _read(source: str | Content, children: list[tuple[str, str]]) -> tuple[str, 
 
 
 def _origin(source: str | Content) -> tuple[str, Path]:
-    """Return an identifier of a source, and the folder that its paths are relative to."""
+    """Return an identity of a source, "" for a dict, and the folder that its paths are relative to."""
     if isinstance(source, dict):
         return "", Path.cwd()
     if source in built_in_names():
@@ -84,7 +84,7 @@ def _origin(source: str | Content) -> tuple[str, Path]:
 
 
 def _is_file(name: str) -> bool:
-    """Return whether a source is the path of a file; no built-in name ends so."""
+    """Return whether a source name is the path of a file, by its ending."""
     return Path(name).suffix in (".yaml", ".yml")
 
 
@@ -121,7 +121,7 @@ def _read_file(name: str, folder: Path) -> Content:
 
 
 def check_size(content: object, source: str) -> None:
-    """Refuse content from Python that is nested deeper than files may be, is larger than memory, or contains itself.
+    """Raise UsageError for content that is nested too deeply, too large, or contains itself.
 
     Raises:
         ScenarioError: it is.
@@ -139,7 +139,7 @@ def check_size(content: object, source: str) -> None:
 
 
 def checked_overrides(overrides: Iterable[str]) -> list[str]:
-    """Check overrides and return them as a list. Raises UsageError for other types, as a single text."""
+    """Return overrides as a list; raises UsageError for other types, such as a single text."""
     if isinstance(overrides, str):
         raise UsageError(f"overrides: expected a list such as ['path=value'], found the text {overrides!r:.200}")
     try:
@@ -155,7 +155,7 @@ def checked_overrides(overrides: Iterable[str]) -> list[str]:
 
 
 def merged(parent: Content, child: Content) -> Content:
-    """Merge two mappings recursively; the child's values take precedence.
+    """Return ``parent`` updated recursively by ``child``; values of the child take precedence.
 
     A child of another ``type``, or a site from a ``plan``, replaces the parent wholly. A list replaces a list, an angle
     in one unit that in the other, a wind's ``speed`` its ``speed_20ft``, a site's ``height_amsl`` its ``height``, and
@@ -192,7 +192,7 @@ def anchor_files(content: Content, folder: Path) -> None:
 
 
 def _with_plans(content: Content) -> Iterator[object]:
-    """Yield the parts of a content that may name a plan: the site and each vehicle."""
+    """Yield the contents that may name a plan: the site, and each vehicle."""
     yield content.get("site")
     fleets = content.get("fleets")
     for fleet in fleets.values() if isinstance(fleets, dict) else ():
@@ -201,7 +201,7 @@ def _with_plans(content: Content) -> Iterator[object]:
 
 
 def _spell_out(content: Content, path: list[str]) -> None:
-    """Make each component that is named by its type alone a mapping, in place."""
+    """Replace each component given by its type alone by {"type": ...}, in place."""
     for key, value in content.items():
         inside = [*path, str(key)]
         if isinstance(value, dict):
@@ -226,13 +226,13 @@ def _anchor(content: object, folder: Path) -> None:
 
 
 def _anchored(name: str, folder: Path) -> str:
-    """Return a file name as an absolute one; a public recording that is not in ``folder`` is in the data folder."""
+    """Return an absolute file name; a public recording missing in ``folder`` is looked up in the data folder."""
     file = Path(os.path.abspath(folder / os.path.expanduser(name)))
     return str(data_folder() / name if name in RECORDINGS and not file.exists() else file)
 
 
 def _as_mapping(content: object, source: str) -> Content:
-    """Return a content that is a mapping; raise ScenarioError for any other."""
+    """Return the content unchanged; raises ScenarioError unless it is a mapping."""
     if not isinstance(content, dict):
         kinds = {type(None): "nothing", list: "a list", str: "a text"}
         found = kinds.get(type(content), repr(content))
@@ -241,7 +241,7 @@ def _as_mapping(content: object, source: str) -> Content:
 
 
 def apply_override(content: Content, assignment: str) -> None:
-    """Set one value by its path, for example ``world.wind.speed_20ft=7`` or ``world.wind=calm``.
+    """Set one value by its path, such as ``world.wind.speed_20ft=7`` or ``world.wind=calm``, in place.
 
     A list entry is named by its index; a component is replaced by naming another type.
 
@@ -292,7 +292,7 @@ _OF_ONE_SITE = {"height": ("height_amsl",), "height_amsl": ("height",)}
 
 
 def _drop_twin(target: Content, name: str, kept: Container[str] = ()) -> None:
-    """An angle that is overridden in one unit must not stay in the other, nor a height of a wind or site by the other.
+    """Remove the entries that ``name`` replaces, such as the same angle in other units, except those in ``kept``.
 
     Those in ``kept`` are given with it, and stay for the check of the whole to refuse.
     """
@@ -313,7 +313,7 @@ def _drop_twin(target: Content, name: str, kept: Container[str] = ()) -> None:
 
 
 def _enter(target: Any, parts: list[str], depth: int, assignment: str) -> Any:
-    """Return the part of ``target`` that the path names at ``depth``; what is missing is made."""
+    """Return the child of ``target`` that the path names at ``depth``; a missing one becomes {}."""
     name = parts[depth]
     if isinstance(target, list):
         child = target[_index(target, parts, depth, assignment)]
@@ -328,7 +328,7 @@ def _enter(target: Any, parts: list[str], depth: int, assignment: str) -> Any:
 
 
 def _check_name(target: Content, parts: list[str], depth: int, assignment: str) -> None:
-    """Raise UsageError for a fleet or sensor that is not in the scenario, which an override would create."""
+    """Raise UsageError for an unknown fleet or sensor, which an override would create."""
     is_fleet = depth == 1 and parts[0] == "fleets"
     is_sensor = depth == 3 and parts[0] == "fleets" and parts[2] == "sensors" and parts[4:] != ["type"]
     if (is_fleet or is_sensor) and parts[depth] not in target:

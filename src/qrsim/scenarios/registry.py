@@ -73,7 +73,7 @@ def register(kind: str, name: str, component: type) -> type:
 
 
 def provide(kind: str, name: str) -> bool:
-    """Load a component that the catalogue lacks; return whether the catalogue has it now.
+    """Load a component if the catalogue lacks it; return whether the catalogue has it now.
 
     Args:
         kind: what is expected.
@@ -102,7 +102,7 @@ def outside_names(kind: str) -> list[str]:
 
 
 def made(kind: str, source: object) -> Any:
-    """Return the estimator or the metrics that a source names.
+    """Return an instance of the estimator or metrics class that a name or path gives, or the object itself.
 
     Args:
         kind: estimator or metric.
@@ -152,7 +152,7 @@ def origin_of(kind: str, name: str) -> Origin:
 
 
 def name_of(kind: str, component: type) -> str:
-    """Return the name of a class in the catalogue; an unknown one is registered under its module and name.
+    """Return a class's name in the catalogue; an unknown class is registered as "module:Class".
 
     Raises:
         UsageError: it is no component of this kind.
@@ -223,7 +223,7 @@ def _check_class(kind: str, component: object, what: str) -> None:
 
 
 def _take_in(kind: str, name: str, component: type, origin: Origin) -> None:
-    """Add a class to the catalogue and the schema; leave both unchanged and raise if it has no schema."""
+    """Add a class to catalogue and schema; raises UsageError, with no change, if it has no schema."""
     if code.is_code(name):
         code.taken_in(component.__module__, provide, kind, name)
     group = catalogue.KINDS[kind]
@@ -275,7 +275,7 @@ def _origin(how: str, component: type, place: str = "") -> Origin:
 
 
 def _load(kind: str, name: str) -> None:
-    """Load ``module:Class`` or ``file.py:Class`` and take it in."""
+    """Load a component named ``module:Class`` or ``file.py:Class`` and register it."""
     component = code.load_object(kind, name, kind="Class")
     if catalogue.KINDS[kind].get(name) is component:
         return
@@ -284,7 +284,7 @@ def _load(kind: str, name: str) -> None:
 
 
 def _load_entry_point(kind: str, name: str) -> None:
-    """Load what an installed package offers under a name, if one does."""
+    """Load and register the component that an installed package offers under a name, if any."""
     for other, offered, point in packaged():
         if (other, offered) == (kind, name):
             place = _place_of(point)

@@ -28,7 +28,7 @@ def _shape_text(value: Any) -> str:
 
 
 def _array(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
-    """Yield what is wrong with a value that is to be an array of numbers of some shape."""
+    """Yield a problem unless the value is a floating-point array of the given shape."""
     if value is None or isinstance(value, str | bytes | type):
         yield f"{what} is {value!r:.60}; expected an array of shape {shape}"
         return
@@ -44,7 +44,7 @@ def _array(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
 
 
 def _number(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
-    """Yield what is wrong with a value that is to be an array, or one number for all vehicles."""
+    """Yield a problem unless the value is an array of the given shape, or one number for all vehicles."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return
     try:
@@ -55,6 +55,7 @@ def _number(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
 
 
 def _vector(what: str, value: object, shape: tuple[int, ...]) -> Iterator[str]:
+    """Yield the problems of a value that should be a vector of three arrays of the given shape."""
     if not isinstance(value, Vec3):
         yield f"{what} is {_shown(value)}; expected a qrsim.Vec3 of arrays of shape {shape}"
         return
@@ -70,12 +71,13 @@ def _shown(value: object) -> str:
 
 
 def _pair(value: object, what: str) -> Iterator[str]:
+    """Yield a problem unless the value is a tuple of two."""
     if not isinstance(value, tuple) or len(value) != 2:
         yield f"it returned {_shown(value)}; expected a pair, {what}"
 
 
 def _each(what: str, value: object, shape: tuple[int, ...]) -> Iterator[str]:
-    """Yield what is wrong with a record of arrays."""
+    """Yield the problems of a value that should be a record of arrays of the given shape."""
     if not dataclasses.is_dataclass(value) or isinstance(value, type) or jax.tree_util.all_leaves([value]):
         yield f"{what} is {_shown(value)}; expected a record (@qrsim.record) of arrays of shape {shape}"
         return
@@ -85,7 +87,7 @@ def _each(what: str, value: object, shape: tuple[int, ...]) -> Iterator[str]:
 
 
 def _posed(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
-    """Yield what is wrong with a ``Pose`` or a ``Start``."""
+    """Yield the problems of a value that should be a ``Pose`` or a ``Start`` of the given shape."""
     for name in ("position_ned", "velocity_body", "rates_body"):
         yield from _vector(f"{what}.{name}", getattr(value, name), shape)
     if not isinstance(value.attitude, Euler):
@@ -94,7 +96,7 @@ def _posed(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
 
 
 def unchanged(what: str, before: object, after: object) -> Iterator[str]:
-    """Yield in what a state is of another kind after a step than before."""
+    """Yield the differences in structure, type and shape of a state before and after a step."""
     old: Any = jax.tree.structure(before)
     new: Any = jax.tree.structure(after)
     if old != new:
@@ -122,7 +124,7 @@ def _shape_in(args: tuple[object, ...]) -> tuple[int, ...] | None:
 
 
 def _own(self: Any) -> tuple[int, ...]:
-    """Return (n,) of the fleet that a component belongs to, () if it belongs to the whole world."""
+    """Return the shape (n,) of the component's fleet, () for a component of the world."""
     return () if self._size is None else (self._size,)
 
 
@@ -141,7 +143,7 @@ def _check_next_reading(self: object, args: Any, result: Any) -> Iterator[str]:
 
 
 def _same_shape_as(check: Callable[[str, Any, tuple[int, ...]], Iterator[str]], position: int) -> Check:
-    """Return the check of a result that has as many numbers as an argument."""
+    """Return a check that the result has the shape of the argument at ``position``."""
 
     def checked(self: object, args: Any, result: object) -> Iterator[str]:
         shape = _shape_in(args[position : position + 1])
@@ -152,7 +154,6 @@ def _same_shape_as(check: Callable[[str, Any, tuple[int, ...]], Iterator[str]], 
 
 
 def _check_state(self: object, args: Any, result: Any) -> Iterator[str]:
-    """Yield in what the returned state is of another kind than the state that was passed."""
     yield from unchanged("the state", args[0], result)
 
 
@@ -267,7 +268,7 @@ def _check_reward(self: Any, args: Any, result: Any) -> Iterator[str]:
 def _for_each_fleet(
     task: Any, world: World, what: str, result: Any, check: Callable[[str, int, Any], Iterator[str]]
 ) -> Iterator[str]:
-    """Yield what ``check(what, agents, value)`` finds: of a task of several fleets for each of them."""
+    """Yield the problems that ``check(what, agents, value)`` finds, for each fleet of a task of several."""
     sizes = {fleet.name: fleet.size for fleet in world.fleets}
     for fleet in task.fleets:
         if fleet not in sizes:
@@ -296,7 +297,6 @@ def _check_observation(whole: str, n: int, result: object) -> Iterator[str]:
 
 
 def _check_axis_names(self: Any, args: Any, result: Any) -> Iterator[str]:
-    """The names of an observation are axes, as many as it has numbers."""
     yield from _for_each_fleet(self, args[0], RETURNED, result, _check_axes)
 
 
@@ -319,7 +319,7 @@ def _check_observation_names(self: Any, args: Any, result: Any) -> Iterator[str]
 
 
 def _check_names_match(self: Any, whole: str, result: Any, names: Any) -> Iterator[str]:
-    """Yield where an observation is not what ``sees`` says of it."""
+    """Yield where an observation differs from the names in ``sees``."""
     if isinstance(names, dict) != isinstance(result, dict):
         yield f"{whole} is {_shown(result)}, but {type(self).__name__}.sees returns {_shown(names)}"
     for name, axes in names.items() if isinstance(result, dict) else (("", names),):

@@ -32,7 +32,7 @@ FARTHEST_BASE = 50e3
 
 
 def receivers(scenario: ScenarioSpec) -> dict[str, Any]:
-    """Return the receivers of type gnss by their paths."""
+    """Return path -> spec of the receivers of type gnss."""
     return {
         f"fleets.{name}.sensors.{sensor_name}": sensor
         for name, fleet in scenario.fleets.items()
@@ -42,12 +42,12 @@ def receivers(scenario: ScenarioSpec) -> dict[str, Any]:
 
 
 def needs_slots(scenario: ScenarioSpec, errors: RangeErrors) -> bool:
-    """Return whether the sky of a scenario gives satellites in view slots."""
+    """Return whether the sky of a scenario stores the satellites in view in slots."""
     return bool(receivers(scenario)) or bool(errors.needs_sight)
 
 
 def for_receivers(scenario: ScenarioSpec, ephemeris: object) -> Any:
-    """Return an ephemeris with the receivers' systems, if it is from a file and the scenario names none.
+    """Return the ephemeris limited to the receivers' systems, if it is a file and the scenario names no systems.
 
     Raises:
         UsageError: the file cannot be read.
@@ -89,7 +89,7 @@ def _sky_has_other_readers(scenario: ScenarioSpec) -> bool:
 def slotted_sky(
     scenario: ScenarioSpec, ephemeris: Ephemeris, orbits: Orbits, errors: RangeErrors, site: Site, start: float
 ) -> SlottedSky:
-    """Build the sky of receivers of type gnss."""
+    """Build the sky for receivers of type gnss, with the satellites in view in slots."""
     masks = [sensor.elevation_mask_rad for sensor in receivers(scenario).values()]
     lowest = math.sin(min(masks, default=MASK_LOWEST))
     return record_of(
@@ -122,7 +122,7 @@ def base_station(scenario: ScenarioSpec) -> BaseStation | None:
 
 
 def of_vehicles(sensor: object, fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> object:
-    """Return a receiver with the vehicle that is its moving base, and which vehicles are spoofed."""
+    """Return a GNSS receiver with its moving-base and spoofed vehicles marked; other sensors unchanged."""
     if not isinstance(sensor, Gnss):
         return sensor
     names = vehicle_names(fleet_name, fleet)
@@ -136,7 +136,7 @@ def _takes_base(sensor: Any) -> bool:
 
 
 def correction_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield why receivers could not get the corrections they ask for."""
+    """Yield why receivers cannot get the corrections that they are set to use."""
     base = scenario.world.base_station
     own = vars(scenario.world.sky.errors).get("common") == "per_vehicle"
     for fleet_name, fleet in scenario.fleets.items():
@@ -164,7 +164,7 @@ def correction_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _base_problems(base: Any, duration: float) -> Iterator[str]:
-    """Yield what is wrong with a base station itself."""
+    """Yield the problems of a base station."""
     away = math.hypot(*base.position_ned)
     if away > FARTHEST_BASE:
         yield (
@@ -180,7 +180,7 @@ def _base_problems(base: Any, duration: float) -> Iterator[str]:
 
 
 def satellite_problems(scenario: ScenarioSpec, ephemeris: Ephemeris) -> Iterator[str]:
-    """Yield why receivers of type gnss could not work under these orbits."""
+    """Yield why receivers of type gnss cannot work with these orbits."""
     yield from correction_problems(scenario)
     names = [name for fleet_name, fleet in scenario.fleets.items() for name in vehicle_names(fleet_name, fleet)]
     yield from interference_problems(scenario, ephemeris, names, bool(receivers(scenario)))

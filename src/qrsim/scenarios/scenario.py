@@ -60,7 +60,7 @@ class Scenario(Tabled):
     __repr__ = Tabled.__repr__
 
     def _table(self) -> Table:
-        """Return the table of parts, types and given parameters that prints and notebooks show."""
+        """Return the table of parts, types and parameters that printing and notebooks show."""
         spec, parts = self.spec, []
         for name in type(spec.world).model_fields:
             parts.append((f"world.{name}", getattr(spec.world, name)))
@@ -110,7 +110,7 @@ class Scenario(Tabled):
 
     @property
     def outside(self) -> list[dict[str, str]]:
-        """The components that are not built in: path, kind, type, class, file, sha256 of the file, from."""
+        """Components that are not built in, a dict each: path, kind, type, class, file, its sha256, origin."""
         return outside_components(self.spec.model_dump(mode="json"))
 
     def world(self, precision: str = "float32") -> World:
@@ -135,7 +135,7 @@ _OF_FLEETS = ("vehicle", "controller", "guidance", "battery")
 
 
 def _given(part: BaseModel) -> str:
-    """Return the parameters of a part that are single numbers or words, with their units."""
+    """Return the scalar parameters of a part as text, with units."""
     texts = []
     for name, info in type(part).model_fields.items():
         value = getattr(part, name)
@@ -147,7 +147,7 @@ def _given(part: BaseModel) -> str:
 
 
 def _of_content(content: Mapping[str, object]) -> Scenario:
-    """Build a scenario from its content in another process, for pickle."""
+    """Build a scenario from its content in another process, for unpickling."""
     # Another process has yet to load the components from outside.
     provide_components(content, "scenario")
     return Scenario(ScenarioSpec.model_validate(content))
@@ -161,7 +161,7 @@ def load_scenario(
     local: bool = True,
     named_code: bool = True,
 ) -> Scenario:
-    """Read and check a scenario; warn of allowed values that cannot fly.
+    """Read and check a scenario; warns of implausible values; raises ScenarioError for wrong ones.
 
     Args:
         source: a built-in name, the path of a YAML file, or the content as a dict.
@@ -211,6 +211,6 @@ def load_scenario(
 
 
 def _as_written(problem: str, written: dict[str, str]) -> str:
-    """Return a fault with the path that the user knows."""
+    """Return a problem with its path as the user wrote it."""
     path, colon, rest = problem.partition(":")
     return f"{written.get(path, path)}{colon}{rest}"

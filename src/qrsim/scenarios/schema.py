@@ -94,7 +94,7 @@ class VehicleSpec(Strict):
 
     @model_serializer(mode="wrap")
     def _without_none(self, handler: SerializerFunctionWrapHandler) -> Content:
-        """Leave out rally points that there are not."""
+        """Leave out missing rally points when a vehicle is written."""
         return {key: value for key, value in handler(self).items() if key != "rally_ned" or value}
 
     @model_validator(mode="after")
@@ -113,7 +113,7 @@ class VehicleSpec(Strict):
 
     @property
     def places_ned(self) -> dict[str, list[float]]:
-        """Where the vehicle is sent to [m], by the path of each waypoint or leg; landings are on the ground."""
+        """Path -> position NED [m] of each waypoint and leg that the vehicle flies to."""
         routes = {"waypoints_ned": self.waypoints_ned, "rally_ned": self.rally_ned}
         places = {f"{name}.{j}": point for name, points in routes.items() for j, point in enumerate(points)}
         here = self.position_ned
@@ -150,7 +150,7 @@ FailsafesModel: Any = component_model("failsafes", Failsafes, tagged=False, each
 
 
 def _base_model() -> object:
-    """Return the schema of a base station with its place, and the times at which it is silent."""
+    """Return the schema of a base station, with its position and silent times."""
     places = {
         "position_ned": (Position, Field(description="position of its antenna [m]: north, east, down")),
         "silent": (
@@ -303,7 +303,7 @@ def _takes_paths(controller: str) -> bool:
 
 
 def _with_limits(fleet: Content) -> Content:
-    """Return a fleet with the state limits of its vehicle where it gives none."""
+    """Return a fleet with its vehicle type's state limits if it gives none."""
     vehicle, limits = fleet.get("vehicle"), fleet.get("limits", {})
     name = vehicle.get("type") if isinstance(vehicle, dict) else None
     if not isinstance(name, str) or name not in known.VEHICLES or not isinstance(limits, dict):
@@ -313,7 +313,7 @@ def _with_limits(fleet: Content) -> Content:
 
 
 def _with_controller(fleet: Content) -> Content:
-    """Return a fleet that names no controller with that of its vehicle."""
+    """Return a fleet with its vehicle type's controller if it names none."""
     vehicle, controller = fleet.get("vehicle"), fleet.get("controller", {})
     name = vehicle.get("type") if isinstance(vehicle, dict) else None
     if not isinstance(name, str) or name not in known.VEHICLES:
@@ -333,7 +333,7 @@ class RangeSpec(Strict):
 
 
 def _only_in_a_source(value: object) -> object:
-    """Refuse a key that only a scenario's source may have: reading a scenario removes it."""
+    """Raise ValueError: the key may be given in a scenario file only, not by an override."""
     raise ValueError("can only be given in the scenario itself, not by an override")
 
 
@@ -362,7 +362,7 @@ class ScenarioSpec(Strict):
 
 
 def refresh(kind: str, name: str | None = None) -> None:
-    """Update the schema with the registered components of a kind, after making that of the component ``name``."""
+    """Update the schema with the registered components of a kind; ``name`` is made first, so that errors show."""
     if kind not in _SLOTS:
         return
     if name is not None:

@@ -31,7 +31,7 @@ ESTIMATOR = {"type": "ekf"}
 
 
 def or_a_set(schema: Content) -> None:
-    """Add the names of sets to the JSON schema of sensors."""
+    """Allow the names of sensor sets in the JSON schema of sensors, in place."""
     named = {name: schema.pop(name) for name in ("type", "additionalProperties") if name in schema}
     schema["anyOf"] = [named, {"type": "string", "enum": list(SETS)}]
 
@@ -65,7 +65,7 @@ def insert_sensor_sets(content: Mapping[str, object], source: str) -> None:
 
 
 def _add_turbulence(content: Mapping[str, object]) -> None:
-    """Add turbulence to a wind that says how strong its gusts are."""
+    """Add turbulence to a content's wind if the wind gives the strength of its gusts, in place."""
     world = content.get("world")
     wind = world.get("wind") if isinstance(world, dict) else None
     if isinstance(world, dict) and isinstance(wind, dict) and ("speed_20ft" in wind or wind.get("type") in PROFILES):

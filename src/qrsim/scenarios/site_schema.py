@@ -93,18 +93,19 @@ class GeoidSpec(Strict):
 
     @model_validator(mode="after")
     def _one(self) -> GeoidSpec:
+        """Raise ValueError unless a geoid is given either by numbers or by a file."""
         if (self.file is None) == (self.height is None):
             raise ValueError("expected one of file and height")
         return self
 
     @property
     def plane(self) -> tuple[float, float, float] | None:
-        """Height and slopes; None of a file that is not yet read."""
+        """Height [m] and slopes of the geoid; None for a file that is not read yet."""
         return None if self.height is None else (self.height, self.slope_north, self.slope_east)
 
 
 def or_its_file(schema: Content) -> None:
-    """Add the file alone to the JSON schema of a plan."""
+    """Allow a file name alone in the JSON schema of a plan, in place."""
     schema["anyOf"].append({"type": "string"})
 
 
@@ -140,7 +141,7 @@ class SiteSpec(Strict):
 
     @model_serializer(mode="wrap")
     def _without_none(self, handler: SerializerFunctionWrapHandler) -> Content:
-        """Write the site without ``height_amsl`` and ``geoid`` where they are None."""
+        """Leave out ``height_amsl`` and ``geoid`` if they are None when a site is written."""
         found: Content = handler(self)
         for name in ("height_amsl", "geoid"):
             if getattr(self, name) is None:

@@ -23,7 +23,7 @@ MAGNETOMETERS = ("magnetometer", "ideal_magnetometer")
 
 
 def site_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a start for which there is no model of Earth's field, where a magnetometer needs one."""
+    """Yield a problem if a magnetometer needs the Earth's field at a start with no model of it."""
     for name, fleet in scenario.fleets.items():
         for sensor_name, sensor in fleet.sensors.items():
             if sensor.type in MAGNETOMETERS and not covers(scenario.start_time):
@@ -49,7 +49,7 @@ def altitude_of(scenario: ScenarioSpec) -> float:
 
 
 def at_site(sensor: object, scenario: ScenarioSpec, vehicle: Vehicle) -> object:
-    """Return a sensor with the field, air and steel of the scenario's site, as far as it has parameters for them."""
+    """Return a sensor with the site's magnetic field, air and steel filled in, if it has such parameters."""
     if isinstance(sensor, Magnetometer | IdealMagnetometer):
         place = scenario.site
         site = Site.from_degrees(place.latitude_deg, place.longitude_deg, place.height)
@@ -69,7 +69,7 @@ def at_site(sensor: object, scenario: ScenarioSpec, vehicle: Vehicle) -> object:
 
 
 def _steel(scenario: ScenarioSpec) -> Steel | None:
-    """Gather the obstacles of steel."""
+    """Return the steel obstacles of a scenario as one record; None without any."""
     solid = [each for each in scenario.world.obstacles if each.steel_radius > 0.0]
     if not solid:
         return None

@@ -40,7 +40,7 @@ class _Plan(NamedTuple):
 
 
 def _plan(scenario: ScenarioSpec) -> _Plan | None:
-    """Return walls, grid and lowest mask of the table; None where no receiver or obstacle needs one.
+    """Return walls, grid and lowest mask of the skyline table; None if no receiver or obstacle needs it.
 
     Of PITCHES it is the first whose table is SMALL, else the last.
     """
@@ -62,7 +62,7 @@ def _plan(scenario: ScenarioSpec) -> _Plan | None:
 
 
 def _solid(spec: Any) -> tuple[list[Any], float, float] | None:
-    """Return rings, top and bottom over z = 0 [m] of an obstacle; None of one that hides nothing."""
+    """Return rings, top and bottom [m] over z = 0 of an obstacle; None for one that hides no satellites."""
     if spec.type == "cylinder":
         if spec.radius <= NARROWEST:
             return None
@@ -79,7 +79,7 @@ def _solid(spec: Any) -> tuple[list[Any], float, float] | None:
 
 
 def skyline_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield why the table would not fit into memory, with the pitch that does."""
+    """Yield a problem if the skyline table does not fit into memory, with a pitch that would."""
     plan = _plan(scenario)
     if plan is None or plan.frame.size <= LARGEST:
         return
@@ -100,7 +100,7 @@ def frame_size(plan: _Plan, bounds: Bounds | None, pitch: float) -> int:
 
 
 def skyline(scenario: ScenarioSpec) -> Skyline | None:
-    """Return what obstacles do to the signals of a scenario's receivers of type gnss; None where they do nothing."""
+    """Return the table by which obstacles shade and reflect satellites for gnss receivers; None if not needed."""
     plan = _plan(scenario)
     if plan is None or plan.frame.size > LARGEST:
         return None
@@ -125,7 +125,7 @@ class _Held:
 
 @lru_cache(maxsize=2)
 def _made(digest: str, held: _Held) -> Skyline:
-    """Return the table of a plan from the user's cache, or make and keep it."""
+    """Return the skyline table of a plan from the user's cache, or compute and store it."""
     plan = held.plan
     place = _folder() if plan.frame.size >= LEAST_KEPT else None
     found = None if place is None else _read(place / f"{digest}.bin", plan.frame)
@@ -138,7 +138,7 @@ def _made(digest: str, held: _Held) -> Skyline:
 
 
 def _folder() -> Path | None:
-    """Return the folder of kept skylines in the user's cache; None if caching is off or it is not private."""
+    """Return the cache folder of skylines; None if caching is off or the folder is not private."""
     if os.environ.get("QRSIM_COMPILATION_CACHE") == "off":
         return None
     place = cache_folder() / "skylines"
@@ -146,7 +146,7 @@ def _folder() -> Path | None:
 
 
 def _read(path: Path, frame: Frame) -> Skyline | None:
-    """Return a table that was kept; None without one, or where it is damaged."""
+    """Return a cached skyline; None if it is missing or damaged."""
     try:
         data = zlib.decompressobj().decompress(path.read_bytes(), frame.size + 1)
     except (OSError, zlib.error):
@@ -155,7 +155,7 @@ def _read(path: Path, frame: Frame) -> Skyline | None:
 
 
 def _write(path: Path, made: Skyline) -> None:
-    """Keep a skyline in the cache, compressed; errors of the file system are ignored."""
+    """Write a skyline to the cache, compressed; errors of the file system are ignored."""
     # A cache that cannot be written costs time, nothing else.
     with contextlib.suppress(OSError):
         tidy(path.parent)

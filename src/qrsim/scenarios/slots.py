@@ -32,12 +32,12 @@ class Slot:
 
     @classmethod
     def names(cls) -> list[str]:
-        """Return the names that may stand here."""
+        """Return the type names that the slot accepts."""
         return list(cls.makers())
 
     @classmethod
     def models(cls) -> list[type[Strict]]:
-        """Return the schemas of all components that may stand here."""
+        """Return the schemas of all components that the slot accepts."""
         return [make() for make in cls.makers().values()]
 
     @classmethod
@@ -63,12 +63,12 @@ def _validated(make: Maker, value: object) -> Strict:
 
 
 def slot(makers: Callable[[], Mapping[str, Maker]], key: str = "type") -> Any:
-    """Return the annotation of a slot; see ``Slot``. A type checker cannot see into it."""
+    """Return the pydantic annotation of a slot; its content is validated by the model of its ``key``."""
     return type("Slot", (Slot,), {"makers": staticmethod(makers), "key": key})
 
 
 def slot_of(choices: Mapping[str, type], *, each: bool = False, more: Mapping[str, object] | None = None) -> object:
-    """Return the annotation of a slot for the components of a mapping, which may change; see ``component_model``."""
+    """Return the pydantic annotation of a slot for the components in ``choices``, which may grow."""
     made: dict[tuple[str, type], type[Strict]] = {}
 
     def make(name: str, component: type) -> type[Strict]:

@@ -21,7 +21,7 @@ def clearance_of(fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[float, str]:
 
 
 def close_starts(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the vehicles that would collide at their starts."""
+    """Yield a problem for each pair of vehicles that would collide at the start."""
     starts: list[tuple[str, list[float], float]] = []
     for name, fleet in scenario.fleets.items():
         radius, _ = clearance_of(fleet, scenario)
@@ -42,13 +42,13 @@ def close_starts(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def columns(rows: list[list[float]]) -> Vec3:
-    """Return rows [m] of three as columns."""
+    """Convert rows of three numbers [m] to a Vec3 of columns."""
     array = np.asarray(rows, np.float64)
     return record_of(Vec3, *(np.ascontiguousarray(array[:, axis]) for axis in range(3)))
 
 
 def _close_pairs(points: NumpyArray, distance: float) -> list[tuple[int, int, float]]:
-    """Return i < j and their distance of all pairs of points (n, 3) that are less than ``distance`` apart."""
+    """Return (i, j, distance) with i < j for all pairs of points (n, 3) closer than ``distance`` [m]."""
     if len(points) < 2:
         return []
     # In the order of one coordinate, whoever is close by is a few places further on.
@@ -78,7 +78,7 @@ def obstacle_problems(scenario: ScenarioSpec) -> Iterator[str]:
 def inside_obstacles(
     fleet_path: str, fleet: FleetSpec, solids: list[Any], clearance: float, source: str, called: list[str]
 ) -> dict[int, list[str]]:
-    """Return problems by vehicle number: starts and waypoints inside or too near an obstacle.
+    """Return vehicle number -> problems of starts and waypoints inside or too near an obstacle.
 
     ``called`` has what to add to the number of each obstacle.
     """

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 
 def moment_problems(path: str, seconds: float, duration: float) -> Iterator[str]:
-    """Yield what is wrong with a time [s] at which something begins."""
+    """Yield a problem if a time [s] at which an event begins is outside the run."""
     if seconds >= duration:
         yield (
             f"{path}: {seconds:g} s is not within the run; "
@@ -15,7 +15,7 @@ def moment_problems(path: str, seconds: float, duration: float) -> Iterator[str]
 
 
 def span_problems(path: str, start: float, end: float | None, duration: float) -> Iterator[str]:
-    """Yield what is wrong with a start and an end [s], ``path.start`` and ``path.end``; None: it does not end."""
+    """Yield the problems of ``path.start`` and ``path.end`` [s]; an end of None is unlimited."""
     yield from moment_problems(f"{path}.start", start, duration)
     if end is not None and end <= start:
         yield f"{path}.end: {end:g} s is not after the start, {start:g} s"

@@ -23,7 +23,7 @@ CONTENTS = {"search": "persons", "plume_mapping": "plume"}
 
 
 def task_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield each mismatch of a task and its scenario."""
+    """Yield each problem of a task in its scenario."""
     task = scenario.task
     if task.type == "none":
         return
@@ -52,7 +52,7 @@ def task_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _senses_problems(task: Any, fleet: FleetSpec) -> Iterator[str]:
-    """Yield problems of the sensors in an agent's observation."""
+    """Yield the problems of the sensors that an agent's observation names."""
     names = vars(task).get("senses") or ()
     if is_outside("task", task.type):
         return

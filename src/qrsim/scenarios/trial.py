@@ -74,7 +74,7 @@ class FaultError(UsageError):
 
 
 def trial_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the faults of components from outside in the first tick; ``scenario`` has no other problems."""
+    """Yield the problems that components from outside show in the first tick of a scenario."""
     if not registry.any_outside():
         return
     content = scenario.model_dump(mode="json")
@@ -103,7 +103,7 @@ def trial_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _trace_first_tick(scenario: ScenarioSpec, kinds: dict[type, str]) -> None:
-    """Trace a reset and the first tick of a scenario with watched components; a world that passed is skipped."""
+    """Trace a reset and the first tick with checked components; raises FaultError; results are cached."""
     world, task = build.build_world(scenario, "float32"), build.build_task(scenario, "float32")
     steps = round(scenario.duration / scenario.task.period) if scenario.task.type != "none" else 0
     key = (tuple(kinds), jax.tree.structure((world, task)), tuple(map(np.shape, jax.tree.leaves((world, task)))))
@@ -143,7 +143,7 @@ def _trace_first_tick(scenario: ScenarioSpec, kinds: dict[type, str]) -> None:
 
 
 def _check_normals(part: Any, kind: str) -> None:
-    """Refuse a component that draws fewer normals than it declares; more are refused as they are drawn."""
+    """Raise FaultError if a component draws fewer normals than its class declares."""
     component, first = part._watched, getattr(part, "first_normals", 0)
     if getattr(part, "draws_alone", False):
         return
@@ -158,7 +158,7 @@ def _check_normals(part: Any, kind: str) -> None:
 
 
 def _fewer(drawn: int, name: str, declared: int) -> str:
-    """Return the words of a problem: a method draws ``drawn`` normals and its class declares another number."""
+    """Return the problem text for a method that draws ``drawn`` normals where ``declared`` are declared."""
     count = f"{drawn or 'no'} normal{'' if drawn == 1 else 's'}"
     return f"it draws {count}, and the class declares {name} = {declared}; expected {name} = {drawn}"
 
@@ -223,7 +223,7 @@ def _watched(component: type, kind: str, size: int | None) -> type:
 
 
 def _free(component: type, name: str) -> bool:
-    """Return whether a method is called without an object."""
+    """Return whether a method is static or a class method."""
     return isinstance(inspect.getattr_static(component, name), staticmethod | classmethod)
 
 
@@ -260,7 +260,7 @@ def _with_checks(component: type, kind: str, name: str, method: Callable[..., ob
 
 
 def _blamed(component: type, method: str, problem: str) -> str:
-    """Return a problem with the file, class and method that cause it in front."""
+    """Return a problem with the file, class and method prepended."""
     return f"{file_of_class(component)}: {component.__name__}.{method}: {problem}"
 
 

@@ -21,7 +21,7 @@ MOST_UPDRAFTS = 20
 
 @cache
 def _model(name: str, kind: type) -> type[Strict]:
-    """Return the pydantic model of a type of updraft, thermals with a list of places; made once for each."""
+    """Return the pydantic model of an updraft class, cached; thermals have a list of places."""
     if not issubclass(kind, Thermals):
         return component_model(name, kind)
     text = "[north, east] [m] of each at the start; empty: drawn once an episode"
@@ -35,7 +35,7 @@ def updraft_slot(choices: Mapping[str, type]) -> object:
 
 
 def footprint(solid: BoxObstacle | CylinderObstacle | PrismObstacle) -> Footprint:
-    """Return the outline [m] and the heights of an obstacle, for updrafts at its sides."""
+    """Return the outline [m] and heights [m] of an obstacle, for updrafts along its sides."""
     heights = float(solid.z_min), float(solid.z_max)
     if isinstance(solid, CylinderObstacle):
         return Footprint(np.array([[float(solid.x), float(solid.y)]]), float(solid.radius), *heights)

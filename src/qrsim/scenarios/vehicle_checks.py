@@ -15,7 +15,7 @@ MOST_KG = 100.0
 
 
 def controller_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield a controller that does not fit its vehicle, and battery or route of a vehicle without commands."""
+    """Yield the problems of a fleet's controller, and of battery or route for a vehicle without commands."""
     vehicle = known.VEHICLES[fleet.vehicle.type]
     fitting = [name for name, cls in known.CONTROLLERS.items() if can_fly(cls, vehicle)]
     if fleet.controller.type not in fitting:
@@ -39,7 +39,7 @@ def controller_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def can_fly(controller: type[Controller], vehicle: type[Vehicle]) -> bool:
-    """Return whether a vehicle takes the commands of a controller, by their classes."""
+    """Return whether a controller class gives commands that a vehicle class takes."""
     if controller.gives is object:
         # The vehicle's own command of tilt and throttle, if it has one.
         return vehicle.handling is not Vehicle.handling
@@ -47,5 +47,5 @@ def can_fly(controller: type[Controller], vehicle: type[Vehicle]) -> bool:
 
 
 def grams_hint(mass: float) -> str:
-    """Return a hint for a mass [kg] that is hardly one in kilograms, "" for others."""
+    """Return a hint that a mass [kg] looks like grams; "" if it is plausible."""
     return f"; masses are in kg: {mass:g} g are {mass / 1000.0:g} kg" if mass >= MOST_KG else ""

@@ -26,7 +26,7 @@ from qrsim.models.vehicles.multirotor.sets import SETS
 
 
 def numbers_of(part: Any) -> Content:
-    """Return the parameters and settings of a component as a scenario writes them."""
+    """Return the parameters and settings of a component as scenario content."""
     found: Content = {}
     for field in dataclasses.fields(part):
         if field_info(field).derived:
@@ -42,7 +42,7 @@ def numbers_of(part: Any) -> Content:
 
 
 def _written(value: object) -> object:
-    """Return a number, a point or a rotor as a scenario writes it."""
+    """Return a number, point or rotor as scenario content."""
     if isinstance(value, int | float):
         return value
     if isinstance(value, tuple):
@@ -51,7 +51,7 @@ def _written(value: object) -> object:
 
 
 def insert_vehicle_models(content: Content, source: str) -> list[str]:
-    """Replace, in place, model, own numbers and geometry of each multirotor by the parameters they imply.
+    """Replace model, own numbers and geometry of multirotors by full parameters, in place; return findings.
 
     That is ``model`` (a set of parameters), ``own`` (six numbers) and ``geometry`` (where the rotors are).
 
@@ -81,7 +81,7 @@ def insert_vehicle_models(content: Content, source: str) -> list[str]:
 
 
 def _note(odd: list[str], fleet: str, words: str) -> None:
-    """Append a finding about a fleet's own vehicle model to ``odd``."""
+    """Append a finding about a fleet's vehicle model to ``odd``."""
     odd.append(f"fleets.{fleet}.vehicle.own.{words}")
 
 
@@ -112,7 +112,7 @@ def _written_out(vehicle: Content, warn: Callable[[str], None]) -> Content:
 
 
 def _slow_down(fleet: Content, attitude_bandwidth: float) -> None:
-    """Set, in place, the missing gains of a cascade, as fast as the vehicle can lean."""
+    """Set the missing gains of a cascade to suit the vehicle's attitude bandwidth, in place."""
     controller = fleet.setdefault("controller", {"type": "cascade"})
     if isinstance(controller, dict) and controller.get("type") == "cascade":
         controller.setdefault("position_gain", min(1.2, attitude_bandwidth / 7.0))
@@ -120,7 +120,7 @@ def _slow_down(fleet: Content, attitude_bandwidth: float) -> None:
 
 
 def _own(own: object, geometry: object, beside: Content, warn: Callable[[str], None]) -> Multirotor:
-    """Return the multirotor of the six numbers of a scenario."""
+    """Return the multirotor model of the six numbers under ``own`` of a scenario."""
     if not isinstance(own, dict):
         raise UsageError(f"own: expected {', '.join(SIX)}, found {own!r:.100}")
     for key in own:
@@ -139,7 +139,7 @@ def _own(own: object, geometry: object, beside: Content, warn: Callable[[str], N
 
 
 def _arranged(vehicle: Content) -> tuple[Rotor, ...]:
-    """Return the rotors of a usual arrangement."""
+    """Return the rotors of a standard arrangement, such as an X frame."""
     if "geometry" not in vehicle:
         raise UsageError(f"arm: without geometry; give one of {', '.join(GEOMETRIES)}, or rotors")
     if "rotors" in vehicle:

@@ -21,7 +21,7 @@ GUST_SIGMAS = 3.0
 
 
 def profile_lines(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the wind of a profile at the start of the run in words, with the source of each height."""
+    """Yield printable lines about a profile's wind at the start, with the source of each height."""
     wind = scenario.world.wind
     if wind.type != PROFILE:
         return
@@ -48,7 +48,7 @@ def _held(wind: Any, scenario: ScenarioSpec, times: str) -> str:
 
 
 def _origin(height: float, heights: list[float], names: list[str]) -> str:
-    """Return between which levels of the profile the wind at a height is interpolated, in words."""
+    """Return in words the levels of the profile between which the wind at a height [m] is interpolated."""
     labels = [
         name if name.endswith(" m") else f"{name} ({own:.0f} m)" for own, name in zip(heights, names, strict=True)
     ]

@@ -50,7 +50,7 @@ class Limits:
 
     @property
     def too_heavy(self) -> bool:
-        """Whether one of them cannot lift itself, and so holds no wind."""
+        """Whether a vehicle of the fleet cannot lift itself."""
         return bool((self.own.by_thrust & (self.own.tilt == 0.0)).any())
 
 
@@ -63,7 +63,7 @@ def voltages(fleet: FleetSpec) -> NumpyArray:
 
 
 def limits_of(fleet: FleetSpec, scenario: ScenarioSpec) -> Limits | None:
-    """Return the wind that a fleet can hold; None if its vehicle takes no tilt or has no envelope."""
+    """Return the winds that a fleet's vehicles can hold; None for vehicles without tilt or flight envelope."""
     size = len(fleet.vehicles)
     try:
         vehicle = vehicle_of(fleet, scenario)
@@ -94,7 +94,7 @@ def limits_of(fleet: FleetSpec, scenario: ScenarioSpec) -> Limits | None:
 
 
 def wind_warnings(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a warning where the wind at the highest place of a route is more than a vehicle holds."""
+    """Yield a warning if the wind at a route's highest place exceeds the airspeed that a vehicle can hold."""
     if not _blows(scenario) or is_outside("vehicle", fleet.vehicle.type):
         return
     limits = limits_of(fleet, scenario)
@@ -120,7 +120,7 @@ def wind_warnings(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterat
 
 
 def _short_of_waypoints(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a warning where the wind holds vehicles off the waypoints of a route that is to end.
+    """Yield a warning if the wind keeps vehicles from reaching the waypoints of a route.
 
     The published waypoint loops lean by a constant times the distance to the waypoint and have no integral: in a steady
     wind they stand where that lean holds against it.
@@ -172,7 +172,7 @@ def _speed(held: Envelope, i: int) -> str:
 
 
 def _by_itself(limits: Limits, held: Envelope, i: int) -> str:
-    """Return how vehicle i holds its largest airspeed, by lean or by thrust, in words."""
+    """Return as text what limits vehicle i's airspeed: full lean or full thrust."""
     if not held.by_thrust[i]:
         return f"leaning as far as it can, {held.tilt[i]:.3g} rad ({math.degrees(held.tilt[i]):.0f} deg)"
     volts = f" at {limits.volts[i]:g} V" if math.isfinite(limits.volts[i]) else ""
@@ -180,7 +180,7 @@ def _by_itself(limits: Limits, held: Envelope, i: int) -> str:
 
 
 def _as_let(limits: Limits, held: Envelope, i: int) -> str:
-    """Return the words for a vehicle i that leans up to the limit of its controller."""
+    """Return as text that vehicle i leans to its controller's limit."""
     return f"leaning as far as its controller lets it, {limits.commanded[i]:g} rad"
 
 

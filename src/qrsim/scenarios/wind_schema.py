@@ -45,7 +45,7 @@ def _numbers(text: str, **bounds: float) -> Any:
 
 @cache
 def profile_model() -> Any:
-    """Return the schema of a profile, inline or of a file; a type checker cannot see into it."""
+    """Return the schema of a wind profile, inline or in a file."""
     rows = {
         "file": (
             str | None,
@@ -68,7 +68,7 @@ def _model(name: str, wind: type) -> type[Strict]:
 
 
 def _winds() -> dict[str, Maker]:
-    """Return the makers of the schemas of winds: those of the catalogue, and a file of a weather model."""
+    """Return name -> maker of the schema for each wind type: those of the catalogue, and weather files."""
     others = {name: partial(_model, name, wind) for name, wind in known.WINDS.items() if wind is not ProfileRows}
     return {**others, PROFILE: profile_model, WEATHER: partial(_model, WEATHER, WeatherFile)}
 

@@ -25,7 +25,7 @@ SAMPLES = 24
 
 
 def zone_problems(scenario: ScenarioSpec) -> list[str]:
-    """Return the faults of the zones of a scenario, one sentence each; none for an area of another type."""
+    """Return the problems of the zones of a scenario; [] for an area of another type."""
     area: Any = scenario.world.area
     if area.type != "zones":
         return []
@@ -42,20 +42,21 @@ def zone_problems(scenario: ScenarioSpec) -> list[str]:
 
 
 def zone_warnings(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the legs that cross a zone to stay out of where the scenario allows it."""
+    """Yield a warning for each leg through an exclusion zone, if the scenario allows such legs."""
     area: Any = scenario.world.area
     if area.type == "zones" and area.allow_crossing:
         yield from _crossings(scenario, zones_with_ground(scenario))
 
 
 def zones_with_ground(scenario: ScenarioSpec) -> Zones:
-    """Return the zones of a scenario in NED, with the ground where one of them is above terrain."""
+    """Return the zones of a scenario in NED, with the ground if a zone has heights above terrain."""
     zones = zones_of(scenario.world.area)
     ground = ground_if_any(scenario) if any(zone.terrain for zone in zones) else None
     return Zones(zones, None if ground is None else ground_down(ground))
 
 
 def _own_problems(area: Any) -> Iterator[str]:
+    """Yield the problems of the zones alone: their number, corners and holes."""
     zones = zones_of(area)
     if not zones:
         yield "world.area: has no zones; give stay_in, stay_out or both, or leave world.area out"
@@ -84,7 +85,7 @@ def _within(hole: list[list[float]], outline: list[list[float]]) -> bool:
 
 
 def _nothing_left(area: Any, zones: Zones) -> str:
-    """Return why nothing is left to fly in, "" where something is: one place in many of a zone to stay in."""
+    """Return a problem if no sampled point of any inclusion zone can be flown in; "" otherwise."""
     kept = [zone for zone in zones.all if zone.keep]
     top, bottom = -area.z_min, -area.z_max
     for zone in kept:
@@ -101,23 +102,24 @@ def _nothing_left(area: Any, zones: Zones) -> str:
 
 
 def _ground_at(zones: Zones, places: Sequence[Point]) -> list[GroundDown | None]:
-    """Return for each place [m] a ground that knows the height there; one evaluation for all, which takes a while."""
+    """Return for each place (north, east) [m] a function of the ground there, from one evaluation for all."""
     if zones.ground is None or not places:
         return [None] * len(places)
     return [_always(down) for down in _downs(zones.ground, *np.array(places, np.float64).T).tolist()]
 
 
 def _downs(ground: Any, norths: Floats, easts: Floats) -> Floats:
-    """Return the down coordinates (n,) [m] of a scenario's ground, which takes arrays."""
+    """Return the ground's z coordinates (n,) [m, down] at north and east (n,) [m]."""
     return np.asarray(ground(norths, easts), np.float64)
 
 
 def _always(down: float) -> GroundDown:
+    """Return a ground function that is ``down`` [m] everywhere."""
     return lambda north, east: down
 
 
 def _ground_along(zones: Zones, ways: Sequence[tuple[Triple, Triple]]) -> list[GroundDown | None]:
-    """Return for each way (begin, end) NED [m] the ground along it, linear between close places."""
+    """Return for each way (begin, end) NED [m] a ground function along it; None without terrain."""
     if zones.ground is None or not ways:
         return [None] * len(ways)
     counts = [max(1, math.ceil(2.0 * math.dist(begin, end) / TERRAIN_STEP)) for begin, end in ways]
@@ -131,6 +133,7 @@ def _ground_along(zones: Zones, ways: Sequence[tuple[Triple, Triple]]) -> list[G
 
 
 def _along(begin: Triple, end: Triple, shares: Floats, downs: Floats) -> GroundDown:
+    """Return a ground function that interpolates ``downs`` [m] at ``shares`` of a way."""
     dx, dy = end[0] - begin[0], end[1] - begin[1]
     square = dx * dx + dy * dy
 
@@ -142,6 +145,7 @@ def _along(begin: Triple, end: Triple, shares: Floats, downs: Floats) -> GroundD
 
 
 def _start_problems(scenario: ScenarioSpec, zones: Zones) -> Iterator[str]:
+    """Yield a problem for each vehicle that starts outside the zones."""
     for name, fleet in scenario.fleets.items():
         vehicles = fleet.vehicles if fleet.placement.type == "given" else []
         grounds = _ground_at(zones, [(each.position_ned[0], each.position_ned[1]) for each in vehicles])
@@ -158,7 +162,7 @@ def _start_problems(scenario: ScenarioSpec, zones: Zones) -> Iterator[str]:
 
 
 def _crossings(scenario: ScenarioSpec, zones: Zones) -> Iterator[str]:
-    """Yield the legs that lead through a zone to stay out of, or out of all zones to stay in."""
+    """Yield a problem for each leg through an exclusion zone or out of all inclusion zones."""
     barred = [zone for zone in zones.all if not zone.keep]
     inside: dict[tuple[str, str], float] = {}
     first: dict[tuple[str, str], Triple] = {}
@@ -178,7 +182,7 @@ def _crossings(scenario: ScenarioSpec, zones: Zones) -> Iterator[str]:
 
 
 def _ways(scenario: ScenarioSpec) -> Iterator[tuple[str, Triple, Triple]]:
-    """Yield path, begin and end of each straight part of all routes and missions; circles have corners."""
+    """Yield (path, begin, end) NED [m] of each straight part of all routes and missions; circles become polygons."""
     ground = ground_if_any(scenario)
     for name, fleet in scenario.fleets.items():
         for i, vehicle in enumerate(fleet.vehicles):
@@ -190,6 +194,7 @@ def _ways(scenario: ScenarioSpec) -> Iterator[tuple[str, Triple, Triple]]:
 
 
 def _route_ways(path: str, fleet: FleetSpec, vehicle: VehicleSpec) -> Iterator[tuple[str, Triple, Triple]]:
+    """Yield (path, begin, end) NED [m] of each leg of a vehicle's waypoints."""
     points = [_triple(point) for point in vehicle.waypoints_ned]
     if points and fleet.placement.type == "given":
         yield f"{path}.waypoints_ned.0", _triple(vehicle.position_ned), points[0]
@@ -202,6 +207,7 @@ def _route_ways(path: str, fleet: FleetSpec, vehicle: VehicleSpec) -> Iterator[t
 def _mission_ways(
     path: str, fleet: FleetSpec, vehicle: VehicleSpec, ground: object
 ) -> Iterator[tuple[str, Triple, Triple]]:
+    """Yield (path, begin, end) NED [m] of each straight part of a vehicle's mission."""
     place = _triple(vehicle.position_ned)
     for part, leg in ways_of(fleet, vehicle, ground):
         for end in _corners(place, leg):
@@ -210,7 +216,7 @@ def _mission_ways(
 
 
 def _corners(place: Triple, leg: Any) -> list[Triple]:
-    """Return the places to which a part of a leg leads from one [m], one after the other."""
+    """Return the points NED [m] that a leg passes from ``place`` on; a circle becomes a polygon."""
     if leg.kind != "circle":
         return [leg.position_ned]
     north, east = leg.centre_ned

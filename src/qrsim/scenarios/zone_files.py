@@ -17,7 +17,7 @@ FileZone = FencePolygon | FenceCircle
 
 
 def zones_of_file(file: str, name: str | None = None) -> tuple[list[FileZone], Plan | None]:
-    """Read the zones of a file, and the plan if it comes from one.
+    """Return the zones of a file, and its plan if it is one.
 
     Args:
         file: the file; its suffix says of which kind it is.
@@ -41,7 +41,7 @@ def zones_of_file(file: str, name: str | None = None) -> tuple[list[FileZone], P
 
 
 def in_ned(zone: FileZone, site: Site) -> dict[str, Any]:
-    """Return the shape of a zone as a scenario has it, in NED.
+    """Return a zone's shape as scenario content, in NED [m].
 
     Raises:
         UsageError: it is far from the site.
@@ -54,7 +54,7 @@ def in_ned(zone: FileZone, site: Site) -> dict[str, Any]:
 
 
 def corners_ned(corners: Sequence[Sequence[float]], site: Site) -> list[list[float]]:
-    """Return [north, east] [m] of corners (latitude, longitude) [deg].
+    """Convert corners (latitude, longitude) [deg] to [north, east] [m].
 
     Raises:
         UsageError: one of them is no place, or far from the site.
@@ -65,4 +65,5 @@ def corners_ned(corners: Sequence[Sequence[float]], site: Site) -> list[list[flo
                 f"corner {number}: latitude {latitude:g} deg, longitude {longitude:g} deg; allowed: within 90 and "
                 f"within 180{swapped_hint(latitude, longitude)}"
             )
-    return [point[:2] for point in local_ned(site, [(*corner, 0.0) for corner in corners])]  # type: ignore[misc]
+    places = local_ned(site, [(latitude, longitude, 0.0) for latitude, longitude in corners])
+    return [[north, east] for north, east, _ in places]

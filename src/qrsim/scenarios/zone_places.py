@@ -33,14 +33,14 @@ class PlacedZones:
 
 
 def has_places(area: Any) -> bool:
-    """Return whether an area has places in files, or in latitude and longitude."""
+    """Return whether an area names files, or places in latitude and longitude."""
     if area.type != "zones":
         return bool(area.type == "fence")
     return any(zone.polygon_ned is None and zone.circle_ned is None for zone in (*area.stay_in, *area.stay_out))
 
 
 def fence_as_zones(area: Any) -> list[Any]:
-    """Return a fence as zones if its plan has several polygons or circles, or one to stay out of; others as they are.
+    """Return a fence's plan as zones if one polygon cannot express it; other areas unchanged.
 
     Raises:
         UsageError: the plan cannot be read.
@@ -56,7 +56,7 @@ def fence_as_zones(area: Any) -> list[Any]:
 
 
 def zones_in_ned(area: Any, site: Site) -> PlacedZones:
-    """Return an area of zones in NED; a file with several is as many zones."""
+    """Return an area of zones with all of them in NED; a file with several zones becomes several."""
     placed, found = PlacedZones(area), {"stay_in": list[ZoneSpec](), "stay_out": list[ZoneSpec]()}
     # Plans whose fences to stay out of are named there; those of all others are in the plan's entry of stay_in.
     barred = {zone.file for zone in area.stay_out}
@@ -83,7 +83,7 @@ def zones_in_ned(area: Any, site: Site) -> PlacedZones:
 
 
 def _note(written: dict[str, str], here: str, path: str, zone: ZoneSpec, each: ZoneSpec) -> None:
-    """Note the names in messages of a zone that is elsewhere in NED than in the scenario."""
+    """Record under which name messages call a zone that was converted to NED."""
     for part in ("polygon_ned", *(f"holes_ned.{number}" for number in range(len(each.holes_ned)))):
         if zone.file is not None:
             written[f"{here}.{part}"] = f"{path}: {zone.file}: '{each.name}'"
@@ -94,7 +94,7 @@ def _note(written: dict[str, str], here: str, path: str, zone: ZoneSpec, each: Z
 def _placed(
     zone: ZoneSpec, keep: bool, site: Site, barred: set[str | None], plans: dict[str, Plan]
 ) -> Iterator[tuple[bool, ZoneSpec]]:
-    """Yield the zones in NED that one of a scenario means, and whether to stay in them."""
+    """Yield (inclusion, zone in NED) for each zone that one zone of a scenario becomes."""
     rest: dict[str, Any] = {"floor": zone.floor, "ceiling": zone.ceiling, "above": zone.above}
     if zone.polygon_geodetic is not None:
         outline, *holes = (corners_ned(ring, site) for ring in (zone.polygon_geodetic, *zone.holes_geodetic))

@@ -55,10 +55,12 @@ class ZoneSpec(Strict):
 
     @model_serializer(mode="wrap")
     def _without_nothing(self, handler: SerializerFunctionWrapHandler) -> Content:
+        """Leave out None and empty lists when a zone is written."""
         return {key: value for key, value in handler(self).items() if value not in (None, [])}
 
     @model_validator(mode="after")
     def _one_shape(self) -> ZoneSpec:
+        """Raise ValueError unless a zone has exactly one shape, with what that shape needs."""
         given = [name for name in _SHAPES if getattr(self, name) is not None]
         if len(given) != 1:
             found = " and ".join(f"'{name}'" for name in given) or "no shape"
@@ -80,7 +82,7 @@ class ZoneSpec(Strict):
 
 @cache
 def zones_model() -> Any:
-    """Return the schema of an area of zones; a type checker cannot see into it."""
+    """Return the schema of an area of zones."""
     zones = list[ZoneSpec]
     parts = {
         "stay_in": (zones, Field([], description="zones to stay in: in one of them at least", max_length=MOST_ZONES)),
@@ -94,7 +96,7 @@ def zones_model() -> Any:
 
 
 def zones_of(area: Any) -> list[Zone]:
-    """Return the zones of an area in NED; one without a name has its path for one."""
+    """Return the zones of an area in NED; a zone without a name gets its path as name."""
     return [
         zone_of(spec, key == "stay_in", f"{key}.{i}")
         for key in ("stay_in", "stay_out")
@@ -103,7 +105,7 @@ def zones_of(area: Any) -> list[Zone]:
 
 
 def zone_of(spec: ZoneSpec, keep: bool, path: str) -> Zone:
-    """Return a zone of a scenario in NED."""
+    """Return a zone's spec in NED as a ``Zone``."""
     ceiling = math.inf if spec.ceiling is None else spec.ceiling
     rest = (spec.floor, ceiling, spec.above == "terrain", spec.name or path)
     if spec.polygon_ned is None:
@@ -114,7 +116,7 @@ def zone_of(spec: ZoneSpec, keep: bool, path: str) -> Zone:
 
 
 def content_of(zones: Iterable[Zone]) -> Content:
-    """Return zones as a scenario has them."""
+    """Return zones as scenario content."""
     found: Content = {"stay_in": [], "stay_out": []}
     for zone in zones:
         part: Content = {"name": zone.name, "floor": max(zone.floor, 0.0)}

@@ -22,7 +22,7 @@ class Alone:
         self._changes = False
 
     def _wait_or_refuse(self, what: str) -> None:
-        """Take the lock from a thread that reads, once it is free.
+        """Acquire the lock after a thread that only reads; raise BusyError if the other thread changes the object.
 
         Raises:
             BusyError: the other thread is changing the object.
@@ -41,11 +41,11 @@ R = TypeVar("R")
 
 
 def alone(method: Callable[Concatenate[S, P], R]) -> Callable[Concatenate[S, P], R]:
-    """Restrict a method that changes state to one thread at a time, see ``Alone``."""
+    """Return the method restricted to one thread at a time, because it changes state; see ``Alone``."""
 
     @wraps(method)
     def called(self: S, /, *arguments: P.args, **named: P.kwargs) -> R:
-        """Call the method while no other thread calls one of this object."""
+        """Return the method's result, called while no other thread runs a restricted method of this object."""
         if not self._lock.acquire(False):
             self._wait_or_refuse(method.__name__)
         self._changes = True

@@ -37,7 +37,7 @@ class OtherNamesError(ValueError):
 
 
 def read_archive(data: bytes, names: Collection[str]) -> dict[str, NumpyArray]:
-    """Read the arrays of an archive by name, as read-only views of its bytes.
+    """Return the arrays of a NumPy archive by name, as read-only views of ``data``.
 
     Args:
         data: the file.
@@ -68,7 +68,7 @@ def read_archive(data: bytes, names: Collection[str]) -> dict[str, NumpyArray]:
 
 
 def _check_end(data: bytes, count: int) -> None:
-    """Refuse a directory that would take long to read."""
+    """Raise DamagedError or OtherNamesError for an archive's directory that is damaged or too long."""
     if len(data) < _END.size:
         raise DamagedError("too short")
     signature, _, _, _, entries, size, begin, comment = _END.unpack(data[-_END.size :])
@@ -99,6 +99,7 @@ def _array(content: bytes) -> NumpyArray:
 
 
 def _dtype(name: str) -> np.dtype[np.generic]:
+    """Return the NumPy dtype with a name; raise DamagedError if unknown."""
     try:
         return np.dtype(name)
     except TypeError:

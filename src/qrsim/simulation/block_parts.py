@@ -63,7 +63,7 @@ class Setup:
 
     @property
     def compiled(self) -> Setup:
-        """The part that programs depend on; functions called in lock-step do not change programs."""
+        """The setup without functions called in lock-step, on which compiled programs do not depend."""
         policy, estimator = (
             function if function is not None and function.compiled else None
             for function in (self.policy, self.estimator)
@@ -74,7 +74,7 @@ class Setup:
 
     @property
     def key(self) -> Hashable:
-        """Key of compiled programs. It has identities of the user's objects, so that it does not keep them alive."""
+        """Hashable key of compiled programs, with identities in place of the user's objects."""
         asked = (None if each is None else (each.name, each.identity) for each in (self.policy, self.estimator))
         return (
             *asked,
@@ -95,7 +95,7 @@ class Setup:
         return asks_nobody and own and (self.metrics is FLIGHT_METRICS or self.metrics is MISSION_METRICS)
 
     def world(self, fixed: Sequence[object], own: Sequence[object]) -> World:
-        """Rebuild a world from shared leaves and its own leaves."""
+        """Return the world rebuilt from leaves that all worlds share and its other leaves."""
         shares, owns = iter(fixed), iter(own)
         world: World = jax.tree.unflatten(self.structure, [next(owns if v else shares) for v in self.varied])
         return world
@@ -113,7 +113,7 @@ class Carry(NamedTuple):
 
 
 def begin_world(setup: Setup, fixed: Sequence[object], keys: WorldKeys, own: Sequence[object]) -> Carry:
-    """Start one world."""
+    """Return what one world carries from tick to tick, at its start."""
     world = setup.world(fixed, own)
     state = ticks_of.reset(world, keys)
     reading = Reading(world, state, 0, setup.site)
@@ -135,7 +135,7 @@ def begin_world(setup: Setup, fixed: Sequence[object], keys: WorldKeys, own: Seq
 
 
 def _check_metrics(metrics: Any, flight: Any, world: World, state: State) -> None:
-    """Refuse metrics whose memory changes its structure or shapes from tick to tick."""
+    """Raise an error for metrics with a memory that changes its structure or shapes from tick to tick."""
     after = jax.eval_shape(metrics.update, flight, world, state, jnp.int32(1))
     shapes = [[jnp.shape(leaf) for leaf in jax.tree.leaves(tree)] for tree in (flight, after)]
     structures: list[object] = [jax.tree.structure(tree) for tree in (flight, after)]
@@ -148,7 +148,7 @@ def _check_metrics(metrics: Any, flight: Any, world: World, state: State) -> Non
 
 
 def _first_memory(function: UserFunction | None, reading: Reading) -> object:
-    """Return the memory that a function starts with."""
+    """Return the initial memory of a user's function, () without a function."""
     if function is None:
         return ()
     with function.blamed():
@@ -156,7 +156,7 @@ def _first_memory(function: UserFunction | None, reading: Reading) -> object:
 
 
 def _answer(function: UserFunction, world: World, reading: Reading, memory: object) -> tuple[object, object]:
-    """Return a compiled function's actions or estimates for each fleet, and its memory."""
+    """Return a compiled function's checked actions or estimates of each fleet, and its new memory."""
     checker = ActionChecker(world, world.fleets[0].start.position_ned.x.dtype, "traced")
     with function.blamed():
         result, memory = call_compiled(function, reading, memory)
@@ -166,7 +166,7 @@ def _answer(function: UserFunction, world: World, reading: Reading, memory: obje
 
 
 def call_compiled(function: UserFunction, reading: Reading, memory: object) -> tuple[object, object]:
-    """Call a user's function in a program that is being compiled."""
+    """Return a user's function's result and new memory, while a program is traced; raise UsageError if impossible."""
     try:
         result, after = function(reading, memory)
     except NEEDS_VALUES as error:
@@ -179,7 +179,7 @@ def call_compiled(function: UserFunction, reading: Reading, memory: object) -> t
 
 
 def _check_memory(before: object, after: object) -> None:
-    """Refuse a memory that a loop cannot carry from tick to tick."""
+    """Raise UsageError if the new memory differs from the old in structure, shapes or dtypes."""
     old = jax.tree.structure(before)
     new = jax.tree.structure(after)
     if repr(old) != repr(new):
@@ -195,7 +195,7 @@ def _check_memory(before: object, after: object) -> None:
 def tick_of_world(
     setup: Setup, fixed: Sequence[object], own: Sequence[object], carry: Carry, tick: Any, given: tuple[Any, Any]
 ) -> Carry:
-    """Advance one world by one tick; ``given`` holds the actions and estimates computed in lock-step."""
+    """Return what one world carries after a tick; ``given``: actions and estimates computed in lock-step."""
     world = setup.world(fixed, own)
     reading = Reading(world, carry.state, tick, setup.site)
     actions, estimates = given

@@ -46,7 +46,7 @@ class Schedule:
         return list(range(0, self.ticks + 1, self.record_every)) if self.record_every else []
 
     def stops(self, asked_every: int) -> list[int]:
-        """Return the ticks at which the loop returns to the host; ``asked_every`` 0: nothing runs in lock-step."""
+        """Return the ticks at which the compiled loop returns to the host; ``asked_every``: lock-step period, or 0."""
         found = {self.ticks, *self.records}
         for period in (TICKS_PER_CALL, asked_every):
             if period:
@@ -92,7 +92,7 @@ class Engine:
         return state_bytes(begin_function(self.setup.compiled), fixed, layout_of_each((self.varied, keys)))
 
     def fly(self, rows: NumpyArray, seeds: NumpyArray, numbers: NumpyArray) -> tuple[dict[str, NumpyArray], Any]:
-        """Fly the worlds ``rows`` (B,), and return their metrics and records."""
+        """Return the metrics and records of the worlds ``rows`` (B,), flown from their start."""
         real = len(np.unique(rows))
         own = [part[rows] for part in self.varied]
         # On the host: in the program, the keys' own rounds would be compiled into everything that draws.
@@ -123,14 +123,14 @@ class Engine:
         return self.setup.metrics.finish(metrics, self.example, state), recorded
 
     def _ended(self, flight: Flight) -> bool:
-        """Return whether every world has ended; metrics of missions define when one has."""
+        """Return whether every world has ended, as metrics of missions define; other metrics never end a world."""
         metrics = self.setup.metrics
         if not isinstance(metrics, MissionMetrics):
             return False
         return bool(np.all(flight.get(lambda carry: metrics.ended(carry.flight))))
 
     def _keep(self, flight: Flight, tick: int, rows: NumpyArray, found: list[Any]) -> None:
-        """Append what is recorded at a tick to ``found``, or pass it to the sink."""
+        """Append the record of a tick to ``found``, or pass it to the sink, if a record is due."""
         if self.record is None or tick % self.schedule.record_every:
             return
         found_now = flight.map(self.record, lambda carry: carry.state)
@@ -141,7 +141,7 @@ class Engine:
             self.sink(rows, tick, recorded)
 
     def _refuse(self, wrong_tick: NumpyArray, rows: NumpyArray) -> None:
-        """Raise UsageError if a policy returned a command that is not finite, for the first such vehicle."""
+        """Raise UsageError for the first vehicle for which a policy returned a command that is not finite."""
         if (wrong_tick < 0).all():
             return
         world, vehicle = np.argwhere(wrong_tick >= 0)[0]
@@ -167,7 +167,7 @@ class LateRadio:
         self.over = False
 
     def of(self, world: int) -> Any:
-        """Return the radio state of one world; raise UsageError if it was not read before the next tick."""
+        """Return the radio state of one world, read on first use; raise UsageError after the next tick."""
         if self._host is None:
             if self.over:
                 raise UsageError(
@@ -222,6 +222,7 @@ class _LazyState(_LazyParts):
 
     @property
     def radio(self) -> Any:
+        """Radio state of the world, read on first use."""
         return self._radios.of(self._world)
 
 
@@ -240,7 +241,7 @@ class LockStep:
         self._memories: dict[tuple[str, int], Any] = {}
 
     def _call(self, function: UserFunction, reading: Reading, world: int) -> Any:
-        """Call a user's function for one world, keep its new memory, and return its answer."""
+        """Return a user's function's answer for one world; its new memory is stored."""
         which = (function.what, world)
         if which not in self._memories:
             self._memories[which] = function.init(reading)
@@ -248,10 +249,10 @@ class LockStep:
         return answer
 
     def _readings(self, flight: Flight, tick: int, radios: LateRadio) -> list[tuple[Reading, NumpyArray]]:
-        """Return the reading of each world, and which of its vehicles (n,) fly."""
+        """Return, for each world, its reading and (n,) bool: the vehicle flies."""
 
         def heard(carry: Carry) -> Any:
-            """Return the parts of a state that user's functions read."""
+            """Return the parts of a state that users' functions read."""
             fleets = [{name: getattr(fleet, name) for name in _TOLD_OF_FLEETS} for fleet in carry.state.fleets]
             return {name: getattr(carry.state, name) for name in _TOLD}, fleets
 
@@ -264,7 +265,7 @@ class LockStep:
         return found
 
     def ask(self, flight: Flight, tick: int, count: int) -> tuple[object, object]:
-        """Compute actions and estimates, each leaf (count, ...); empty for parts without a function."""
+        """Return actions and estimates of users' functions, each leaf (count, ...); () without a function."""
         if not self.asked_every:
             return (), ()
         estimates: list[Any] = []
@@ -287,7 +288,7 @@ class LockStep:
 
     @staticmethod
     def _stack(function: UserFunction | None, answers: list[Any], count: int) -> object:
-        """Return the answers of all worlds as one tree with a leading axis; repeat the last up to ``count``."""
+        """Return the worlds' answers stacked into one tree, the last repeated up to ``count``; raise UsageError."""
         # If no fleet of any world is commanded, the program is the one without a policy.
         if not jax.tree.leaves(answers):
             return ()

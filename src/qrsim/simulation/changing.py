@@ -77,7 +77,7 @@ def changed(world: World, kind: str, numbers: Mapping[str, Any], tick: int, now:
 
 
 def _wind(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int]) -> World:
-    """Return the world with another mean wind, from a tick on."""
+    """Return the world with its mean wind changed from a tick on."""
     speed, from_deg = numbers.get("speed_20ft"), numbers.get("wind_from_deg")
     most = wind_limit(world)
     if speed is None and from_deg is None:
@@ -102,7 +102,7 @@ def _wind(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int]) 
 
 
 def _gusts(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int]) -> World:
-    """Return the world with gusts ``times`` as strong, from a tick on."""
+    """Return the world with its gusts scaled by ``times`` from a tick on."""
     _in_range(numbers["times"], "times", 0.0, MOST_TIMES, "")
     if isinstance(world.turbulence, Still):
         raise UsageError("gusts: the scenario has none; give world.turbulence a type")
@@ -113,7 +113,7 @@ def _gusts(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int])
 
 
 def _jam(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int]) -> World:
-    """Return the world with another power of a jammer, from a tick on."""
+    """Return the world with a jammer's power changed from a tick on."""
     _in_range(numbers["power_w"], "power_w", 0.0, MOST_WATTS, "W")
     powers, jammer = () if world.changes is None else world.changes.powers, numbers["jammer"]
     if _powers_are_drawn(world):
@@ -131,12 +131,12 @@ def _jam(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int]) -
 
 
 def _line(kind: str) -> str:
-    """Return the hint: the line of the scenario that allows a change."""
+    """Return the hint, for messages, at the scenario's line that allows a kind of change."""
     return f"write 'injectable: [{kind}]' under world of the scenario"
 
 
 def _in_range(value: Any, name: str, low: float, high: float, unit: str) -> None:
-    """Refuse a value that is not a number from low to high."""
+    """Raise UsageError unless a value is a number from ``low`` to ``high``."""
     if not is_number(value) or not low <= value <= high:
         raise UsageError(f"{name}: {value!r}; allowed: {low:g} to {high:g} {unit}".rstrip())
 
@@ -145,7 +145,7 @@ def _in_range(value: Any, name: str, low: float, high: float, unit: str) -> None
 
 
 def with_changes(world: World, kinds: Sequence[str], events: int) -> World:
-    """Return a world with weather that can change, with room for all changes at set times and one more in flight.
+    """Return a world with room for changes of its weather: those at set times, plus one more in flight.
 
     Args:
         world: its parameters, on the host, in their precision.
@@ -168,7 +168,7 @@ def with_changes(world: World, kinds: Sequence[str], events: int) -> World:
 
 
 def _powers_are_drawn(world: World) -> bool:
-    """Return whether every episode draws the power of a jammer, which would replace any change."""
+    """Return whether the power of a jammer is random in every episode, which would override changes."""
     return any(path[1:3] == ("interference", "jammers") for item in world.ranges for path in item.paths)
 
 
@@ -182,12 +182,12 @@ def _may_change(world: World) -> bool:
 
 
 def _steady(value: Any, legs: int) -> Course:
-    """Return the course of a number that does not change yet, with room for ``legs`` legs."""
+    """Return the course of a constant number, with room for ``legs`` legs."""
     return _course([_Leg(-1, 0, float(value), float(value))], legs)
 
 
 def _course(legs: Sequence[_Leg], room: int, dtype: Any = np.float64) -> Course:
-    """Return legs as arrays with room for ``room`` of them."""
+    """Return legs as arrays, padded to ``room`` legs."""
     unused = _Leg(LAST_TICK, 0, 0.0, 0.0)
     starts, ticks, before, after = zip(*[*legs, *[unused] * (room - len(legs))], strict=True)
     counts = (np.array(starts, np.int32), np.array(ticks, np.int32))
@@ -195,11 +195,13 @@ def _course(legs: Sequence[_Leg], room: int, dtype: Any = np.float64) -> Course:
 
 
 def _with_leg(course: Course, to: float, when: tuple[int, int, int], turns: bool = False) -> Course:
-    """Return a course with one more leg: to a value, or bearing [rad] by the shorter turn, over some ticks."""
+    """Return a course with a leg to ``to`` added; ``when``: (tick, length, now) in ticks; ``turns``: for a bearing."""
     tick, ticks, now = when
     room, dtype = len(course.start_tick), np.asarray(course.after).dtype
-    rows = zip(*(np.asarray(part).tolist() for part in (course.start_tick, course.ticks, course.before, course.after)),
-               strict=True)  # fmt: skip
+    rows = zip(
+        *(np.asarray(part).tolist() for part in (course.start_tick, course.ticks, course.before, course.after)),
+        strict=True,
+    )
     known = [leg for leg in map(_Leg._make, rows) if leg.start < LAST_TICK]
     legs = [leg for leg in known if leg.start < tick]
     for leg in [_Leg(tick, ticks, 0.0, to), *(leg for leg in known if leg.start > tick)]:
@@ -215,7 +217,7 @@ def _with_leg(course: Course, to: float, when: tuple[int, int, int], turns: bool
 
 
 def _value(legs: Sequence[_Leg], tick: int, dtype: Any) -> float:
-    """Return the value of a course at a tick, rounded as in storage."""
+    """Return the value of a course's legs at a tick, rounded to the dtype in which it is stored."""
     if not legs:
         return 0.0
     leg = legs[-1]
@@ -228,17 +230,17 @@ def _value(legs: Sequence[_Leg], tick: int, dtype: Any) -> float:
 
 
 def weather_of(world: World) -> Weather:
-    """Return the parts of a world that changes of its weather replace."""
+    """Return the parts of a world that a change of weather replaces: mean wind and changes."""
     return world.wind, world.changes
 
 
 def with_weather(world: World, weather: Weather) -> World:
-    """Return a world with the weather that ``weather_of`` has returned."""
+    """Return the world with parts that ``weather_of`` returned."""
     return replace(world, wind=weather[0], changes=weather[1])
 
 
 def wind_limit(world: World) -> float:
-    """Return the largest speed [m/s], 20 ft above the ground, that the mean wind of a world can be changed to.
+    """Return the largest mean wind speed [m/s], 20 ft above ground, to which a world's wind can be changed.
 
     Raises:
         UsageError: it cannot be changed.
@@ -259,7 +261,7 @@ def wind_limit(world: World) -> float:
 
 
 def with_wind(world: World, speed: float | None, from_deg: float | None) -> World:
-    """Return a world with another mean wind from the start on; None keeps a value.
+    """Return the world with another mean wind from the start on; None keeps speed or direction.
 
     Args:
         world: its parameters.

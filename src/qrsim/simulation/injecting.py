@@ -61,7 +61,7 @@ class Injecting(Alone):
 
     @alone
     def change_world(self, world: World) -> None:
-        """Change parameters from the next tick on; nothing is recompiled. Injected faults stay.
+        """Fly on with changed parameters from the next tick; nothing is recompiled, injected faults stay.
 
         Raises:
             UsageError: something else than numbers differs.
@@ -87,7 +87,7 @@ class Injecting(Alone):
         asked_by: str = "python",
         **numbers: Any,
     ) -> int:
-        """Let something fail, and return the number of the fault.
+        """Inject a fault of a sensor or another part from the next tick, or ``at`` a time [s]; return its number.
 
         A vehicle has one injected fault of a target at a time: a new one takes its place.
 
@@ -160,7 +160,7 @@ class Injecting(Alone):
         vehicles: Iterable[str] | str | None = None,
         asked_by: str = "python",
     ) -> None:
-        """End injected faults: one by its number, those of a target, or all; what is not there does nothing.
+        """End injected faults: one by number, those of a target, or all (None); unknown ones are ignored.
 
         Args:
             what: number of a fault, or a target; None: all.
@@ -190,12 +190,12 @@ class Injecting(Alone):
 
     @property
     def requests(self) -> list[Injection]:
-        """All requests since the reset, in their order: faults, ends of faults, and changes of the wind."""
+        """All requests since the reset, in order: faults, ends of faults, changes of the weather."""
         return list(self._requests)
 
     @property
     def unlinked(self) -> frozenset[str]:
-        """Names of the vehicles whose link to MAVLink and ROS 2 is off now."""
+        """Names of the vehicles with an injected loss of their link to MAVLink and ROS 2."""
         if not self._injections:
             return frozenset()
         now = self.tick
@@ -214,7 +214,7 @@ class Injecting(Alone):
 
     @alone
     def repeat(self, requests: Sequence[Injection]) -> None:
-        """Make requests of another flight again, now, as one change.
+        """Make requests recorded in another flight again, at once and as a single change.
 
         Args:
             requests: with the ticks at which their faults begin and end.
@@ -245,7 +245,7 @@ class Injecting(Alone):
         self.change_weather(WIND, {"speed_20ft": speed, "wind_from_deg": from_deg, "over": over}, asked_by)
 
     def set_gusts(self, times: float, over: float = 0.0, asked_by: str = "python") -> None:
-        """Change the strength of random gusts from the next tick on; ``world.injectable`` of the scenario has gusts.
+        """Scale the random gusts from the next tick on; needs ``gusts`` in the scenario's ``world.injectable``.
 
         Args:
             times: what the gusts of the scenario are multiplied by.
@@ -258,7 +258,7 @@ class Injecting(Alone):
         self.change_weather(GUSTS, {"times": times, "over": over}, asked_by)
 
     def set_jammer(self, jammer: int, power_w: float, over: float = 0.0, asked_by: str = "python") -> None:
-        """Change the power of a jammer from the next tick on; ``world.injectable`` of the scenario has jam.
+        """Set the power [W] of a jammer from the next tick on; needs ``jam`` in ``world.injectable``.
 
         Args:
             jammer: which one of the jammers in ``world.interference``, from 0.
@@ -273,7 +273,7 @@ class Injecting(Alone):
 
     @alone
     def change_weather(self, kind: str, numbers: Mapping[str, Any], asked_by: str = "python") -> None:
-        """Change the wind, the gusts or a jammer from the next tick on, as ``set_wind`` and the like do.
+        """Change wind, gusts or a jammer from the next tick on, by kind and numbers as in files of injections.
 
         Args:
             kind: ``wind``, ``gusts`` or ``jam``.
@@ -295,7 +295,7 @@ class Injecting(Alone):
     # ---- for resets and saved states ----
 
     def _make(self, requests: Sequence[Injection]) -> None:
-        """Change the world by some requests at once, and keep them."""
+        """Apply requests to the world as one change, and record them."""
         world, made = self.world, []
         for request in requests:
             world, request = after_request(world, request)
@@ -311,7 +311,7 @@ class Injecting(Alone):
                 self._requests.append(request)
 
     def _take(self, world: World) -> None:
-        """Fly on in a world that differs only in numbers; raise UsageError for others."""
+        """Fly on in another world; raise UsageError if it differs in more than numbers."""
         if world is self.world:
             return
         if Packer(world) != self._ticks.layout:
@@ -320,7 +320,7 @@ class Injecting(Alone):
             self.world, self._ticks = world, OneWorld(world)
 
     def _note(self, injection: Injection) -> bool:
-        """Keep an injection in place of earlier ones of its target and vehicles; return False if it ends none."""
+        """Record an injection, replacing earlier ones of its target and vehicles; return False if nothing changes."""
         kept, ended, concerned = [], False, set(injection.vehicles)
         for one in self._injections:
             left = one.vehicles
@@ -333,24 +333,24 @@ class Injecting(Alone):
         return ended or injection.kind != OK
 
     def _clear_all(self) -> None:
-        """Have no injected fault any more, and the weather of the scenario."""
+        """Remove all injected faults and changes of the weather."""
         world = self._first_world
         self._requests, self._injections, self._weather, self._asked = [], [], None, (-1, 0)
         self._take(world)
 
     def _injections_text(self) -> str:
-        """Return the injections as JSON, for a saved state."""
+        """Return injected faults and weather changes as JSON, for a saved state."""
         weather = [one for one in self._requests if one.target == WORLD]
         return json.dumps([dataclasses.asdict(one) for one in (*weather, *self._injections)])
 
     @property
     def _first_world(self) -> World:
-        """The parameters without what was injected."""
+        """The world without injected faults and changes of the weather."""
         world = without_faults(self.world) if self._injections else self.world
         return world if self._weather is None else with_weather(world, self._weather)
 
     def _inject_again(self, text: str) -> None:
-        """Have the injected faults of a saved state, and no others.
+        """Replace all injected faults and weather changes by those in a saved state's JSON.
 
         Raises:
             UsageError: they are none of this world.
@@ -375,7 +375,7 @@ class Injecting(Alone):
 
 
 def plain(value: Any) -> Any:
-    """Return numbers or a text of any type as Python's own, which saved states and files can have."""
+    """Return a number, text, list or mapping as plain Python values, which JSON can store."""
     if isinstance(value, Mapping):
         return {str(name): plain(number) for name, number in value.items()}
     if isinstance(value, str):

@@ -68,7 +68,7 @@ class Injection:
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Number of the injection, its first and last tick, and the tick of the request."""
+        """Number, first tick and last tick of the injection, and the tick of its request."""
         return self.id, self.start_tick, self.end_tick, self.tick
 
 
@@ -115,7 +115,7 @@ def injected(
     ticks: tuple[int, int],
     numbers: Mapping[str, Any],
 ) -> tuple[World, tuple[str, ...]]:
-    """Return a world with a fault in its slots, and the vehicles that have it.
+    """Return a world with a fault put into its slots, and the names of the affected vehicles.
 
     Args:
         world: its parameters, on the host.
@@ -147,14 +147,14 @@ def injected(
 
 
 def _linked(world: World, kind: str, vehicles: Sequence[str] | None, numbers: Mapping[str, Any]) -> tuple[str, ...]:
-    """Check a fault of links, which are no part of the world, and return the vehicles it concerns."""
+    """Return the vehicles that a fault of links affects; raise UsageError for wrong numbers."""
     if kind != OK:
         number_of(LINK, kind, numbers)
     return tuple(name for fleet in world.fleets for name in fleet.vehicle_names if vehicles is None or name in vehicles)
 
 
 def named_vehicles(world: World, vehicles: Iterable[str] | str | None) -> list[str] | None:
-    """Return the names of vehicles, of a single name too; None for all of them.
+    """Return vehicle names as a tuple, from one or several names, None for all; raise UsageError for unknown ones.
 
     Raises:
         UsageError: there is no vehicle of that name, or no name.
@@ -176,7 +176,7 @@ def named_vehicles(world: World, vehicles: Iterable[str] | str | None) -> list[s
 
 
 def without_faults(world: World) -> World:
-    """Return a world with empty slots."""
+    """Return a world with all slots for injected faults emptied."""
     fleets = []
     for fleet in world.fleets:
         n, dtype = fleet.size, np.asarray(fleet.start.position_ned.x).dtype
@@ -194,7 +194,7 @@ def without_faults(world: World) -> World:
 
 
 def targets_of(fleet: Fleet) -> list[str]:
-    """Return the names of a fleet's parts that can be made to fail in flight: those with a slot in the program."""
+    """Return the names of a fleet's parts with a slot for injected faults."""
     rotors = [f"rotor {slot.rotor}" for slot in fleet.rotor_slots]
     others = {"battery": fleet.battery_slot, "radio": fleet.radio_slot, BODY: fleet.push_slot}
     sensors = [slot.sensor for slot in fleet.fault_slots]
@@ -202,17 +202,17 @@ def targets_of(fleet: Fleet) -> list[str]:
 
 
 def _slot(fleet: Fleet, target: str) -> bool:
-    """Return whether a fleet can be given faults of a target."""
+    """Return whether a fleet has a slot for faults of a target."""
     return plain_target(target) in targets_of(fleet)
 
 
 def plain_target(target: str) -> str:
-    """Return a target as it is called here: ``rotor_2`` is ``rotor 2``."""
+    """Return a target's name in the form used here: ``rotor_2`` becomes ``rotor 2``."""
     return target.replace("_", " ") if target.startswith("rotor_") else target
 
 
 def _not_injectable(fleets: Sequence[Fleet], target: str) -> UsageError:
-    """Return the error for a target without a slot, with the line of the scenario that gives it one."""
+    """Return the error for a target without a slot, with the line of the scenario that adds the slot."""
     known = sorted({name for fleet in fleets for name in targets_of(fleet)})
     if target == "battery" and not any(fleet.battery.drains for fleet in fleets):
         return UsageError("target: there is no battery that drains, so none can lose charge")
@@ -233,7 +233,7 @@ def _not_injectable(fleets: Sequence[Fleet], target: str) -> UsageError:
 
 
 def _parts(fleet: Fleet) -> list[str]:
-    """Return the names of a fleet's parts that a scenario can declare injectable."""
+    """Return the names of a fleet's parts that a scenario may declare injectable."""
     rotors = range(len(fleet.vehicle.rotors)) if isinstance(fleet.vehicle, Multirotor) else ()
     others = {"battery": fleet.battery.drains, "radio": True, BODY: fleet.vehicle.pushable}
     return [*fleet.sensor_names, *(f"rotor {i}" for i in rotors), *(name for name, has in others.items() if has)]
@@ -248,7 +248,7 @@ def _with_fault(
     numbers: Mapping[str, Any],
     dt: float,
 ) -> Fleet:
-    """Return the fleet with a fault of a target in the chosen vehicles (n,) bool, from tick to tick."""
+    """Return the fleet with a fault of a target in ``chosen`` vehicles (n,) bool, for a range of ticks."""
     target = plain_target(target)
     for place, slot in enumerate(fleet.fault_slots):
         if slot.sensor == target:
@@ -269,7 +269,7 @@ def _with_fault(
 
 
 def _swapped(parts: tuple[Any, ...], place: int, part: Any) -> tuple[Any, ...]:
-    """Return a tuple with one part replaced."""
+    """Return a tuple with the part at ``place`` replaced."""
     return (*parts[:place], part, *parts[place + 1 :])
 
 
@@ -282,7 +282,7 @@ def _sensor_fault(
     dt: float,
     white: Mapping[str, Any] | None = None,
 ) -> FaultSlot:
-    """Return the slot with a fault in the chosen vehicles; kind "ok" empties it there."""
+    """Return a sensor's slot with a fault in the ``chosen`` vehicles (n,); kind "ok" removes it there."""
     if kind == "ok":
         empty = empty_slot(len(chosen), slot.sensor, slot.fields, slot.ticks, slot.time_step, slot.remembered)
         return map_tree(lambda old, new: put(old, chosen, new[chosen]), slot, empty)
@@ -302,7 +302,7 @@ def _sensor_fault(
 def _of_fields(
     slot: FaultSlot, kind: str, numbers: Mapping[str, Any], dt: float, white: Mapping[str, Any] | None
 ) -> FaultNumbers:
-    """Return the numbers of a fault, of which each may be one, or one for each of some fields by name."""
+    """Return a fault's numbers, some of which may be given by field name; raise UsageError for wrong ones."""
     apart = {name: value for name, value in numbers.items() if isinstance(value, Mapping)}
     if not any(apart.values()):
         return _checked(slot, kind, numbers, dt, white)
@@ -331,7 +331,7 @@ def _of_fields(
 def _checked(
     slot: FaultSlot, kind: str, numbers: Mapping[str, Any], dt: float, white: Mapping[str, Any] | None
 ) -> FaultNumbers:
-    """Return the numbers of a fault, each of them one."""
+    """Return a fault's numbers, each a single number; raise UsageError for wrong ones."""
     for name in numbers:
         if name not in (*NAMES, "field"):
             raise UsageError(f"{name:.60}: there is no such number{did_you_mean(name, (*NAMES, 'field'))}")

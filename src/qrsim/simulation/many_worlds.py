@@ -36,7 +36,7 @@ class Flight(Worlds):
 
 
 def begin_function(setup: Setup) -> Function:
-    """Return the function that starts one world, from shared leaves, and its own leaves and keys."""
+    """Return the function, for the compiler, that starts one world."""
     return _function("begin", _begin, setup)
 
 
@@ -46,12 +46,12 @@ def _begin(setup: Setup, fixed: Sequence[object], own: tuple[list[Any], WorldKey
 
 
 def _tick(setup: Setup, fixed: Sequence[object], own: tuple[list[Any], Any], carry: Carry, tick: object) -> Carry:
-    """Return what one world carries after a tick."""
+    """Return what one world carries after one tick."""
     return tick_of_world(setup, fixed, own[0], carry, tick, own[1])
 
 
 def _function(name: str, call: Any, setup: Setup) -> Function:
-    """Return a function of one world for the compiler, with the key of its program."""
+    """Return a function of one world for the compiler, with the key of its compiled program."""
     # Only setups of this package's own code can be identified by their structure in another process.
     measured = () if setup.metrics is FLIGHT_METRICS else (type(setup.metrics).__name__,)
     text = (setup.types, setup.varied, *measured) if setup.plain else None

@@ -15,17 +15,17 @@ from qrsim.world.state import Action, State, World, WorldKeys
 
 
 def _reset(world: World, own: tuple[Any, WorldKeys]) -> State:
-    """Return the state at the start, in the form that is compiled."""
+    """Return the state at the start, with the argument order of compiled functions."""
     return ticks_of.reset(world, own[1])
 
 
 def _tick(world: World, own: tuple[Any, Any], state: State, tick: Any) -> State:
-    """Return the state after a tick, in the form that is compiled."""
+    """Return the state after one tick, with the argument order of compiled functions."""
     return ticks_of.step(world, state, tick, *own[1])
 
 
 def _place(world: World, own: tuple[Any, Any], state: State, tick: object) -> State:
-    """Return the state with a fleet placed elsewhere, in the form that is compiled."""
+    """Return the state with vehicles placed, with the argument order of compiled functions."""
     return place(world, own[1], state, tick)
 
 
@@ -55,12 +55,12 @@ class OneWorld:
 
     @property
     def flown_by(self) -> Program:
-        """The program of the last tick."""
+        """Program that ran the last tick."""
         assert self._flown_by is not None
         return self._flown_by
 
     def taken(self, command: object) -> bool:
-        """Write a command of a bound kind to its slot, for ``advance_bound``; return False for other commands."""
+        """Write a command into its bound slot, for ``advance_bound``, and return True; return False without a slot."""
         program, slot = self._bound.get(type(command), (None, None))
         if program is None or not (slot is None or slot.take(command)):
             return False
@@ -68,7 +68,7 @@ class OneWorld:
         return True
 
     def bind(self, command: object, actions: tuple[Action, ...], checker: ActionChecker) -> None:
-        """Bind the kind of the command that was flown last, for the whole world, to the program that flew it."""
+        """Bind the last flown command's type to the program that flew it, for ``taken``."""
         program = self.flown_by
         if program.slot is None or type(command) in self._bound:
             return
@@ -77,7 +77,7 @@ class OneWorld:
             self._bound[type(command)] = program, slot
 
     def reset(self, keys: WorldKeys) -> tuple[Packer, Buffers]:
-        """Return the first state and its layout."""
+        """Return the first state's buffers, and their layout."""
         program = self._reset.program(keys)
         state: Buffers = program.start()
         layout = program.layout
@@ -85,11 +85,11 @@ class OneWorld:
         return layout, state
 
     def adopt(self, state: Buffers) -> Buffers:
-        """Copy a state into aligned buffers for ``advance``."""
+        """Return a copy of a state in aligned buffers, as ``advance`` needs."""
         return aligned_copy(state)
 
     def advance(self, layout: Packer, state: Buffers, tick: int, count: int, given: object) -> Buffers:
-        """Run ``count`` ticks and return the state; the input may be overwritten.
+        """Run ``count`` ticks and return the new state; the input may be overwritten.
 
         Args:
             layout: of the state.
@@ -103,7 +103,7 @@ class OneWorld:
         return after
 
     def advance_bound(self, state: Buffers, tick: int, count: int) -> Buffers:
-        """Run ``count`` ticks by the command that ``taken`` wrote last, and return the state."""
+        """Run ``count`` ticks by the command last written by ``taken``, and return the new state."""
         assert self._flown_by is not None
         after: Buffers = self._flown_by.run(state, tick, count)
         return after

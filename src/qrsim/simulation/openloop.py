@@ -22,14 +22,14 @@ from qrsim.models.vehicles.quadrotor import Command, Quadrotor, QuadrotorState
 def _scan(
     vehicle: Quadrotor, initial: jax.Array, rest: jax.Array, commands: jax.Array, wind_body: jax.Array, dt: float
 ) -> jax.Array:
-    """Return the rows of ``simulate_open_loop``; ``rest`` is what ``initial`` leaves out of the start."""
+    """Return the rows of ``simulate_open_loop``; ``rest``: rounding remainder of ``initial``."""
     like = initial[0]
     still = Vec3.zeros((), like.dtype)
     noise = ProcessNoise(still, still)
     wind = Vec3.of(wind_body)
 
     def tick(carry: tuple[QuadrotorState, Vec3 | None], row: jax.Array) -> tuple[Any, jax.Array]:
-        """Advance by a command (5,); return the state and a row of it with the specific force."""
+        """Return the state after one command (5,), and a row of the state with the specific force."""
         command = Command(*(row[i] for i in range(5)))
         state, low, force = move(vehicle, *carry, command, lambda trig: wind, noise, dt)
         return (state, low), jnp.stack([*jax.tree.leaves(state), force.x, force.y, force.z])
@@ -49,7 +49,7 @@ def simulate_open_loop(
     dt: float = 0.02,
     precision: str = "float64",
 ) -> NumpyArray:
-    """Integrate the model under a sequence of commands.
+    """Return the states of a quadrotor flown by a sequence of commands in a constant wind, without a world.
 
     Args:
         vehicle: parameters.
@@ -77,7 +77,7 @@ def simulate_open_loop(
 
 
 def hover_state(vehicle: Quadrotor, position_ned: tuple[float, float, float] = (0.0, 0.0, -10.0)) -> NumpyArray:
-    """Return the (13,) state of a vehicle at rest; its thrust carries its weight."""
+    """Return the state (13,) of a vehicle hovering at rest, its thrust equal to its weight."""
     state = np.zeros(13)
     state[:3] = position_ned
     state[12] = float(vehicle.mass) * float(vehicle.gravity)

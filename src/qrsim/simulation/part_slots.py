@@ -21,7 +21,7 @@ from qrsim.models.vehicles.faults import FREE, BatteryFault, Push, RotorFault
 def rotor_fault_in(
     slot: RotorFault, kind: str, chosen: Any, ticks: tuple[int, int], numbers: Mapping[str, Any]
 ) -> RotorFault:
-    """Return the slot of a rotor with a fault."""
+    """Return the rotor's slot with a fault put into the ``chosen`` vehicles."""
     if kind == "ok":
         empty = replace(RotorFault.empty(len(chosen), slot.rotor, slot.noticed_ticks), noticed_ticks=slot.noticed_ticks)
         return map_tree(lambda old, new: put(old, chosen, new[chosen]) if np.ndim(old) else old, slot, empty)
@@ -40,7 +40,7 @@ def rotor_fault_in(
 def radio_fault_in(
     slot: RadioFault, kind: str, chosen: Any, ticks: tuple[int, int], numbers: Mapping[str, Any]
 ) -> RadioFault:
-    """Return the slot of radios with a fault."""
+    """Return the radios' slot with a fault put into the ``chosen`` vehicles."""
     if kind == "ok":
         return map_tree(lambda old, new: put(old, chosen, new[chosen]), slot, RadioFault.empty(len(chosen)))
     share = number_of("radio", kind, numbers)
@@ -55,7 +55,7 @@ def radio_fault_in(
 
 
 def push_in(slot: Push, kind: str, chosen: Any, ticks: tuple[int, int], numbers: Mapping[str, Any]) -> Push:
-    """Return the slot of pushes with another one."""
+    """Return the slot of pushes with a push put into the ``chosen`` vehicles."""
     if kind == "ok":
         return map_tree(lambda old, new: put(old, chosen, new[chosen]), slot, Push.empty(len(chosen)))
     found = push_numbers(kind, numbers)
@@ -73,7 +73,7 @@ def push_in(slot: Push, kind: str, chosen: Any, ticks: tuple[int, int], numbers:
 def battery_fault_in(
     slot: BatteryFault, kind: str, chosen: Any, ticks: tuple[int, int], numbers: Mapping[str, Any]
 ) -> BatteryFault:
-    """Return the slot of batteries with a fault."""
+    """Return the batteries' slot with a fault put into the ``chosen`` vehicles."""
     if kind == "ok":
         return map_tree(lambda old, new: put(old, chosen, new[chosen]), slot, BatteryFault.empty(len(chosen)))
     number = number_of("battery", kind, numbers)
@@ -88,7 +88,7 @@ def battery_fault_in(
 
 
 def put(array: Any, chosen: Any, value: Any) -> Any:
-    """Return an array (n,) with a number in the chosen rows."""
+    """Return a copy of an array (n,) with ``value`` in the chosen rows."""
     changed = np.array(array)
     changed[chosen] = value
     return changed

@@ -12,7 +12,7 @@ from qrsim.files.code import FileModules, files_of, load_files
 
 
 def with_files(item: Any, tree: object, protocol: Any) -> tuple[Any, ...] | None:
-    """Return the result of ``__reduce_ex__`` for an object; None if no class of its tree is from a user's file.
+    """Return the ``__reduce_ex__`` result for an object with classes from users' files; None without such classes.
 
     Args:
         item: the object, with ``__getstate__`` and ``__setstate__``.
@@ -25,7 +25,7 @@ def with_files(item: Any, tree: object, protocol: Any) -> tuple[Any, ...] | None
 
 
 def _unpickled(files: FileModules, kind: Any, kept: bytes) -> object:
-    """Return the object, after the modules that define its parts are loaded from their files."""
+    """Return the unpickled object, after importing the users' files that define its classes."""
     load_files(files)
     item = kind.__new__(kind)
     item.__setstate__(pickle.loads(kept))

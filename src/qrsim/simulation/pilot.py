@@ -47,7 +47,7 @@ class Pilot:
         self._compile()
 
     def _compile(self) -> None:
-        """Compile the policy and the estimator that are to be compiled."""
+        """Prepare compiled versions of the policy and estimator that are marked as compiled."""
         self._compiled = {
             function.what: jax.jit(lambda state, tick, memory, f=function: self._answer(f, state, tick, memory))
             for function in (self.policy, self.estimator)
@@ -72,12 +72,12 @@ class Pilot:
         return self.simulation.record(count, self.command, capacity, estimate)
 
     def advance(self, ticks: int) -> None:
-        """Fly as ``record`` does, and return nothing."""
+        """Fly as ``record`` does, without returning the states."""
         count, estimate = self._call_due(ticks)
         self.simulation.advance(self.command, count, estimate)
 
     def _call_due(self, ticks: int) -> tuple[int, Any]:
-        """Call every function that is due; return for how many ticks, at most ``ticks``, to fly, and the estimate."""
+        """Call all functions that are due; return the number of ticks to fly, at most ``ticks``, and the estimate."""
         simulation, estimate = self.simulation, None
         if self.policy is not None and simulation.tick % self.policy_ticks == 0:
             self.command = self._call(self.policy)
@@ -92,7 +92,7 @@ class Pilot:
         return min(ticks, period - simulation.tick % period), estimate
 
     def _call(self, function: UserFunction) -> Any:
-        """Call a policy or an estimator, keep its memory, and return its checked result."""
+        """Return the checked result of a policy or estimator; its new memory is stored."""
         simulation, memory = self.simulation, self.memories[function.what]
         where = f", at tick {simulation.tick} ({simulation.time:g} s)"
         with simulation.precision_context(), function.blamed(where):
@@ -109,5 +109,5 @@ class Pilot:
             return result
 
     def _answer(self, function: UserFunction, state: Any, tick: Any, memory: Any) -> tuple[object, object]:
-        """Return the answer of a function that is compiled."""
+        """Return the result and new memory of a compiled function."""
         return call_compiled(function, Reading(self.simulation.world, state, tick, self.simulation.site), memory)

@@ -26,7 +26,7 @@ WIDTHS = (3, 6, 12, 13)
 
 
 def place(world: World, given: tuple[Any, Any, Any], state: State, tick: Any) -> State:
-    """Place vehicles in given states, with sensors, controllers and noise restarted there.
+    """Return the state with vehicles placed in given states, their sensors, controllers and noise restarted.
 
     That is their sensors, estimates and control loops, the gusts around them, and the specific force. They keep their
     way along the route, and their battery unless it is renewed. What is drawn is drawn from the numbers of this tick.
@@ -65,7 +65,7 @@ def place(world: World, given: tuple[Any, Any, Any], state: State, tick: Any) ->
 
 
 def _vehicles(fleet: Fleet, rows: Any) -> Any:
-    """Return the state of a fleet's vehicles from rows (n, 13)."""
+    """Return the states of a fleet's vehicles from rows (n, 13)."""
     columns: list[Any] = [rows[:, i] for i in range(13)]
     vehicle = fleet.vehicle.initial_state(
         Vec3(*columns[0:3]), Euler(*columns[3:6]), Vec3(*columns[6:9]), Vec3(*columns[9:12])
@@ -74,7 +74,7 @@ def _vehicles(fleet: Fleet, rows: Any) -> Any:
 
 
 def _checked(world: World, fleets: tuple[FleetState, ...], chosen: Any) -> tuple[FleetState, ...]:
-    """Return the states of the fleets with the violation of each vehicle that was placed."""
+    """Return the fleets with placed vehicles checked against limits and collisions."""
     together = jax.tree.map(lambda *parts: jnp.concatenate(parts), *(fleet.vehicle.position_ned for fleet in fleets))
     collided = collisions(together, world.collision_distance, world.radii)
     checked, first = [], 0
@@ -88,7 +88,7 @@ def _checked(world: World, fleets: tuple[FleetState, ...], chosen: Any) -> tuple
 
 
 def checked_rows(rows: object, names: Sequence[str], dtype: np.dtype[Any]) -> tuple[Floats, Floats]:
-    """Check the arguments of ``Simulation.set_state``; return rows (n, 16) and which vehicles (n,) to place.
+    """Return rows (n, 16) and (n,) bool, which vehicles to place, from the argument of ``Simulation.set_state``.
 
     Raises:
         UsageError: wrong shape, or a row that is partly NaN.
@@ -115,7 +115,7 @@ def checked_rows(rows: object, names: Sequence[str], dtype: np.dtype[Any]) -> tu
 
 
 def refuse_misplaced(violations: Sequence[Violation], chosen: Floats, names: Sequence[str]) -> None:
-    """Raise an error if a placed vehicle would stop at once.
+    """Raise an error if a placed vehicle would stop at once because of a limit or collision.
 
     Args:
         violations: of each fleet, as ``place`` left them.

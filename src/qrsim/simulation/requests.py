@@ -30,7 +30,7 @@ _WORDS = {
 
 
 def after_request(world: World, request: Injection) -> tuple[World, Injection]:
-    """Return a world after a request, and the request with the names of all vehicles that it affects.
+    """Return the world after a request, and the request with the names of all affected vehicles.
 
     A push has its accelerations as lists of three axes then.
 
@@ -48,7 +48,7 @@ def after_request(world: World, request: Injection) -> tuple[World, Injection]:
 
 
 def first_tick(seconds: float | None, now: int, dt: float, soonest: int) -> int:
-    """Return the tick at which something asked for at a time [s] happens, rounded up; None: as soon as it can."""
+    """Return the tick at which a request for a time [s] acts, rounded up; None: ``soonest`` ticks from ``now``."""
     if seconds is None:
         return now + soonest
     if not is_number(seconds) or not abs(seconds) < LONGEST_S:
@@ -60,7 +60,7 @@ def first_tick(seconds: float | None, now: int, dt: float, soonest: int) -> int:
 
 
 def last_tick(duration: float | None, start: int, dt: float) -> int:
-    """Return the first tick after something that lasts for so long [s]; None: for good."""
+    """Return the first tick after a fault of a duration [s] that begins at ``start``; LAST_TICK for None, for good."""
     if duration is None:
         return LAST_TICK
     if not is_number(duration) or not 0.0 < duration < LONGEST_S:
@@ -69,14 +69,15 @@ def last_tick(duration: float | None, start: int, dt: float) -> int:
 
 
 def of_sensor(world: World, target: str) -> bool:
-    """Return whether a target is a sensor. Its next reading is the first that a fault can change."""
+    """Return whether a fault's target is a sensor; faults of sensors act from the next reading on."""
     return any(target in fleet.sensor_names for fleet in world.fleets)
 
 
 def entry_of(request: Injection, time_step: float) -> Content:
-    """Return the entry of a request in a file of injections; ``time_step`` [s]."""
+    """Return a request as the entry of a file of injections."""
 
     def seconds(tick: int) -> float:
+        """Return a tick as time [s]."""
         return round(tick * time_step, 15)
 
     entry: Content = {"target": request.target, "kind": request.kind, "tick": request.tick}
@@ -89,7 +90,7 @@ def entry_of(request: Injection, time_step: float) -> Content:
 
 
 def events_of(requests: Iterable[Injection], time_step: float) -> Iterator[dict[str, Any]]:
-    """Yield requests as events of a run: one for each vehicle, or for each number of the world.
+    """Yield requests as events of a run, one for each vehicle, or for each changed number of the world.
 
     Args:
         requests: in the order in which they were made.
@@ -122,14 +123,14 @@ def events_of(requests: Iterable[Injection], time_step: float) -> Iterator[dict[
 
 
 def _span(request: Injection, time_step: float) -> str:
-    """Return the start and end of a fault in words; "" for a fault that starts at once and stays."""
+    """Return start and end of a fault as text; "" for a fault that starts at once and stays."""
     # The first reading that a request can change is that of the next tick.
     later = f" from {request.start_tick * time_step:.2f} s" if request.start_tick > request.tick + 1 else ""
     return later + (f" until {request.end_tick * time_step:.2f} s" if request.end_tick < LAST_TICK else "")
 
 
 def _of_world(request: Injection, where: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield an event for each number of a change of the weather; ``where``: its time and tick."""
+    """Yield one event for each number of a change of the weather; ``where``: its time and tick."""
     over, numbers = request.numbers.get("over"), dict(request.numbers)
     slowly, jammer = f", over {over:g} s" if over else "", numbers.pop("jammer", None)
     what = request.kind if jammer is None else f"jammer {jammer}"

@@ -71,6 +71,7 @@ class Rollout(Tabled):
         return Table(title, ("metric", "unit", "shape", "least", "median", "greatest"), rows)
 
     def _ipython_key_completions_(self) -> list[str]:
+        """Return the names of metrics, for completion in IPython."""
         return list(self.metrics)
 
     def __iter__(self) -> Iterator[str]:
@@ -92,7 +93,7 @@ class Rollout(Tabled):
         return self.metrics[name]
 
     def reasons(self, world: int) -> list[str]:
-        """Return the reason each vehicle of a world stopped, "" for those that fly.
+        """Return, for each vehicle of a world, the reason why it stopped, "" if it still flies.
 
         Args:
             world: number of the world, from 0.
@@ -108,7 +109,7 @@ class Rollout(Tabled):
 
 
 def _metric_row(name: str, values: NumpyArray) -> tuple[str, ...]:
-    """Return name, unit, shape, and least, median and greatest of a metric; the last three only for scalars (W, n)."""
+    """Return name, unit, shape, and least, median and greatest value as texts; the last three only for (W, n)."""
     unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
     numbers = values[np.isfinite(values)] if values.ndim == 2 and values.dtype.kind in "fiub" else values[:0]
     found = (numbers.min(), np.median(numbers), numbers.max()) if numbers.size else (None,) * 3
@@ -174,7 +175,7 @@ def setup_of(
     policy_ticks: int = 1,
     site: Site | None = None,
 ) -> tuple[Setup, list[Any], list[Any]]:
-    """Return the setup of a rollout of W worlds, the leaves equal in all of them, and those that vary, (W, ...).
+    """Return the setup of a rollout of W worlds, the leaves equal in all worlds, and the varying ones (W, ...).
 
     The arguments are those of ``rollout``; ``several`` lists the worlds.
     """
@@ -199,7 +200,7 @@ def setup_of(
 def _seeds_and_numbers(
     several: list[World], alike: bool, worlds: int, seed: object, seeds: Sequence[int] | None
 ) -> tuple[NumpyArray, NumpyArray]:
-    """Return seed and number (W,) of each world."""
+    """Return the seed (W,) and the number (W,) of each world; raise UsageError for wrong ones."""
     if not several:
         raise UsageError("world: an empty list has no world to fly")
     if seeds is not None and not hasattr(seeds, "__iter__"):
@@ -221,7 +222,7 @@ def _seeds_and_numbers(
 
 
 def _stack(several: list[World]) -> tuple[Any, list[Any], list[Any], tuple[bool, ...]]:
-    """Return the structure of the worlds, the leaves equal in all, those that vary (W, ...), and which leaves vary."""
+    """Return the worlds' structure, shared leaves, varying leaves (W, ...), and which leaves vary; raise UsageError."""
     flat: list[tuple[list[Any], Any]] = [jax.tree.flatten(world) for world in several]
     structure = flat[0][1]
     types = tuple(kinds(structure))
@@ -244,13 +245,13 @@ def _stack(several: list[World]) -> tuple[Any, list[Any], list[Any], tuple[bool,
 
 
 def _on_host(leaf: object) -> NumpyArray:
-    """Return a leaf as NumPy's array of a type that JAX computes with; JAX itself would compile for that."""
+    """Return a leaf as a NumPy array of a dtype that JAX supports, without a compilation by JAX."""
     array = np.asarray(leaf)
     return np.asarray(array, jax.dtypes.canonicalize_dtype(array.dtype))
 
 
 def _other_arrays(one: World, other: World) -> str:
-    """Return which array of two worlds of one structure is of another shape or type, "" where none is."""
+    """Return a text on the first array of two worlds that differs in shape or dtype, "" if none does."""
     (named, _), others = jax.tree_util.tree_flatten_with_path(one), jax.tree.leaves(other)
     for (path, mine), theirs in zip(named, others, strict=True):
         sorts = [f"{np.asarray(leaf).dtype} {np.shape(leaf)}" for leaf in (mine, theirs)]
@@ -260,7 +261,7 @@ def _other_arrays(one: World, other: World) -> str:
 
 
 def _blocks(engine: Engine, count: int) -> Iterator[NumpyArray]:
-    """Yield the numbers of the worlds of each block, all of one length; the last is filled up with its last world."""
+    """Yield the world numbers of each block, all blocks of one length; the last is padded with its last world."""
     size, devices = len(engine.names), engine.devices
     in_memory = MEMORY_BYTES // (COPIES * engine.bytes_per_world() * devices)
     most = max(1, min(VEHICLES_PER_BLOCK // size, in_memory)) * devices

@@ -24,7 +24,7 @@ class Schedule:
         self._made = 0
 
     def make(self) -> None:
-        """Make the requests that are due at the simulation's tick."""
+        """Make the recorded requests that are due at the simulation's present tick."""
         due = bisect_right(self._ticks, self._simulation.tick)
         if due > self._made:
             self._simulation.repeat(self._requests[self._made : due])

@@ -15,7 +15,7 @@ from qrsim.world.state import World
 
 
 def program_text(world: World, form: str, what: str = "tick") -> str:
-    """Return the program of one world, which its own guidance and controllers fly, as text.
+    """Return the compiled program of one world as text, flown by its own guidance and controllers.
 
     Args:
         world: the parameters.

@@ -127,7 +127,7 @@ class Simulation(Radios, Injecting, Tabled):
 
     @property
     def size(self) -> int:
-        """Number of vehicles of all fleets, n."""
+        """Number n of vehicles of all fleets together."""
         return len(self.vehicle_names)
 
     @property
@@ -148,11 +148,12 @@ class Simulation(Radios, Injecting, Tabled):
         return self.reading
 
     def _keys(self, seed: int, number: int) -> WorldKeys:
+        """Return the random keys of an episode, by seed and number of the world."""
         return keys_of(self.world, Key.root(seed, number))
 
     # Here and in ``advance`` what ``alone`` does is written out: called so often, its own call counts.
     def step(self, command: object = None, ticks: int = 1, estimate: Estimate | None = None) -> Reading:
-        """Advance and return the reading at the end.
+        """Advance by ``ticks`` ticks and return the reading at the end.
 
         Args:
             command: None lets every fleet's own guidance and controller fly; an array (n, 5) of SI commands (pitch,
@@ -191,7 +192,7 @@ class Simulation(Radios, Injecting, Tabled):
             self._lock.release()
 
     def _advance(self, command: object, ticks: int, estimate: Estimate | None) -> None:
-        """Fly some ticks with a command and, for controllers that take one, an estimate."""
+        """Fly ``ticks`` ticks with a command and, for controllers that take one, an estimate."""
         if estimate is None and self._state is not None and self._ticks.taken(command):
             count = checked_ticks(ticks, self.tick)
             self._detach_seen()
@@ -270,7 +271,7 @@ class Simulation(Radios, Injecting, Tabled):
 
     @alone
     def save(self, path: str | Path | None = None) -> bytes:
-        """Save the whole state as bytes, and to a file if a path is given.
+        """Return the whole state as bytes, written to a file too if a path is given.
 
         Raises:
             UsageError: the simulation has not started.
@@ -307,6 +308,7 @@ class Simulation(Radios, Injecting, Tabled):
         return self.reading
 
     def _fingerprint(self) -> str:
+        """Return a digest of the parameters without injected changes, stored in saved states."""
         first = self._first_world
         ticks = self._ticks if first is self.world else OneWorld(first)
         return fingerprint(ticks.layout, ticks.parameters)
@@ -334,7 +336,7 @@ class Simulation(Radios, Injecting, Tabled):
             return self._seen().whole()
 
     def _seen(self) -> Seen:
-        """Return the present state, read by offsets; the same object as long as a caller holds it."""
+        """Return the present state, unpacked on demand; the same object as long as a caller holds it."""
         seen = self._now()
         if seen is None:
             layout, state = self._running()
@@ -345,7 +347,7 @@ class Simulation(Radios, Injecting, Tabled):
         return seen
 
     def _detach_seen(self) -> None:
-        """Copy the present state for callers that still hold it, because the next tick overwrites its buffers."""
+        """Copy the present state for callers that hold it, before the next tick overwrites its buffers."""
         seen = self._now()
         if seen is not None:
             seen.keep()
@@ -373,23 +375,24 @@ class Simulation(Radios, Injecting, Tabled):
 
     @property
     def valid(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """(n,) whether each vehicle still flies."""
+        """(n,) bool: the vehicle still flies."""
         with self._lock:
             return np.concatenate([fleet.violation.code == 0 for fleet in cast(State, self._seen()).fleets])
 
     @property
     def reasons(self) -> list[str]:
-        """Why each of the n vehicles is invalid, "" while it is valid; kind, field and value."""
+        """Reasons, one text for each of n vehicles: kind, field and value of its stop, "" while it is valid."""
         with self._lock:
             found = [fleet.violation for fleet in cast(State, self._seen()).fleets]
         pairs = (pair for one in found for pair in zip(one.code, one.value, strict=True))
         return [reason_text(int(code), float(value)) for code, value in pairs]
 
     def waypoint(self, position_ned: Any, yaw_rad: Any = 0.0) -> WaypointSetpoint:
-        """Make a set-point for ``step``: positions (n, 3) or (3,) [m] and headings (n,) or one [rad]."""
+        """Return a set-point for ``step``: positions (n, 3) or (3,) [m] and headings (n,) or one [rad]."""
         return self._checker.waypoint(position_ned, yaw_rad)
 
     def _running(self) -> tuple[Packer, Buffers]:
+        """Return the state's layout and buffers; raise UsageError before the first reset."""
         if self._layout is None or self._state is None:
             raise UsageError("the simulation has not started: call reset() first")
         return self._layout, self._state

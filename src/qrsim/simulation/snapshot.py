@@ -62,7 +62,7 @@ class SavedState:
     injections: str = "[]"
 
     def to_bytes(self) -> bytes:
-        """Write the state as a NumPy archive."""
+        """Return the state as a NumPy archive."""
         buffer = io.BytesIO()
         content: Content = {name: getattr(self, name, FORMAT) for name in NAMES}
         np.savez(buffer, **content)
@@ -70,7 +70,7 @@ class SavedState:
 
     @staticmethod
     def of(source: bytes | str | Path) -> SavedState:
-        """Read a state from bytes or a file, with the checks that need no simulation.
+        """Return the state saved in bytes or a file, checked as far as possible without a simulation.
 
         Raises:
             UsageError: the file is missing, or this is no saved state of this version, or a damaged one.
@@ -96,7 +96,7 @@ class SavedState:
         )
 
     def check(self, name: str, world: str) -> None:
-        """Refuse a state of another scenario.
+        """Raise UsageError for a state of another scenario or with other parameters.
 
         Raises:
             UsageError: the name or a parameter of the world differs.
@@ -109,7 +109,7 @@ class SavedState:
             )
 
     def buffers(self, layout: Packer, like: Buffers) -> Buffers:
-        """Return the packed state, with the types and sizes of another one.
+        """Return the packed state as buffers of the types and sizes of ``like``.
 
         Args:
             layout: of both.
@@ -133,7 +133,7 @@ class SavedState:
         return self.floats, self.integers
 
     def check_state(self, world: World, state: State, keys: Any) -> None:
-        """Refuse a state that is impossible in a world.
+        """Raise UsageError for a state that is impossible in a world.
 
         Args:
             world: of this simulation.
@@ -171,7 +171,7 @@ def _data(source: object, where: str) -> bytes:
 
 
 def _file(path: Path, where: str) -> tuple[int, Path]:
-    """Return the size of a file, and the file."""
+    """Return a file's size [bytes] and path; raise UsageError if it cannot be read."""
     try:
         found = path.stat()
     except (OSError, ValueError) as error:
@@ -182,16 +182,17 @@ def _file(path: Path, where: str) -> tuple[int, Path]:
 
 
 def _another_version(where: str) -> UsageError:
+    """Return the error for a state saved by another version."""
     return UsageError(f"{where}: it was saved by another version of qrsim, or not by qrsim")
 
 
 def _integer(array: NumpyArray) -> int | None:
-    """Return the whole number that an array is, if it is one."""
+    """Return the integer in an array (), None if the array is anything else."""
     return int(array) if array.shape == () and array.dtype.kind in "iu" else None
 
 
 def _number(where: str, name: str, content: Content, largest: int) -> int:
-    """Return a whole number of the content, 0 to ``largest``; raise UsageError for others."""
+    """Return an integer of the content, 0 to ``largest``; raise UsageError for others."""
     found = _integer(content[name])
     if found is None or not 0 <= found <= largest:
         what = content[name].dtype if found is None else found
@@ -211,7 +212,7 @@ def _text(where: str, name: str, content: Content) -> str:
 
 
 def _buffer(where: str, name: str, content: Content, known: tuple[str, ...]) -> NumpyArray:
-    """Return a row of numbers of the content, of one of the ``known`` types; raise UsageError for others."""
+    """Return a one-dimensional array of the content with a dtype in ``known``; raise UsageError for others."""
     array = content[name]
     if array.ndim != 1 or array.dtype.name not in known or not array.dtype.isnative:
         raise UsageError(
@@ -221,7 +222,7 @@ def _buffer(where: str, name: str, content: Content, known: tuple[str, ...]) -> 
 
 
 def _finite_leaves(world: World, state: State) -> Iterator[tuple[str, NumpyArray]]:
-    """Yield the numbers of a state that are finite in every simulation, with their place for messages."""
+    """Yield (place for messages, array) of all numbers that must be finite in every state."""
     # Recorded orbits end, and have gaps.
     recorded = isinstance(world.sky, SharedSky | SlottedSky) and isinstance(world.sky.orbits, Sp3Orbits)
     if not recorded:
@@ -243,7 +244,7 @@ def _finite_leaves(world: World, state: State) -> Iterator[tuple[str, NumpyArray
 
 
 def _without_infinity(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, object]]:
-    """Yield parts that may contain NaN but no infinity, by name. Only built-in components: others may use infinity."""
+    """Yield (place, array) of parts that may be NaN but not infinite, of built-in components only."""
     for sensor, memory, reading, true in zip(
         fleet.sensors, state.sensors, state.readings, state.true_readings, strict=True
     ):
@@ -254,14 +255,14 @@ def _without_infinity(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, ob
 
 
 def _floats(where: str, tree: object, flies: Any = None) -> Iterator[tuple[str, NumpyArray]]:
-    """Yield ``where`` with each array of floats in a tree; of vehicles, rows of those that fly."""
+    """Yield ``where`` with each float array in a tree, only rows of flying vehicles if ``flies`` is given."""
     for leaf in jax.tree.leaves(tree):
         if np.issubdtype(leaf.dtype, np.floating):
             yield where, leaf if flies is None or leaf.shape[:1] != flies.shape else leaf[flies]
 
 
 def _ranges(world: World, state: State, tick: int) -> Iterator[tuple[str, Any, float, float]]:
-    """Yield the numbers of a state that have a range: their place for messages, values, smallest and largest."""
+    """Yield (place for messages, values, least, greatest) of the numbers with a range."""
     for number, (fleet, now) in enumerate(zip(world.fleets, state.fleets, strict=True)):
         here = f"of fleet {number}"
         yield f"the reason why a vehicle stopped, {here},", now.violation.code, 0, len(REASONS) - 1
@@ -297,7 +298,7 @@ def write(path: str | Path, data: bytes) -> None:
 
 
 def fingerprint(layout: Packer, buffers: Buffers) -> str:
-    """Return a digest of a tree's structure, types and values."""
+    """Return a SHA-256 digest of a packed tree's structure, dtypes and values."""
     digest = hashlib.sha256(repr((layout.structure, layout.shapes, layout.dtypes)).encode())
     for buffer in buffers:
         digest.update(np.asarray(buffer).tobytes())

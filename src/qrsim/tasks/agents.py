@@ -33,12 +33,12 @@ class Axis:
 
 
 def penalty() -> Array:
-    """Return the field of the reward of the step in which a vehicle stops."""
+    """Return the dataclass field for the reward of the step in which a vehicle stops."""
     return parameter(default=-1000.0, unit="1", doc="reward of the step in which a vehicle's flight ends", maximum=0.0)
 
 
 def leaving() -> bool:
-    """Return the field of whether agents that stop leave."""
+    """Return the dataclass field for whether a stopped agent leaves, or else ends the episode."""
     return setting(
         default=False,
         doc="an agent that stops leaves with the penalty, and the others continue; if false, the episode ends",
@@ -46,7 +46,7 @@ def leaving() -> bool:
 
 
 def action_period(seconds: float) -> float:
-    """Return the field of the time between two actions."""
+    """Return the dataclass field for the time [s] between two actions."""
     return setting(default=seconds, unit="s", doc="time between two actions, a multiple of the time step", above=0.0)
 
 
@@ -57,7 +57,7 @@ def velocity_axes(limit: float, axes: str) -> tuple[Axis, ...]:
 
 
 def number_of(world: World, name: str) -> int:
-    """Return the index of the named fleet of a world.
+    """Return the index of the named fleet; raises UsageError for an unknown name.
 
     Raises:
         UsageError: there is none of that name.
@@ -69,13 +69,13 @@ def number_of(world: World, name: str) -> int:
 
 
 def fleet_of(world: World, state: State, name: str) -> tuple[Fleet, FleetState]:
-    """Return a fleet by its name, and its state."""
+    """Return the fleet of a name, and its state."""
     number = number_of(world, name)
     return world.fleets[number], state.fleets[number]
 
 
 def only(world: World, name: str, action: Action) -> tuple[Action, ...]:
-    """Return an action for one fleet, and none for the others."""
+    """Return actions with the given one for the named fleet, and None for the others."""
     return tuple(action if fleet.name == name else None for fleet in world.fleets)
 
 
@@ -101,7 +101,7 @@ def estimate_of(state: FleetState) -> Estimate:
 
 
 def believed(state: FleetState) -> Array:
-    """Return each vehicle's measured state (n, 9): position NED, velocity NED, roll, pitch, yaw."""
+    """Return each vehicle's estimated state (n, 9): position NED, velocity NED, roll, pitch, yaw."""
     estimate = estimate_of(state)
     parts = [*jax.tree.leaves(estimate.position_ned), *jax.tree.leaves(estimate.velocity_ned)]
     return jnp.stack([*parts, *jax.tree.leaves(estimate.attitude)], axis=-1)
@@ -115,5 +115,5 @@ BELIEVED = (
 
 
 def square(vector: Vec3) -> Array:
-    """Return the squared length."""
+    """Return a vector's squared length."""
     return vector.dot(vector)

@@ -23,7 +23,7 @@ class Answering(Protocol):
     """Policy that hands something in at the end of its episode."""
 
     def answer(self) -> Floats:
-        """Return the answers (n, ...)."""
+        """Return the agents' answers (n, ...) at the end of an episode."""
         ...
 
 
@@ -56,16 +56,16 @@ class Task(Protocol):
 
     @property
     def ids(self) -> int:
-        """Numbers of what ``init`` draws for."""
+        """Number of random streams that ``init`` draws from."""
         return 0
 
     @property
     def fleets(self) -> tuple[str, ...]:
-        """Names of the fleets whose vehicles are the agents, ``fleet`` first."""
+        """Names of the fleets whose vehicles are agents, ``fleet`` first."""
         return (self.fleet,)
 
     def asks(self, fleet: str) -> type | None:
-        """Return the kind of set-points that the controller of a fleet of agents must take; see ``asks_for``."""
+        """Return the set-point type that a fleet's controller must take; None for commands; see ``asks_for``."""
         return self.asks_for
 
     def acts(self, world: World) -> tuple[Axis, ...] | dict[str, tuple[Axis, ...]]:
@@ -74,19 +74,19 @@ class Task(Protocol):
 
     @abstractmethod
     def init(self, world: World, state: State, draw: Draw) -> Any:
-        """Return its memory at the start of an episode; ``draw`` is its own randomness, for ``ids`` ids."""
+        """Return the task's memory at the start of an episode; ``draw`` gives its own random numbers."""
 
     @abstractmethod
     def commands(self, memory: Any, world: World, action: Any) -> tuple[Action, ...]:
-        """Convert actions (n, A), in their units, to an action for each fleet."""
+        """Convert actions (n, A), in physical units, to one action per fleet."""
 
     def each_tick(self, memory: Any, world: World, state: State) -> object:
-        """Return the memory after a tick."""
+        """Return the task's memory after a tick."""
         return memory
 
     @abstractmethod
     def judge(self, memory: Any, world: World, state: State, step: Array, steps: int) -> tuple[object, object]:
-        """Return the memory after step ``step`` () of ``steps``, counted from 1, and its reward (n,) while all fly."""
+        """Return the memory after step ``step`` () of ``steps``, from 1, and the reward (n,) while all vehicles fly."""
 
     def crashed(self, memory: Any, world: World, state: State, steps: int) -> Array:
         """Return the reward () of the step in which a vehicle stops."""
@@ -98,25 +98,25 @@ class Task(Protocol):
 
     @abstractmethod
     def sees(self, world: World) -> Any:
-        """Describe the O numbers of an observation, with their units; for a dict, those that have names."""
+        """Describe the O values of an observation by name, unit and range; for a dict, its described parts."""
 
     def later(self, world: World) -> dict[str, tuple[int, ...]]:
-        """Return names and shapes (n, ...) of the large parts of an observation that ``look`` computes by itself.
+        """Return name -> shape (n, ...) of the large parts of an observation that ``look`` computes on demand.
 
         The observation is then a dict of one fleet, and ``observe_early`` returns the others.
         """
         return {}
 
     def observe_early(self, memory: Any, world: World, state: State) -> dict[str, Array]:
-        """Return ``observe`` without the parts ``later``."""
+        """Return the observation without the parts in ``later``."""
         raise NotImplementedError
 
     def shot(self, world: World, state: State) -> Any:
-        """Return all of a state that is an agent's own (n, ...) and that ``look`` needs."""
+        """Return the per-agent part of the state, leaves (n, ...), that ``look`` needs."""
         raise NotImplementedError
 
     def look(self, world: World, state: State, shot: Any, to: dict[str, Array]) -> dict[str, Array]:
-        """Return the parts ``later`` of an observation.
+        """Return the parts of an observation that ``later`` names.
 
         Args:
             world: where.

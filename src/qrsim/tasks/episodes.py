@@ -39,7 +39,7 @@ def _score_function() -> Callable[..., jax.Array]:
 
 
 def score(play: Play, episode: Episode, answer: NumpyArray) -> NumpyArray:
-    """Score the answers (n, ...) of the agents of an episode; (n,), 0 for who has left."""
+    """Return the score (n,) of the agents' answers (n, ...) of an episode; 0 for agents that have left."""
     return np.asarray(_score_function()(play, episode, answer))
 
 
@@ -54,17 +54,17 @@ def _tick_progress(play: Play, own: tuple[Any, Any], progress: Progress, number:
 
 
 def _look(play: Play, progress: Progress, to: dict[str, jax.Array], tick: Any) -> dict[str, jax.Array]:
-    """Return the parts of an observation that are computed by themselves."""
+    """Return the parts of an observation that are computed on demand."""
     return play.look(progress, to)
 
 
 def _merged(seen: Any, late: dict[str, NumpyArray]) -> dict[str, Any]:
-    """Return an observation in the order in which JAX puts its parts."""
+    """Return an observation with its late parts, as a dict in JAX's key order."""
     return dict(sorted({**seen, **late}.items()))
 
 
 def _begun_of(progress: Progress) -> Begun:
-    """Return whether vehicles were placed, the observation and the truth at the start."""
+    """Return the start of an episode: whether placement succeeded, observation and truth."""
     return Begun(progress.episode.state.placed, progress.last.observation, progress.truth)
 
 
@@ -90,7 +90,7 @@ class Episodes:
             self._worlds = self._made(self._play, keys)
 
     def _made(self, play: Play, keys: Any) -> Worlds:
-        """Return the worlds of a play, compiled for keys of one."""
+        """Return the compiled worlds of a task for the structure of one episode's keys."""
         extent = Extent(sum(fleet.size for fleet in play.world.fleets), self._dtype, self._size)
         task = type(play.task)
         # Of a user's task another process could not tell whether it is still the same.
@@ -118,14 +118,14 @@ class Episodes:
                 self._worlds.restore(kept["state"])
 
     def _all(self, select: Any) -> Any:
-        """Return a part of all episodes, copied."""
+        """Return a copy of the selected part of all episodes."""
         # What LLVM's states return is a copy already.
         found = self._worlds.get(select)
         return jax.tree.map(lambda leaf: leaf if isinstance(leaf, np.ndarray) else np.array(leaf), found)
 
     @property
     def compiler(self) -> str:
-        """Which compiler computes them, "llvm" or "xla"."""
+        """Name of the compiler of the episodes' programs, "llvm" or "xla"."""
         return self._worlds.compiler
 
     @property
@@ -134,7 +134,7 @@ class Episodes:
         return self._worlds.started
 
     def draw_from(self, play: Play) -> None:
-        """Start from here on episodes of a play that differs from this one in its ranges only."""
+        """Draw later episodes from another ``Play`` that differs only in its ranges."""
         self._play = jax.tree.map(np.asarray, play)
         self._worlds.share_at_starts(replace(self._play, late=self._worlds.looks))
 
@@ -147,11 +147,11 @@ class Episodes:
 
     @property
     def late(self) -> tuple[str, ...]:
-        """Names of the parts of an observation that ``look`` returns; none where they are computed with the others."""
+        """Names of the observation's parts that ``look`` returns; () if all are computed with the step."""
         return tuple(self._play.task.later(self._play.world)) if self._worlds.looks else ()
 
     def look(self, rows: NumpyArray | None = None) -> dict[str, NumpyArray]:
-        """Return the parts ``late`` of all observations, or of those of some rows, (b, n, ...).
+        """Return the ``late`` parts of observations, of all episodes or of some rows, (b, n, ...).
 
         Agents that have stopped see what they saw last. The caller owns the arrays.
         """
@@ -159,7 +159,7 @@ class Episodes:
         return found
 
     def step(self, action: NumpyArray) -> tuple[Step, dict[str, NumpyArray]]:
-        """Advance all by actions (B, n, W), with a radio (B, n, W + D), and return the results and the ground truth."""
+        """Advance all episodes by actions (B, n, A), with a radio (B, n, A + D); return results and ground truth."""
         self._worlds.advance(0, self._play.ticks, action)
         found: tuple[Step, dict[str, NumpyArray]] = self._all(lambda progress: (progress.last, progress.truth))
         if not self._worlds.looks:
@@ -171,6 +171,6 @@ class Episodes:
         return replace(step, observation=_merged(step.observation, late)), truth
 
     def episode(self, row: int) -> Episode:
-        """Return one of the episodes."""
+        """Return the episode in a row."""
         found: Episode = jax.tree.map(lambda leaf: leaf[row], self._worlds.get(lambda progress: progress.episode))
         return found

@@ -131,7 +131,7 @@ class PolicyFile:
     name: str = "policy"
 
     def content(self) -> bytes:
-        """Return the bytes of the file."""
+        """Return the policy file's bytes."""
         meta = json.dumps({"format": FORMAT, "view": asdict(self.view), "facts": self.facts}, sort_keys=True)
         arrays: dict[str, Any] = {META: np.frombuffer(meta.encode(), np.uint8)}
         arrays |= {"mean": self.scaling.mean, "deviation": self.scaling.deviation}
@@ -142,7 +142,7 @@ class PolicyFile:
         return file.getvalue()
 
     def maker(self, play: Play, name: str, version: int) -> Any:
-        """Return what makes this policy for an episode, from ``play`` and a seed.
+        """Return a function of (play, seed) that builds this policy for an episode; raises UsageError.
 
         Args:
             play: the task and its world.
@@ -167,7 +167,7 @@ class PolicyFile:
         return lambda play, seed=0: self.pilot(len(play.agents), play.task.period)
 
     def pilot(self, agents: int, period: float) -> LearnedPolicy:
-        """Return what flies some agents, of one episode or of many, from its start.
+        """Return the policy for ``agents`` agents, at the start of their episodes.
 
         Args:
             agents: how many (n).
@@ -202,7 +202,7 @@ class LearnedPolicy:
 
 
 def is_policy_file(source: object) -> bool:
-    """Return whether a text names a policy file."""
+    """Return whether a source is a text that names a policy file."""
     return isinstance(source, str | Path) and str(source).endswith(SUFFIX)
 
 
@@ -220,7 +220,7 @@ def read_policy(path: str | Path) -> PolicyFile:
 
 
 def policy_of(arrays: dict[str, Any], name: str) -> PolicyFile:
-    """Return the policy in the arrays of an archive.
+    """Return the policy in the arrays of a policy file.
 
     Raises:
         UsageError: they are no policy, or do not fit each other.
@@ -272,10 +272,10 @@ def _check_shapes(view: View, scaling: Scaling, layers: Layers) -> None:
 
 
 def _frozen(value: Any) -> Any:
-    """Return JSON with tuples for its lists."""
+    """Return parsed JSON with lists replaced by tuples."""
     return tuple(map(_frozen, value)) if isinstance(value, list) else value
 
 
 def _shown(names: tuple[str, ...]) -> str:
-    """Return names for a message."""
+    """Return names as text for a message."""
     return ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")

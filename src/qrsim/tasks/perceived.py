@@ -25,14 +25,14 @@ SEEING = (Looking, Scan, IdealScan, Rangefinder, IdealRangefinder)
 
 
 def senses() -> tuple[str, ...]:
-    """Return the field of the sensors that agents see by."""
+    """Return the dataclass field for the names of the sensors in the agents' observations."""
     return setting(
         default=(), doc="names of the agents' sensors of type neighbours, scan and rangefinder in their observations"
     )
 
 
 def sensed_axes(world: World, fleet: str, names: tuple[str, ...]) -> tuple[Axis, ...]:
-    """Describe the S numbers of ``sensed``; their ranges hold in every episode."""
+    """Describe the S values of ``sensed``; their ranges hold in every episode."""
     # An episode that draws how far a sensor sees draws no more than this.
     world = world.with_drawn(tuple(item.high for item in world.ranges))
     agents, axes = world.fleets[number_of(world, fleet)], []
@@ -53,7 +53,7 @@ def sensed_axes(world: World, fleet: str, names: tuple[str, ...]) -> tuple[Axis,
 
 
 def sensed(world: World, state: State, fleet: str, names: tuple[str, ...]) -> Array:
-    """Return what agents (n,) see by the named sensors, (n, S).
+    """Return the readings (n, S) of the named sensors as observations of the agents.
 
     Of a sensor ``neighbours`` for each slot position and velocity (if it measures it), both 0 where it has nobody,
     whether that is one of the agents' own fleet (if it knows who they are), and whether there is one, 1 or 0. Of a scan
@@ -94,7 +94,7 @@ def _neighbour_columns(
 
 
 def _clipped_range(measured: Array, reach: Array) -> Array:
-    """Return ranges limited to a reach [m]; the reach where there is no echo."""
+    """Return ranges [m] clipped to the sensor's reach, which also replaces a missing echo."""
     return jnp.where(jnp.isfinite(measured), jnp.clip(measured, 0.0, reach), reach)
 
 

@@ -39,7 +39,7 @@ class Places:
 
 
 def places_of(task: Any, world: World, memory: Any, contents: Any) -> Places:
-    """Return the places of an episode.
+    """Return the places of an episode's task that pictures show.
 
     Args:
         task, world: of the episode.
@@ -60,7 +60,7 @@ def places_of(task: Any, world: World, memory: Any, contents: Any) -> Places:
 
 
 def goals_of(task: KeepSpot, world: World, start_ned: Vec3) -> Floats:
-    """Return where the vehicles (n,) of a task that started at places are to be, (n, 3) [m]."""
+    """Return the goals (n, 3) [m] of vehicles (n,) that started at ``start_ned``."""
     return _position_rows(task.goal(start_ned, world))
 
 

@@ -84,37 +84,37 @@ class Play:
 
     @property
     def agents(self) -> tuple[str, ...]:
-        """Names of the vehicles that are commanded."""
+        """Names of the vehicles that are agents."""
         return tuple(name for side in self.sides for name in side.names)
 
     @property
     def sides(self) -> tuple[Side, ...]:
-        """The agents by fleet; more than one where those of several fleets are."""
+        """Agents grouped by fleet; more than one group if several fleets are agents."""
         return sides_of(self.task, self.world)
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """The numbers of an action of each agent, of several fleets those of the first."""
+        """Axes of an agent's action; with several fleets, of the first fleet."""
         return self.sides[0].axes
 
     @property
     def width(self) -> int:
-        """Numbers of an action in an array of all agents (n, W); of one fleet as many as there are axes."""
+        """Size A of the action array (n, A) of all agents: the largest number of axes."""
         return width(self.sides)
 
     @property
     def message(self) -> int:
-        """How many numbers an agent may say over the radio (D); 0 without a radio."""
+        """Size D of an agent's radio message; 0 without a radio."""
         return message_size(self.world)
 
     @property
     def ticks(self) -> int:
-        """Ticks of a step."""
+        """Ticks per step."""
         return period_ticks(self.task.period, self.world.time_step)
 
     @property
     def in_step(self) -> bool:
-        """Whether every period of the world divides a step, so that all worlds of a batch are due together."""
+        """Whether a step is a multiple of every period of the world, so that all worlds of a batch are in phase."""
         contents = self.world.contents
         periods = [self.world.sky.period, contents.plume.period, contents.persons.period]
         periods += [sensor.period for fleet in self.world.fleets for sensor in fleet.sensors]
@@ -133,7 +133,7 @@ class Play:
         return episode, self.observed(memory, state, jnp.int32(0))
 
     def nobody_gone(self) -> Array | None:
-        """Return who has left at the start, (n,) bool; None where agents do not leave."""
+        """Return the initial flags (n,) of agents that have left, all False; None if agents never leave."""
         return jnp.zeros(len(self.agents), bool) if self.task.leave else None
 
     def begun(self, keys: EpisodeKeys, state: State) -> object:
@@ -147,7 +147,7 @@ class Play:
 
         Args:
             episode: before; where it has ended, what comes has no meaning.
-            action: (n, W) in [-1, 1], clipped; see ``width``. With a radio also (n, W + D), whose
+            action: (n, A) in [-1, 1], clipped; see ``width``. With a radio also (n, A + D), whose
                 last numbers are said to all; NaN: nothing is.
         """
         begun = episode.step * self.ticks
@@ -198,14 +198,14 @@ class Play:
         return Progress(episode, zeros[0], replace(zeros[1], observation=seen), self.truth(episode), shot)
 
     def _shot(self, state: State, before: Any) -> Any:
-        """Return what ``look`` needs of the agents; of those that have stopped, what it needed before."""
+        """Return what ``look`` needs of each agent; for stopped agents, the last value before the stop."""
         if not self.late:
             return None
         _, fleet = fleet_of(self.world, state, self.task.fleet)
         return select(fleet.violation.code != 0, before, self.task.shot(self.world, state))
 
     def look(self, progress: Progress, to: dict[str, Array]) -> dict[str, Array]:
-        """Return the parts ``later`` of an observation, that of agents that have stopped as it was before.
+        """Return the parts of an observation in ``later``; stopped agents keep their last one.
 
         Args:
             progress: at the end of a step.
@@ -253,7 +253,7 @@ class Play:
         return after, Step(seen, found.reward, ~fly, fly & (number >= self.steps), found.gone)
 
     def rewarded(self, episode: Episode) -> Judged:
-        """Judge one more step, whose ticks the episode has behind it."""
+        """Return the judgement of the step that the episode has just flown: reward, memory, end, absent agents."""
         memory, worth = self.task.judge(episode.memory, self.world, episode.state, episode.step + 1, self.steps)
         reward = of_all(self.sides, worth)
         if not self.task.leave:
@@ -274,11 +274,11 @@ class Play:
         return Judged(memory, reward, goes_on, gone)
 
     def _crashed(self, episode: Episode) -> Array:
-        """Return the reward () of a step in which a vehicle has stopped."""
+        """Return the reward () of the step in which a vehicle stops."""
         return self.task.crashed(episode.memory, self.world, episode.state, self.steps)
 
     def scaled(self, action: object) -> Any:
-        """Scale actions (n, W), clipped to [-1, 1], to their units; NumPy or JAX."""
+        """Scale actions (n, A), clipped to [-1, 1], to their units; NumPy or JAX."""
         return in_units(self.sides, action)
 
     def truth(self, episode: Episode) -> dict[str, Array]:

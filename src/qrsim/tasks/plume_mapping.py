@@ -73,11 +73,11 @@ class PlumeMapping(Task):
 
     @property
     def ids(self) -> int:
-        """Number of draws: one per location or source."""
+        """Number of random streams: one per location or source."""
         return self.locations
 
     def init(self, world: World, state: State, draw: Draw) -> PlumeMemory:
-        """Draw the locations."""
+        """Return the memory with randomly drawn locations."""
         world = world.with_drawn(state.drawn)
         around = surroundings(world, state.contents, jnp.int32(0))
         wind, plume = around.carrying_wind(draw.like.dtype), world.contents.plume
@@ -101,13 +101,13 @@ class PlumeMapping(Task):
         return PlumeMemory(found, replace(draw, tick=draw.tick + 1))
 
     def commands(self, memory: PlumeMemory, world: World, action: Array) -> tuple[Action, ...]:
-        """Return velocities of numbers (n, 3), heading north."""
+        """Return velocity set-points for actions (n, 3) [m/s], heading north."""
         return only(world, self.fleet, VelocitySetpoint(Vec3.of(action), jnp.zeros_like(action[:, 0])))
 
     def judge(
         self, memory: PlumeMemory, world: World, state: State, step: Array, steps: int
     ) -> tuple[PlumeMemory, Array]:
-        """Return 0; see ``score``."""
+        """Return the memory and a reward of 0; the answers are rewarded by ``score``."""
         _, fleet = fleet_of(world, state, self.fleet)
         return memory, jnp.zeros_like(fleet.vehicle.position_ned.x)
 
@@ -130,7 +130,7 @@ class PlumeMapping(Task):
         }
 
     def sees(self, world: World) -> dict[str, tuple[Axis, ...]]:
-        """Describe the named numbers of an observation."""
+        """Describe the named parts of an observation."""
         more = {"sensed": sensed_axes(world, self.fleet, self.senses)} if self.senses else {}
         # Locations are drawn within the area.
         area = world.area
@@ -151,7 +151,7 @@ class PlumeMapping(Task):
         return (self.locations, self.samples) if puffs else (self.locations,)
 
     def score(self, memory: PlumeMemory, world: World, state: State, answer: Array) -> Array:
-        """Score each agent's answer (n, L) or (n, L, K); (n,)."""
+        """Return the score (n,) of the agents' answers (n, L) or (n, L, K)."""
         world = world.with_drawn(state.drawn)
         around = surroundings(world, state.contents, jnp.int32(0))
         plume, sources = world.contents.plume, state.contents.plume

@@ -58,7 +58,7 @@ class Pursuit(Task):
 
     @property
     def _both(self) -> bool:
-        """Whether both sides are agents."""
+        """Whether the mice are agents too."""
         return self.mouse == "agent"
 
     @property
@@ -67,11 +67,11 @@ class Pursuit(Task):
         return (self.fleet, self.prey) if self._both else (self.fleet,)
 
     def acts(self, world: World) -> Any:
-        """Describe the numbers of an action: of both sides velocities."""
+        """Describe the values of an action, a horizontal velocity; by fleet if the mice are agents too."""
         return dict.fromkeys(self.fleets, self.axes) if self._both else self.axes
 
     def commands(self, memory: PursuitMemory, world: World, action: Any) -> tuple[Action, ...]:
-        """Return velocities of numbers (n, 2), at the height of the start and heading north."""
+        """Return velocity set-points for actions (n, 2) [m/s], at the starting height and heading north."""
         if not self._both:
             return only(world, self.fleet, _level_setpoint(action, memory.z))
         each = {
@@ -83,7 +83,7 @@ class Pursuit(Task):
     def judge(
         self, memory: PursuitMemory, world: World, state: State, step: Array, steps: int
     ) -> tuple[PursuitMemory, Any]:
-        """Return the reward of all cats together for each of them; 0 before the last step."""
+        """Return the memory and each cat's reward, shared by the team; 0 before the last step."""
         _, cats = fleet_of(world, state, self.fleet)
         _, mice = fleet_of(world, state, self.prey)
         offset = _between(cats.vehicle.position_ned, mice.vehicle.position_ned)
@@ -136,7 +136,7 @@ class Pursuit(Task):
         return jnp.concatenate(parts, axis=-1)
 
     def sees(self, world: World) -> Any:
-        """Describe the numbers of an observation."""
+        """Describe the values of an observation."""
         sizes = {fleet.name: fleet.size for fleet in world.fleets}
         cats, mice = sizes[self.fleet], sizes[self.prey]
         of_cats = _seen_axes(0 if self.senses else mice, "mouse", 0 if self.senses else cats, "cat")
@@ -157,5 +157,5 @@ def _level_setpoint(action: Array, z: Array) -> VelocityHeightSetpoint:
 
 
 def _between(one: Vec3, other: Vec3) -> Vec3:
-    """Return positions (n,) minus positions (m,), (n, m)."""
+    """Return the differences (n, m) of positions ``one`` (n,) minus ``other`` (m,)."""
     return Vec3(*(getattr(one, axis)[:, None] - getattr(other, axis)[None] for axis in "xyz"))

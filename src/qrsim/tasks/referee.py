@@ -35,7 +35,7 @@ class Ticks(Protocol):
 
     @property
     def state(self) -> Any:
-        """The states."""
+        """States of the ticks, leaves (T, ...)."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class TaskScore:
 
     @property
     def mean(self) -> float | None:
-        """Mean return of an agent, of several fleets of one of the first; None where one is not finite."""
+        """Mean return of the agents (of several fleets, of the first); None if it is not finite."""
         return self._mean_return(next(iter(self.fleets.values()), tuple(self.returns)))
 
     def _mean_return(self, agents: tuple[str, ...]) -> float | None:
@@ -119,16 +119,16 @@ class Referee:
 
     @property
     def places(self) -> Places:
-        """The places that the task is about."""
+        """Places of the task, for pictures."""
         return self._places
 
     @property
     def asks(self) -> bool:
-        """Whether the task asks the agents to hand something in at the end."""
+        """Whether the task requires an answer at the end."""
         return self._play.task.hands_in
 
     def watch(self, history: Ticks) -> None:
-        """Take the states of the next ticks, from the first one after the start on."""
+        """Take the states of the next ticks; the first call begins with the tick after the start."""
         if len(history.ticks) == CHUNK:
             # As a flight without a policy of its own comes: nothing is copied.
             self._judge_all()
@@ -140,7 +140,7 @@ class Referee:
                 self._judge_all()
 
     def _judge_all(self) -> None:
-        """Judge the ticks that wait."""
+        """Judge the queued ticks."""
         if not self._waiting or self._over:
             return
         ticks = np.concatenate([ticks for ticks, _ in self._waiting])
@@ -155,7 +155,7 @@ class Referee:
                 return
 
     def _judge(self, ticks: Floats, states: object, count: int) -> None:
-        """Judge the first ``count`` of ``CHUNK`` ticks and their states."""
+        """Judge the first ``count`` of a chunk of CHUNK states."""
         with self._precision_context():
             self._carried, rewards, flies = jax.tree.map(
                 np.asarray, _watch_function()(self._play, self._carried, states, np.int32(ticks[0]), np.int32(count))
@@ -177,7 +177,7 @@ class Referee:
             self._over = FLOWN
 
     def finish(self, answer: object = None) -> TaskScore:
-        """Return the score, of a flight that has ended early that of its whole steps.
+        """Return the score of the flight, up to its last whole step.
 
         Args:
             answer: what the agents hand in, (n, ...), in a task that asks for it; None: zeros.

@@ -61,13 +61,13 @@ class Search(Task):
         return SearchMemory(model.vehicle.pose(fleet.vehicle).attitude.yaw, jnp.int32(0))
 
     def commands(self, memory: SearchMemory, world: World, action: Array) -> tuple[Action, ...]:
-        """Return velocities of numbers (n, 3), at the heading of the start."""
+        """Return velocity set-points for actions (n, 3) [m/s], with the starting heading."""
         return only(world, self.fleet, VelocitySetpoint(Vec3.of(action), memory.yaw))
 
     def judge(
         self, memory: SearchMemory, world: World, state: State, step: Array, steps: int
     ) -> tuple[SearchMemory, Array]:
-        """Return the reward of a step."""
+        """Return the memory and each vehicle's reward (n,) for a step."""
         found = jnp.sum(state.contents.persons.found_tick >= 0).astype(jnp.int32)
         fresh = found - memory.found
         yaw = memory.yaw
@@ -93,14 +93,14 @@ class Search(Task):
         return self.observe_early(memory, world, state) | {"ratio": jnp.where(jnp.isfinite(ratio), ratio, 0.0)}
 
     def later(self, world: World) -> dict[str, tuple[int, ...]]:
-        """Return the shape (n, R, C) of the ratios; nothing where a class has its own ``observe`` or ``picture``."""
+        """Return {"ratio": (n, R, C)}, or {} if a subclass overrides ``observe`` or ``picture``."""
         if (type(self).observe, type(self).picture) != (Search.observe, Search.picture):
             return {}
         lens = self.lens(world)
         return {"ratio": (world.fleets[number_of(world, self.fleet)].size, lens.most_rows, lens.most_columns)}
 
     def observe_early(self, memory: SearchMemory, world: World, state: State) -> dict[str, Array]:
-        """Return the observation without the ratios."""
+        """Return the observation without the pictures' ratios."""
         _, fleet = fleet_of(world, state, self.fleet)
         world = world.with_drawn(state.drawn)
         taking, reading, _ = film(world, state, number_of(world, self.fleet), self.camera)
@@ -115,11 +115,11 @@ class Search(Task):
         }
 
     def shot(self, world: World, state: State) -> Any:
-        """Return the reading of each vehicle's camera (n,)."""
+        """Return the camera reading of each vehicle (n,)."""
         return film(world, state, number_of(world, self.fleet), self.camera)[1]
 
     def look(self, world: World, state: State, shot: Any, to: dict[str, Array]) -> dict[str, Array]:
-        """Return the ratio (n, R, C) of pictures taken as ``shot`` says."""
+        """Return {"ratio": log ratios (n, R, C)} of the pictures that the readings in ``shot`` describe."""
         world = world.with_drawn(state.drawn)
         taking, _, stream = film(world, state, number_of(world, self.fleet), self.camera)
         # Persons count as they were when the picture was taken, whatever the tick is.
@@ -127,14 +127,14 @@ class Search(Task):
         return {"ratio": taking.ratios(shot, around, stream, world.contents.persons.size, to["ratio"])}
 
     def sees(self, world: World) -> dict[str, tuple[Axis, ...]]:
-        """Describe the named numbers of an observation."""
+        """Describe the named parts of an observation."""
         more = {"sensed": sensed_axes(world, self.fleet, self.senses)} if self.senses else {}
         lens = self.lens(world)
         most = (("rows", lens.most_rows), ("columns", lens.most_columns))
         return more | {"vehicle": BELIEVED, "grid": tuple(Axis(name, "1", 0.0, float(high)) for name, high in most)}
 
     def lens(self, world: World) -> Camera:
-        """Return the camera."""
+        """Return the camera of the fleet."""
         fleet = world.fleets[number_of(world, self.fleet)]
         camera = fleet.sensors[fleet.sensor_names.index(self.camera)]
         assert isinstance(camera, Camera)

@@ -61,14 +61,14 @@ class NoTask(Task):
     axes: ClassVar[tuple[Axis, ...]] = ()
 
     def init(self, world: World, state: State, draw: Draw) -> None:
-        """Return nothing: there is nothing to remember."""
+        """Return None: there is no memory."""
 
     def commands(self, memory: None, world: World, action: Array) -> tuple[Action, ...]:
-        """Return no action for any fleet."""
+        """Return None, no action, for each fleet."""
         return (None,) * len(world.fleets)
 
     def judge(self, memory: None, world: World, state: State, step: Array, steps: int) -> tuple[None, Array]:
-        """Return no reward, for there are no agents."""
+        """Return no memory, and an empty reward (0,): there are no agents."""
         return None, jnp.zeros(0)
 
     def observe(self, memory: None, world: World, state: State) -> Array:
@@ -76,7 +76,7 @@ class NoTask(Task):
         return jnp.zeros((0, 0))
 
     def sees(self, world: World) -> tuple[Axis, ...]:
-        """Return nothing."""
+        """Return (): the observation is empty."""
         return ()
 
 
@@ -96,7 +96,7 @@ class Effort:
         return tilt + throttle * throttle + yaw * yaw
 
     def highest_rate(self, kind: type = Command) -> Array:
-        """Return () the cost per second of the command of a kind that costs most."""
+        """Return the largest possible cost per second () of a command of a type."""
         limits = limits_of(kind).values()
         low, high = (kind(*(jnp.full(1, each[end]) for each in limits)) for end in (0, 1))
         low = replace(low, pitch=high.pitch, roll=high.roll, yaw_rate=high.yaw_rate)
@@ -143,7 +143,7 @@ class Commanded(Task):
     axes: ClassVar[tuple[Axis, ...]] = axes_of(Command)
 
     def asks(self, fleet: str) -> type | None:
-        """Return the kind of set-points that the controller must take; None for commands."""
+        """Return the set-point type that the controller must take; None if agents give commands."""
         return VelocitySetpoint if self.actions == "velocity" else None
 
     def init(self, world: World, state: State, draw: Draw) -> SimpleMemory:
@@ -154,7 +154,7 @@ class Commanded(Task):
         return SimpleMemory(start, zero, zero, jnp.zeros((), zero.dtype))
 
     def acts(self, world: World) -> tuple[Axis, ...]:
-        """Describe the command of the fleet's vehicles, or a velocity."""
+        """Describe the values of an action: a command of the fleet's vehicles, or a velocity."""
         if self.actions == "velocity":
             return velocity_axes(FASTEST, "ned")
         return axes_of(self.command_type(world))
@@ -170,7 +170,7 @@ class Commanded(Task):
         return only(world, self.fleet, self.command_type(world)(*(action[:, i] for i in range(action.shape[1]))))
 
     def each_tick(self, memory: SimpleMemory, world: World, state: State) -> SimpleMemory:
-        """Add the cost of a tick."""
+        """Return the memory with the cost of a tick added."""
         cost = self.cost_rate(*fleet_of(world, state, self.fleet))
         return replace(memory, cost=memory.cost + cost * world.time_step)
 
@@ -179,17 +179,17 @@ class Commanded(Task):
         return self.effort.rate(fleet.command)
 
     def distance_squared(self, memory: SimpleMemory, world: World, state: State) -> Array:
-        """Return each vehicle's extra cost (n,) if the episode ended now."""
+        """Return each vehicle's extra cost (n,) if the episode ended now; 0 here."""
         return jnp.zeros_like(memory.owed)
 
     def danger(self, memory: SimpleMemory, world: World, state: State) -> Array:
-        """Return how near each vehicle (n,) is to a crash, from 0 at its goal to 1."""
+        """Return how near each vehicle (n,) is to a crash, from 0 at its goal to 1; 0 here."""
         return jnp.zeros_like(memory.owed)
 
     def judge(
         self, memory: SimpleMemory, world: World, state: State, step: Array, steps: int
     ) -> tuple[SimpleMemory, Array]:
-        """Return the negative total cost of a step, for each vehicle."""
+        """Return the memory and each vehicle's reward (n,): the negative cost of the step."""
         distance = self.distance_squared(memory, world, state)
         stake = -self.stake * self.crash_return(memory, world, state, steps) / distance.shape[0]
         owed = distance + jnp.where(step < steps, stake * self.danger(memory, world, state), 0.0)
@@ -198,11 +198,11 @@ class Commanded(Task):
         return after, jnp.broadcast_to(reward, owed.shape)
 
     def crashed(self, memory: SimpleMemory, world: World, state: State, steps: int) -> Array:
-        """Return the reward () of the step in which a vehicle stops: the rest of the return after a crash."""
+        """Return the reward () of the step in which a vehicle stops, so that the return is ``crash_return``."""
         return self.crash_return(memory, world, state, steps) - memory.total
 
     def crash_return(self, memory: SimpleMemory, world: World, state: State, steps: int) -> Array:
-        """Return the return () of an episode that ends in a crash.
+        """Return the sum of rewards () of an episode that ends in a crash.
 
         Raises:
             UsageError: the area cannot say how far away one can be in it.
@@ -214,12 +214,12 @@ class Commanded(Task):
         return jnp.minimum(penalty, -jnp.sum(cost))
 
     def with_sensed(self, world: World, state: State, *parts: Array) -> Array:
-        """Return parts (n, ...) of an observation and what the sensors of ``senses`` say, side by side."""
+        """Return parts (n, ...) of an observation and the readings of ``senses``, concatenated."""
         more = [sensed(world, state, self.fleet, self.senses)] if self.senses else []
         return jnp.concatenate([*parts, *more], axis=-1)
 
     def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
-        """Return an upper bound of each vehicle's cost (n,) in an episode [s] without a crash."""
+        """Return an upper bound of each vehicle's cost (n,) in ``duration`` [s] without a crash."""
         return jnp.broadcast_to(self.effort.highest_rate(self.command_type(world)) * duration, memory.owed.shape)
 
 
@@ -228,12 +228,12 @@ class KeepSpot(Commanded):
     """Stay at the start with little effort; the costs of several vehicles are added."""
 
     def sees(self, world: World) -> tuple[Axis, ...]:
-        """Describe the numbers of an observation."""
+        """Describe the values of an observation."""
         goal = tuple(Axis(f"to_{name}", "m") for name in ("north", "east", "down"))
         return (*BELIEVED, *goal, *sensed_axes(world, self.fleet, self.senses))
 
     def danger(self, memory: SimpleMemory, world: World, state: State) -> Array:
-        """Return the squared distance from the goal, over that of the nearest limit of the area from it (n,), up to 1.
+        """Return squared distance from the goal over squared distance from goal to area limit (n,), at most 1.
 
         Who starts farther away than that limit has far to go in some directions and not in others: there it is the sum
         over north, east and down, of how much nearer the limits are at the vehicle than at the goal, each squared.
@@ -254,12 +254,12 @@ class KeepSpot(Commanded):
         return square(fleet.vehicle.position_ned - self.goal(memory.start_ned, world))
 
     def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
-        """Return the highest effort, and the squared distance of the goal (n,) from the farthest corner of the area."""
+        """Return the largest cost (n,): full effort, and the farthest corner of the area from the goal."""
         effort: Array = Commanded.highest_cost(self, memory, world, duration)
         return effort + world.area.farthest_squared(self.goal(memory.start_ned, world))
 
     def goal(self, start_ned: Vec3, world: World) -> Vec3:
-        """Return where each vehicle (n,) is to be [m]."""
+        """Return each vehicle's goal (n,) NED [m]."""
         return start_ned
 
     def observe(self, memory: SimpleMemory, world: World, state: State) -> Array:
@@ -274,7 +274,7 @@ class ReachWaypoint(KeepSpot):
     """Fly to the last waypoint of the route and stay there, with little effort."""
 
     def goal(self, start_ned: Vec3, world: World) -> Vec3:
-        """Return where each vehicle (n,) is to be [m]."""
+        """Return each vehicle's goal (n,) NED [m]."""
         route = next(fleet.route for fleet in world.fleets if fleet.name == self.fleet)
         return route.position_ned.map(lambda axis: axis[-1])
 
@@ -288,17 +288,17 @@ class KeepVelocity(Commanded):
     velocity_down: Array = parameter(default=0.0, unit="m/s", doc="wanted velocity over ground, down")
 
     def sees(self, world: World) -> tuple[Axis, ...]:
-        """Describe the numbers of an observation."""
+        """Describe the values of an observation."""
         lacking = tuple(Axis(f"wanting_{name}", "m/s") for name in ("north", "east", "down"))
         return (*BELIEVED, *lacking, *sensed_axes(world, self.fleet, self.senses))
 
     def cost_rate(self, model: Fleet, fleet: FleetState) -> Array:
-        """Return the effort, and the squared error of the velocity (n,)."""
+        """Return each vehicle's cost per second (n,): effort plus squared velocity error."""
         error = velocity_of(model.vehicle.pose(fleet.vehicle)) - self._target_velocity()
         return self.effort.rate(fleet.command) + square(error)
 
     def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
-        """Return the highest effort, and the largest error (n,) of a velocity within the limits of the state."""
+        """Return the largest cost (n,): full effort, and the largest velocity error within the limits."""
         fleet = world.fleets[number_of(world, self.fleet)]
         error = math.sqrt(3.0) * fleet.limits.velocity + jnp.sqrt(square(self._target_velocity()))
         return Commanded.highest_cost(self, memory, world, duration) + error * error * duration

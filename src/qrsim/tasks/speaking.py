@@ -20,12 +20,12 @@ HEARD, SENDER, AGE, RSSI, MASK = "heard", "sender", "age", "rssi", "mask"
 
 
 def message_size(world: World) -> int:
-    """Return how many numbers a message has (D); 0 without a radio."""
+    """Return the size D of a radio message; 0 without a radio."""
     return 0 if world.radio is None else world.radio.size
 
 
 def spoken(world: World, name: str, actions: tuple[Action, ...], words: Array) -> tuple[Action, ...]:
-    """Return actions with what the agents (n,) of the named fleet say to all.
+    """Return the fleets' actions with the radio messages of the named fleet's agents (n, D) added.
 
     Args:
         world: with a radio.
@@ -41,7 +41,7 @@ def spoken(world: World, name: str, actions: tuple[Action, ...], words: Array) -
 
 
 def at_first_period(world: World, actions: tuple[Action, ...], tick: Array, number: Array) -> tuple[Action, ...]:
-    """Return actions that pass their messages to the radio at one tick of a step only.
+    """Return actions that send their radio messages only in the first radio period of a step.
 
     That is the first tick of a step at which a period of the radio begins: so every message is sent once, and of steps
     within one period those that cannot be sent do not crowd the queue.
@@ -66,7 +66,7 @@ def at_first_period(world: World, actions: tuple[Action, ...], tick: Array, numb
 
 
 def overheard(world: World, state: State, name: str, seen: object, tick: Array) -> dict[str, object]:
-    """Return what the agents of the named fleet see, with what they have heard by a tick; 0 where there is no message.
+    """Return observations with the radio messages that the named fleet's agents have received by a tick.
 
     Returns:
         see; heard (n, K, D); sender (n, K) int32 number of a vehicle in the world, -1 for none; age (n, K) [s];

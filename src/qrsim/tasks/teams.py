@@ -1,6 +1,6 @@
 """Agents of one fleet or of several: who they are, and their numbers in one array or by fleet.
 
-In an array (n, W) of actions the agents are those of all fleets in the order of ``Task.fleets``, and W is the largest
+In an array (n, A) of actions the agents are those of all fleets in the order of ``Task.fleets``, and A is the largest
 number of any agent's axes; what an agent has no axis for is 0 and not looked at.
 """
 
@@ -40,7 +40,7 @@ class Side:
 
 
 def sides_of(task: Task, world: World) -> tuple[Side, ...]:
-    """Return the agents of each fleet of a task.
+    """Return the agents of each fleet of a task, a ``Side`` each.
 
     Raises:
         UsageError: a fleet is none, or is named twice, or a task of several fleets does not say what each of them does.
@@ -62,7 +62,7 @@ def sides_of(task: Task, world: World) -> tuple[Side, ...]:
 
 
 def width(sides: tuple[Side, ...]) -> int:
-    """Return the largest number of axes of any agent (W)."""
+    """Return the largest number of axes of any agent (A)."""
     return max(len(side.axes) for side in sides)
 
 
@@ -72,7 +72,7 @@ def axes_of_agents(sides: tuple[Side, ...]) -> tuple[tuple[Axis, ...], ...]:
 
 
 def in_units(sides: tuple[Side, ...], action: Any) -> Any:
-    """Scale actions (n, W), clipped to [-1, 1], to the units of their axes; NumPy or JAX."""
+    """Scale actions (n, A), clipped to [-1, 1], to the units of their axes; NumPy or JAX."""
     lib, most = library(action), width(sides)
     ends = []
     for end, nothing in (("low", -1.0), ("high", 1.0)):
@@ -83,14 +83,14 @@ def in_units(sides: tuple[Side, ...], action: Any) -> Any:
 
 
 def apart(sides: tuple[Side, ...], action: Any) -> Any:
-    """Return actions (n, W) unchanged, or for several fleets as a dict by fleet of (n_f, A_f)."""
+    """Return actions (n, A) unchanged for one fleet, else as a dict of fleet -> (n_f, A_f)."""
     if len(sides) == 1:
         return action
     return {side.fleet: action[side.rows, : len(side.axes)] for side in sides}
 
 
 def together(sides: tuple[Side, ...], given: Any, what: str = "action") -> Any:
-    """Return actions by fleet (n_f, A_f) as one array (n, W) of NumPy or JAX; the inverse of ``apart``.
+    """Return actions by fleet (n_f, A_f) as one array (n, A) of NumPy or JAX; the inverse of ``apart``.
 
     Args:
         sides: of several fleets.
@@ -114,7 +114,7 @@ def together(sides: tuple[Side, ...], given: Any, what: str = "action") -> Any:
 
 
 def by_fleet(given: object, names: list[str], what: str) -> None:
-    """Check that something is a dict with one entry for each fleet.
+    """Raise UsageError unless ``given`` is a dict with one entry for each fleet.
 
     Raises:
         UsageError: it is not.
@@ -131,17 +131,17 @@ def by_fleet(given: object, names: list[str], what: str) -> None:
 
 
 def of_all(sides: tuple[Side, ...], values: Any) -> Array:
-    """Return a task's values (n,): as they are, of several fleets those of a dict by fleet (n_f,)."""
+    """Return a task's values as one array (n,), joined from a dict by fleet if there are several."""
     return values if len(sides) == 1 else jnp.concatenate([values[side.fleet] for side in sides])
 
 
 def part_of(sides: tuple[Side, ...], seen: Any, number: int) -> Any:
-    """Return one agent's observation, leaves (B, ...), from that of all, leaves (B, n, ...), by fleet if several."""
+    """Return a copy of one agent's observation, leaves (B, ...), from all agents' (B, n, ...), by fleet if several."""
     side = side_of(sides, number)
     mine = seen if len(sides) == 1 else seen[side.fleet]
     return jax.tree.map(lambda leaf: leaf[:, number - side.rows.start].copy(), mine)
 
 
 def side_of(sides: tuple[Side, ...], number: int) -> Side:
-    """Return the fleet of an agent, by its number among all."""
+    """Return the side that an agent, by its number among all, belongs to."""
     return next(side for side in sides if number < side.rows.stop)

@@ -53,7 +53,7 @@ class Air(Contents):
     most_in_film = 300
 
     def begin(self) -> None:
-        """Make the arrows, and take the plane's height from where vehicles start."""
+        """Add the arrows, and set the plane's height by the vehicles' starts."""
         cast = self.stage.cast
         seen = cast.start_ned if cast.around is None else np.vstack([cast.start_ned, cast.around])
         side = max(LEAST_SIDE, SIDES * float(np.ptp(seen[:, :2], axis=0).max()))
@@ -78,16 +78,16 @@ class Air(Contents):
 
     @property
     def highest(self) -> float:
-        """Return the largest height that can be chosen [m]."""
+        """Return the largest height [m] that users can choose."""
         return max(60.0, 2.0 * self.height)
 
     @property
     def label(self) -> str:
-        """Return what a page without controls of it says."""
+        """Return the layer's name on a page without controls: title, kind and height."""
         return f"{self.title}: {self.shows} at {self.height:g} m"
 
     def draw(self, frame: Frame) -> None:
-        """Turn the arrows; they are where the vehicles are."""
+        """Turn the arrows along the wind; the grid moves with the vehicles."""
         if frame.beside is None:
             return
         places = self._places(frame)
@@ -103,14 +103,14 @@ class Air(Contents):
         self._handle.batched_colors = np.broadcast_to(shapes.linear(colours), (ALONG**2, 3)).copy()
 
     def _places(self, frame: Frame) -> Floats:
-        """Return the places of the arrows: around the vehicles, in steps of their distance."""
+        """Return the positions of the arrows, a grid around the vehicles that moves in steps of its spacing."""
         known = frame.position_ned[frame.valid & np.isfinite(frame.position_ned).all(axis=1)]
         middle = np.zeros(3) if not len(known) else 0.5 * (known.min(axis=0) + known.max(axis=0))
         corner = self.cell * np.round(middle / self.cell)
         return (self._offsets + np.array([corner[0], corner[1], -self.height])).astype(np.float32)
 
     def _asked(self, beside: Beside, time: float, places: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return what ``_ask`` computes of the air at places (k, 3) [m] and a time [s], as float64 arrays."""
+        """Return mean wind, gusts [m/s] and heights [m] at places (k, 3) [m] and a time [s], as float64."""
         tick = np.int32(round(time / self.world.time_step))
         with jax.enable_x64(self._dtype == np.float64):
             found = self._ask(beside.world, beside.drawn, beside.field, tick, places.astype(self._dtype))
@@ -118,12 +118,12 @@ class Air(Contents):
 
 
 def blows_as_a_field(world: World) -> bool:
-    """Return whether the turbulence is a function of place, not of each vehicle's own."""
+    """Return whether the turbulence is a function of position, and not separate for each vehicle."""
     return "position_ned" in world.turbulence.reads
 
 
 def has_a_plane(world: World) -> bool:
-    """Return whether the air differs from place to place in a way that is known without vehicles."""
+    """Return whether the air varies in space in a way that needs no vehicles to compute."""
     return blows_as_a_field(world) or "position_ned" in world.wind.reads or bool(world.updrafts)
 
 
@@ -150,5 +150,5 @@ def air_at(world: World, drawn: Any, field: object, tick: Array, places: Array) 
 
 
 def air_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return the layer of a world whose air differs from place to place."""
+    """Return a list with the layer of the air, [] for a world whose air is the same everywhere."""
     return [Air(stage, world)] if has_a_plane(world) else []

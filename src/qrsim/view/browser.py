@@ -44,7 +44,7 @@ def find_browser() -> str | None:
 
 
 def require_browser() -> str:
-    """Return the path of a browser.
+    """Return the path of a browser that runs headless; raises an error if none is installed.
 
     Raises:
         RunError: there is none; it says how to install one.
@@ -157,7 +157,7 @@ class Browser:
         return number
 
     def _read(self) -> None:
-        """Take what the browser says, in a thread of its own."""
+        """Handle the browser's messages until it ends; the body of a thread."""
         with suppress(OSError, EOFError, ConnectionClosed):
             for text in self._socket:
                 message = json.loads(text)
@@ -172,7 +172,7 @@ class Browser:
             self._arrived.notify_all()
 
     def _note(self, method: str, parameters: dict[str, Any]) -> None:
-        """Keep the addresses that the page requests; watch each worker before it starts."""
+        """Record the addresses that the page requests, and attach to each worker before it starts."""
         if method == "Network.requestWillBeSent":
             self.requested.append(parameters["request"]["url"])
         elif method == "Network.webSocketCreated":
@@ -183,7 +183,7 @@ class Browser:
                 self._send(wish, {}, sessionId=parameters["sessionId"])
 
     def open(self, url: str) -> None:
-        """Go to an address."""
+        """Load an address in the page."""
         self.call("Page.navigate", url=url)
 
     def evaluate(self, expression: str) -> Any:

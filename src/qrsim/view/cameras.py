@@ -35,7 +35,7 @@ class Cameras(Contents):
     every = 5
 
     def begin(self) -> None:
-        """Start without pictures."""
+        """Add the nodes of the layer, without pictures yet."""
         first = np.cumsum([0, *(fleet.size for fleet in self.world.fleets)])
         self._owners = [
             (int(first[number]) + i, number, index, i)
@@ -52,7 +52,7 @@ class Cameras(Contents):
         )
 
     def look(self, beside: Beside, time: float) -> None:
-        """Draw new pictures."""
+        """Redraw the last pictures of the chosen vehicles' cameras, if there are new ones."""
         owners = [owner for owner in self._owners if owner[1:3] in beside.cameras]
         chosen = [owner for owner in owners if owner[0] in self.stage.chosen] or owners[:MOST_SHOWN]
         shown = []
@@ -73,7 +73,7 @@ class Cameras(Contents):
         self._edges.points = np.concatenate(edges).astype(np.float32)
 
     def _picture(self, beside: Beside, number: int, index: int, i: int) -> tuple[Floats, Any]:
-        """Return where a vehicle took its last picture (3,), and the picture."""
+        """Return the position (3,) at which a vehicle took its last picture, and the picture."""
         reading = jax.tree.map(lambda leaf: np.asarray(leaf)[i : i + 1], beside.cameras[number, index])
         with jax.enable_x64(self._dtype == np.float64):
             keys = beside.fleet_keys[number]
@@ -115,7 +115,7 @@ def _developed(
 
 
 def _window() -> shapes.Mesh:
-    """Return a square of side 1 that lies on the ground."""
+    """Return a flat square of side 1, for one window of a picture on the ground."""
     corners = np.array([(-0.5, -0.5, 0.0), (0.5, -0.5, 0.0), (0.5, 0.5, 0.0), (-0.5, 0.5, 0.0)])
     return corners, np.array([(0, 1, 2), (0, 2, 3)])
 
@@ -138,7 +138,7 @@ def _windows(picture: Any, z: float) -> tuple[Floats, Floats, Floats, Floats]:
 
 
 def _edges(where: Floats, picture: Any, z: float) -> Floats:
-    """Return lines (8, 2, 3) from where a picture was taken to its corners at a height -z [m], and its outline."""
+    """Return lines (8, 2, 3) from the camera to the picture's corners at a height -z [m], and around the picture."""
     rows, columns = int(picture.rows), int(picture.columns)
     ends = ((0, 0), (0, columns), (rows, columns), (rows, 0))
     corners = np.array([(picture.north[end], picture.east[end], z) for end in ends])
@@ -157,5 +157,5 @@ def camera_places(world: World) -> list[tuple[int, int]]:
 
 
 def camera_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return the layer of the cameras, if there are any."""
+    """Return a list with the layer of the cameras, [] without cameras."""
     return [Cameras(stage, world)] if camera_places(world) else []

@@ -77,7 +77,7 @@ class Clock:
             self._changed.notify_all()
 
     def wait(self, step_s: float, most: int) -> int:
-        """Wait until time steps are due, and return their number.
+        """Wait until time steps are due, and return their number, at most ``most``.
 
         What is too slow for the speed falls behind; it does not hurry after it later.
 
@@ -113,12 +113,12 @@ class Clock:
         return min(count, limit)
 
     def _missing(self, step_s: float) -> float:
-        """Return how long it takes until a frame and a step are due [s]."""
+        """Return the time [s] until a frame and a step are due."""
         return max(self._sent + FRAME_S, self._anchor + step_s / self._speed) - self._now()
 
 
 def checked_speed(speed: float) -> float:
-    """Check a speed and return it.
+    """Return a speed unchanged; raises UsageError if it is out of range.
 
     Raises:
         UsageError: it is out of range.

@@ -46,7 +46,7 @@ class Columns:
             self._read(run[stream].batches([column for columns in known.values() for column in columns]), known)
 
     def _read(self, batches: Iterable[Batch], known: dict[str, tuple[str, ...]]) -> None:
-        """Copy every ``stride``-th row of the columns into the vectors, batch by batch."""
+        """Copy every ``stride``-th row of the batches into the stored vectors."""
         seen = kept = 0
         for batch in batches:
             chosen = slice(-seen % self.stride, None, self.stride)
@@ -57,7 +57,7 @@ class Columns:
                     self._vectors[name][rows, :, part] = batch.arrays[column][chosen]
 
     def at(self, name: str, time: Any) -> Floats:
-        """Return the last values (..., n, k) up to times (...) [s]; NaN where there are none."""
+        """Return the last values (..., n, k) at or before times (...) [s]; NaN before the first."""
         shape = (*np.shape(time), self._size, 3)
         if name not in self._vectors or not len(self.time):
             return np.full(shape, np.nan, np.float32)

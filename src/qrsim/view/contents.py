@@ -32,12 +32,12 @@ class Contents(Layer):
         super().__init__(stage)
 
     def draw(self, frame: Frame) -> None:
-        """Draw the contents, if known."""
+        """Draw the layer at the frame's time, if the world's contents are known."""
         if frame.beside is not None:
             self.look(frame.beside, frame.time)
 
     def look(self, beside: Beside, time: float) -> None:
-        """Draw the layer from the contents ``beside`` the vehicles at a time [s]."""
+        """Draw the layer from the world's contents (``beside``) at a time [s]."""
 
 
 class Cover(Contents):
@@ -46,11 +46,11 @@ class Cover(Contents):
     title = "terrain"
 
     def begin(self) -> None:
-        """Start without plates, because the ground is drawn once an episode."""
+        """Add no nodes: the ground's cover is drawn once per episode."""
         self._drawn = False
 
     def look(self, beside: Beside, time: float) -> None:
-        """Add a plate for each class but clear ground."""
+        """Add a plate for each ground class except clear ground."""
         if self._drawn:
             return
         self._drawn = True
@@ -73,7 +73,7 @@ class Cover(Contents):
 
 
 def plate(there: Floats, low: Floats, high: Floats) -> shapes.Mesh:
-    """Return a flat mesh of the cells (N, M) that are there of a grid between two corners (2,) [m], without seams.
+    """Return a flat mesh without seams of the True cells of a grid (N, M) between two corners (2,) [m].
 
     Neighbours share their corners, so nothing shows through between them.
     """
@@ -96,11 +96,11 @@ class Persons(Contents):
     title = "persons"
 
     def begin(self) -> None:
-        """Start without pins, because persons are drawn once an episode."""
+        """Add no pins: persons are drawn once per episode."""
         self._handle: Any = None
 
     def look(self, beside: Beside, time: float) -> None:
-        """Colour the pins of persons that have been found."""
+        """Colour the pins of found persons."""
         persons = beside.contents.persons
         there, found = np.asarray(persons.there), np.asarray(persons.found_tick) >= 0
         colours = shapes.linear(np.where(found[:, None], FOUND_COLOUR, MISSING_COLOUR))
@@ -121,7 +121,7 @@ class Plume(Contents):
     every = 30
 
     def begin(self) -> None:
-        """Sample the points."""
+        """Add the nodes, and draw random sample points."""
         area, rng = self.world.area, np.random.default_rng(1)
         low, high = ([float(getattr(area, f"{axis}_{end}")) for axis in "xyz"] for end in ("min", "max"))
         self._dtype = np.asarray(self.world.fleets[0].start.position_ned.x).dtype
@@ -139,7 +139,7 @@ class Plume(Contents):
         )
 
     def look(self, beside: Beside, time: float) -> None:
-        """Evaluate the concentration and draw the strongest points."""
+        """Evaluate the concentration at the sample points and show the strongest ones."""
         tick = np.int32(round(time / self.world.time_step))
         with jax.enable_x64(self._dtype == np.float64):
             found = np.asarray(self._ask(beside.world, beside.drawn, beside.contents, tick, self._places))
@@ -161,7 +161,7 @@ def _concentration(world: World, drawn: Any, contents: ContentsState, tick: Any,
 
 
 def contents_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return the layers of a world's contents; the area is a box."""
+    """Return the layers of a world's contents, whose area must be a box."""
     if not world.area.is_box:
         return []
     parts = (("terrain", Cover), ("persons", Persons), ("plume", Plume))

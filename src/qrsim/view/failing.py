@@ -40,7 +40,7 @@ class Target:
     is_part: bool = False
 
     def numbers(self, kind: str) -> str:
-        """Return numbers of a kind to begin with, as a text."""
+        """Return the default parameters of a kind of fault as text, such as "field=height bias=2"."""
         part = kind in TAKES and TAKES[kind].field and self.fields
         field = f"field={self.fields[0]} " if part else ""
         taken = PARTS[self.name.split()[0]][kind] if self.is_part else kind
@@ -48,12 +48,12 @@ class Target:
 
 
 def targets_of_all(world: World) -> list[list[Target]]:
-    """Return for each vehicle of a world what can be made to fail of it."""
+    """Return for each vehicle of a world the targets of faults that it has."""
     return [found for fleet in world.fleets for found in [_targets(fleet)] * fleet.size]
 
 
 def _targets(fleet: Fleet) -> list[Target]:
-    """Return what can be made to fail in a fleet: its sensors with fault slots, then its parts."""
+    """Return a fleet's targets of faults: its sensors with fault slots, then its parts."""
     sensors = [Target(slot.sensor, KINDS, slot.fields) for slot in fleet.fault_slots]
     parts = [name for name in targets_of(fleet) if name not in fleet.sensor_names]
     return sensors + [Target(name, tuple(PARTS[name.split()[0]]), is_part=True) for name in parts]
@@ -93,7 +93,7 @@ class FailingControls:
         self.clear.on_click(lambda _: self.ask_clear())
 
     def show(self, vehicle: int | None) -> None:
-        """Show the controls of a vehicle, or none."""
+        """Show the fault controls of a vehicle; None hides them."""
         self._vehicle = vehicle
         own = [] if vehicle is None else self._targets[vehicle]
         if own:
@@ -110,7 +110,7 @@ class FailingControls:
         return next((each for each in own if each.name == self.target.value), None)
 
     def _retarget(self) -> None:
-        """Offer the kinds of fault that the selected target can have."""
+        """Update the kinds of fault to those of the selected target."""
         chosen = self._chosen()
         if chosen is not None and self.kind.options != chosen.kinds:
             self.kind.options = chosen.kinds
@@ -123,7 +123,7 @@ class FailingControls:
             self.numbers.value = chosen.numbers(self.kind.value)
 
     def ask_inject(self) -> None:
-        """Ask for the fault that is set."""
+        """Request the fault that the controls describe."""
         chosen = self._chosen()
         if chosen is None or self._vehicle is None:
             return
@@ -138,7 +138,7 @@ class FailingControls:
         )
 
     def ask_clear(self) -> None:
-        """Ask that the fault of the target end."""
+        """Request the end of the faults of the selected target."""
         chosen = self._chosen()
         if chosen is not None and self._vehicle is not None:
             self._ask(Request(chosen.name, OK, (self._names[self._vehicle],)))

@@ -129,7 +129,7 @@
     say();
   };
   window.qrsimFilm = {
-    state, show,
+    state, show, lines: (wish) => lines(wish),
     wish: (wish) => {
       if ("time" in wish) go(wish.time);
       if ("play" in wish) play(wish.play);
@@ -160,7 +160,8 @@
     parent.append(found);
     return found;
   };
-  const panel = make("div", document.body, "", "position:fixed;right:8px;top:8px;width:280px;max-width:calc(100vw - 16px);" +
+  const panel = make("div", document.body, "", `position:fixed;right:8px;top:${innerWidth > 600 ? 8 : 46}px;width:280px;` +
+    "max-width:calc(100vw - 16px);" +
     "max-height:calc(100vh - 60px);overflow:auto;z-index:40;background:rgba(250,250,250,.94);color:#222;padding:8px 10px;" +
     "box-sizing:border-box;border:1px solid #bbb;border-radius:4px;font:13px sans-serif");
   panel.id = "qrsim-panel";
@@ -191,36 +192,18 @@
     state.follow = on;
     mark();
   });
-  const plots = make("div", whole);
   const layers = make("details", whole);
   make("summary", layers, "Layers", "cursor:pointer");
   for (const layer of about.layers) tick_box(layers, layer.title, layer.shown, (on) => visible(layer, on));
   const visible = (layer, on) => send([{type: "SetSceneNodeVisibilityMessage", name: layer.path, visible: on, owner: ""}]);
 
-  // ---- plots of the chosen vehicle ----
-  let readings = null, sky = null;
-  const reading = [0, 1].map((number) => {
-    const wanted = about.quantities.findIndex((name) => name.endsWith(["position_ned.x", "height"][number]));
-    return wanted < 0 ? Math.min(number, about.quantities.length - 1) : wanted;
-  });
-  const canvases = [];
+  let sky = null;
   const choose = async (vehicle) => {
     state.chosen = vehicle;
-    readings = vehicle < 0 ? null : await unpacked("readings-" + vehicle);
-    sky = vehicle < 0 || !about.sky.times.length ? null : await unpacked("sky-" + vehicle);
-    plots.style.display = readings ? "" : "none";
+    sky = about.sky.times.length && element("sky-" + vehicle) ? await unpacked("sky-" + vehicle) : null;
     mark();
-    draw();
+    drawSky();
   };
-  const labels = about.quantities.map((name, i) => about.units[i] ? `${name} [${about.units[i]}]` : name);
-  if (about.quantities.length) {
-    reading.forEach((chosen, number) => {
-      choice(plots, "Reading", labels, chosen, (now) => { reading[number] = now; draw(); });
-      canvases.push(make("canvas", plots, "", "width:100%;height:110px"));
-    });
-    make("div", plots, "measured in the colour of the vehicle, grey: true; the last minute", "color:#666;font-size:11px");
-    plots.style.display = "none";
-  }
   // The sky over it (sky.js), where its receiver says anything of its satellites.
   let shownSky = "";
   const drawSky = () => {
@@ -234,34 +217,51 @@
     }
     window.qrsim?.sky(satellites.length ? {vehicle: about.vehicles[state.chosen], satellites} : null);
   };
-  const draw = () => {
-    drawSky();
-    if (!readings) return;
-    const count = readings.measured.length / about.quantities.length;
-    canvases.forEach((canvas, number) => {
-      const first = Math.max(0, Math.ceil((state.time - 60) / about.period)), last = Math.min(count - 1, Math.floor(state.time / about.period + 1e-6));
-      const curves = [readings.measured, readings.true].map((all) => all.subarray(reading[number] * count + first, reading[number] * count + last + 1));
-      const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
-      Object.assign(canvas, {width: width * ratio, height: height * ratio});
-      const pen = canvas.getContext("2d");
-      pen.scale(ratio, ratio);
-      const known = curves.flatMap((curve) => [...curve]).filter(Number.isFinite);
-      if (known.length < 2) { pen.fillText("nothing was measured", 8, 20); return; }
-      let low = Math.min(...known), high = Math.max(...known);
-      if (high - low < 1e-9) { low -= 0.5; high += 0.5; }
-      const left = 46, bottom = height - 16;
-      const x = (i) => left + (width - left - 4) * (i / Math.max(1, last - first)), y = (v) => 6 + (bottom - 6) * (high - v) / (high - low);
-      pen.fillStyle = "#555";
-      pen.font = "10px sans-serif";
-      for (const value of [low, 0.5 * (low + high), high]) pen.fillText(value.toPrecision(4), 2, y(value) + 3);
-      for (const i of [first, last]) pen.fillText((i * about.period).toFixed(1) + " s", i === first ? left : width - 44, height - 3);
-      curves.forEach((curve, k) => {
-        pen.strokeStyle = [window.qrsim?.colour(state.chosen) ?? "#3772f7", "#8a8f94"][k];
-        pen.beginPath();
-        curve.forEach((value, i) => { if (Number.isFinite(value)) pen.lineTo(x(i), y(value)); });
-        pen.stroke();
-      });
+  // ---- lines of plots (plots.js) ----
+  const numbers = new Map(about.quantities.map((name, row) => [name, row])), values = new Map();
+  const valuesOf = (vehicle) => {
+    if (!values.has(vehicle)) values.set(vehicle, unpacked("plots-" + vehicle));
+    return values.get(vehicle);
+  };
+  const lines = async ({number, lines, from, to, bins}) => {
+    const count = Math.min(2000, Math.max(10, bins)), step = (to - from) / count, period = about.period, parts = [];
+    const times = Float32Array.from({length: 2 * count}, (_, i) => from + step * (i >> 1) + (i & 1 ? 0.5 * step : 0));
+    const row = (found, name) => {
+      const size = found.values.length / about.quantities.length, at = numbers.get(name) * size;
+      return found.values.subarray(at, at + size);
+    };
+    // Two values a bin, as of the server (plots.py): its extremes in their order, or where it has fewer, the last.
+    const binned = (own) => Float32Array.from(times, (time, i) => {
+      const at = (t) => Math.min(own.length - 1, Math.max(0, Math.floor(t / period + 1e-6)));
+      if (step <= 2 * period) return own[at(time)];
+      const first = at(times[i - (i & 1)]), last = Math.max(first + 1, at(times[i - (i & 1)] + step));
+      let low = first, high = first;
+      for (let k = first; k < last; k++) { if (!(own[k] >= own[low])) low = k; if (!(own[k] <= own[high])) high = k; }
+      return own[(i & 1) === (low < high ? 0 : 1) ? low : high];
     });
+    const heads = [];
+    for (const [name, vehicle] of lines) {
+      const found = await valuesOf(vehicle);
+      if (!numbers.has(name)) { heads.push(null); continue; }
+      const own = row(found, name), head = {low: null, high: null, lowAt: null, highAt: null, band: false};
+      for (let k = Math.max(0, Math.ceil(from / period - 1e-6)); k < own.length && k * period <= to + 1e-6; k++) {
+        if (!Number.isFinite(own[k])) continue;
+        if (head.low === null || own[k] < head.low) Object.assign(head, {low: own[k], lowAt: k * period});
+        if (head.high === null || own[k] > head.high) Object.assign(head, {high: own[k], highAt: k * period});
+      }
+      if (head.low === null) { heads.push(null); continue; }
+      parts.push(binned(own));
+      const std = name.replace("commands.estimate.", "commands.estimate_std.");
+      if (std !== name && numbers.has(std)) {
+        head.band = true;
+        const wide = row(found, std);
+        for (const side of [-about.band, about.band]) parts.push(binned(own.map((value, k) => value + side * wide[k])));
+      }
+      heads.push(head);
+    }
+    const floats = new Float32Array(2 * count * (parts.length + 1));
+    [times, ...parts].forEach((part, i) => floats.set(part, 2 * count * i));
+    return {number, lines: heads, floats};
   };
 
   const say = () => {
@@ -274,7 +274,7 @@
     status.textContent = lines.join("\n");
     window.qrsim?.reasons(Object.fromEntries(stopped.slice(-20).map((stop) => [stop[1], stop[2]])));
     window.qrsimTime?.(time, state.playing, state.speed);
-    draw();
+    drawSky();
   };
 
   // ---- the begin: once viser shows the first frame ----

@@ -18,14 +18,15 @@ from qrsim.core.arrays import Floats
 from qrsim.errors import RunError, UsageError, os_error_as
 from qrsim.models.gnss.constellations import satellite_name
 from qrsim.runs.export.output import replacing
-from qrsim.runs.layout import EVENTS
-from qrsim.view.readings import Readings, Skies, times_of_readings
+from qrsim.view.plots import BAND, Plots
+from qrsim.view.readings import Skies
 from qrsim.view.recording import Recording
 from qrsim.view.replay import remember_paths
 from qrsim.view.scene import Scene
 from qrsim.view.server import start_server
+from qrsim.view.several import Several
 from qrsim.view.tape import Packing, Tape
-from qrsim.view.timeline import marks
+from qrsim.view.timeline import marks, plots_script
 
 PAGE = "index.html"
 # At most so many frames a second, positions of vehicles and frames in all: a browser keeps the whole page.
@@ -39,11 +40,11 @@ Progress = Callable[[int, int], None]
 
 
 def untold(done: int, total: int) -> None:
-    """Tell nobody about the progress."""
+    """Ignore the progress."""
 
 
-def export(recording: Recording, folder: Path, progress: Progress = untold) -> Path:
-    """Write a page that plays the run, and return its path.
+def export(recording: Recording | Several, folder: Path, progress: Progress = untold) -> Path:
+    """Write a page that plays the run into a folder, and return the page's path.
 
     Args:
         recording: what is played.
@@ -71,44 +72,44 @@ def export(recording: Recording, folder: Path, progress: Progress = untold) -> P
     return path
 
 
-def film(recording: Recording) -> str:
-    """Return the page as text."""
+def film(recording: Recording | Several) -> str:
+    """Return the page that plays the run as text."""
     file = io.BytesIO()
     write_film(recording, file)
     return file.getvalue().decode("utf-8")
 
 
-def times_of(recording: Recording) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def times_of(recording: Recording | Several) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """Return the times [s] of the frames of a film."""
     count = min(_most_frames(recording), _frames(recording))
     return np.linspace(float(recording.time[0]), recording.end, max(1, count))
 
 
-def _most_frames(recording: Recording) -> int:
-    """Return the largest number of frames that a page of this recording may have, 2 at least."""
+def _most_frames(recording: Recording | Several) -> int:
+    """Return the largest number of frames that this recording's page may have, at least 2."""
     return min(MOST_FRAMES, max(2, MOST_POSES // recording.cast.size))
 
 
-def _frames(recording: Recording) -> int:
-    """Return the number of frames of a film at its usual rate, without a maximum."""
+def _frames(recording: Recording | Several) -> int:
+    """Return the number of frames at the usual rate, before any limit."""
     return min(int(recording.end * FASTEST_HZ) + 1, len(recording.time))
 
 
-def thinned(recording: Recording) -> list[str]:
-    """Return what a page leaves out of a long run, one line each."""
+def thinned(recording: Recording | Several) -> list[str]:
+    """Return a line of text for each thing that a long run's page leaves out."""
     found, times = [], times_of(recording)
     if _frames(recording) > len(times) or recording.shown > 1:
         found.append(f"so long a run is exported at every {times[1] - times[0]:.2g} s")
-    period = float(np.diff(times_of_readings(recording.run, recording.end)[:2])[0])
+    period = float(np.diff(Plots(recording).times()[:2])[0])
     if period > 1.0:
-        found.append(f"its readings are plotted at every {period:.2g} s")
+        found.append(f"its quantities are plotted at every {period:.2g} s")
     return found
 
 
 def write_film(
-    recording: Recording, file: BinaryIO, progress: Progress = untold, free: Callable[[], int] | None = None
+    recording: Recording | Several, file: BinaryIO, progress: Progress = untold, free: Callable[[], int] | None = None
 ) -> None:
-    """Write the page.
+    """Write the page that plays the run into an open file.
 
     Args:
         recording: what is played.
@@ -121,7 +122,7 @@ def write_film(
     """
     server = start_server(0)
     try:
-        found = _Film(recording, Scene(server, recording.cast, recording.world, recording.run.info.scenario))
+        found = _Film(recording, Scene(server, recording.cast, recording.world, recording.title))
         page = found.first_page(server.get_scene_serializer)
         end = page.rindex("</body>")
         file.write(page[:end].encode("utf-8"))
@@ -131,11 +132,12 @@ def write_film(
                 _check_room(len(text) * len(found.first) + len(page), free())
             _write_element(file, f"part-{number}", text)
         _write_element(file, "nodes", tape.nodes())
-        for number, text in enumerate(_readings(recording)):
-            _write_element(file, f"readings-{number}", text)
-        about = json.dumps({**found.about(), "sky": _write_skies(file, recording)})
+        plots = Plots(recording)
+        for number, text in enumerate(_lines(plots)):
+            _write_element(file, f"plots-{number}", text)
+        about = json.dumps({**found.about(plots), "sky": _write_skies(file, recording)})
         _write_element(file, "about", about.replace("<", "\\u003c"))
-        file.write(_script(recording).encode("utf-8"))
+        file.write(_script(recording, plots).encode("utf-8"))
         file.write(page[end:].encode("utf-8"))
     finally:
         server.stop()
@@ -148,20 +150,21 @@ def _check_room(wanted: int, free: int) -> None:
 
 
 def _write_element(file: BinaryIO, name: str, text: str) -> None:
-    """Write a text as an element that the browser does not run, for the scripts of the page to read."""
+    """Write text as an inert HTML element, which the page's scripts read."""
     file.write(f'<script type="text/plain" id="qrsim-{name}">{text}</script>\n'.encode())
 
 
-def _readings(recording: Recording) -> Iterator[str]:
-    """Yield measured and true values of each vehicle as text, for the plots of the page."""
-    for measured, true in Readings(recording.run, recording.end).of_vehicles():
+def _lines(plots: Plots) -> Iterator[str]:
+    """Yield the plotted values of each vehicle as packed text."""
+    for values in plots.of_vehicles():
         packing = Packing()
-        yield packing.text({"measured": packing.array(measured), "true": packing.array(true)})
+        yield packing.text({"values": packing.array(values)})
 
 
-def _write_skies(file: BinaryIO, recording: Recording) -> dict[str, object]:
-    """Write what receivers said of their satellites, and return when, and the names of all satellites by number."""
-    skies = Skies(recording.run, recording.end)
+def _write_skies(file: BinaryIO, recording: Recording | Several) -> dict[str, object]:
+    """Write the receivers' satellites over time; return the times, and the satellites' names by number."""
+    first = recording.members[0].recording
+    skies = Skies(first.run, first.end)
     numbers: set[int] = set()
     for number, said in enumerate(skies.of_vehicles()):
         numbers |= {int(which) for which in np.unique(said["satellite"]) if which >= 0}
@@ -171,22 +174,17 @@ def _write_skies(file: BinaryIO, recording: Recording) -> dict[str, object]:
     return {"names": names, "times": [round(time, 6) for time in skies.time.tolist()]}
 
 
-def _script(recording: Recording) -> str:
-    """Return the script element that plays the page: player, timeline, end and marks of the events."""
+def _script(recording: Recording | Several, plots: Plots) -> str:
+    """Return the script element that plays the page, with player, timeline, event marks and plots."""
     player, timeline = (files("qrsim.view").joinpath(name).read_text("utf-8") for name in ("film.js", "timeline.js"))
-    data = json.dumps({"end": recording.end, "marks": _marks(recording)})
-    return f"<script>{player}\n{{const data = {data};\n{timeline}}}".replace("</", "<\\/") + "</script>\n"
+    data = json.dumps({"end": recording.end, "marks": _marks(recording)}).replace("<", "\\u003c")
+    text = f"{player}\n{{const data = {data};\n{timeline}}}\n{{{plots_script(plots)}}}"
+    return f"<script>{text.replace('</', '<' + chr(92) + '/')}</script>\n"
 
 
-def _units(recording: Recording) -> list[str]:
-    """Return the units of the quantities, "" where one has none."""
-    known = recording.run.units("measurements") if recording.quantities else {}
-    return [known[name] for name in recording.quantities]
-
-
-def _marks(recording: Recording) -> list[tuple[float, str]]:
+def _marks(recording: Recording | Several) -> list[tuple[float, str]]:
     """Return (time [s], text) of the events of a run; none if events were not recorded."""
-    return marks(recording.run.events if EVENTS in recording.run else [])
+    return marks(recording.events)
 
 
 class _Film:
@@ -196,7 +194,7 @@ class _Film:
         first: number of the first frame of each part.
     """
 
-    def __init__(self, recording: Recording, scene: Scene):
+    def __init__(self, recording: Recording | Several, scene: Scene):
         self._recording, self._scene, self._times = recording, scene, times_of(recording)
         self.first = list(range(0, len(self._times), FRAMES_OF_A_PART))
         self._flying: list[tuple[float, int]] = []
@@ -208,7 +206,7 @@ class _Film:
                 layer.every = max(layer.every, len(self._times) / layer.most_in_film)
 
     def _draw(self, time: float, everything: bool = False) -> Floats:
-        """Draw the frame of a time [s], and return the positions (n, 3) [m]."""
+        """Draw the frame at a time [s], and return the vehicles' positions (n, 3) [m]."""
         frame = self._recording.frame(time)
         remember_paths(self._scene, self._recording, frame.time)
         self._scene.draw(frame, everything)
@@ -221,11 +219,11 @@ class _Film:
         """Return viser's page of the first frame."""
         self._draw(self._times[0], everything=True)
         text: str = serializer().as_html()
-        name = html.escape(self._recording.run.info.scenario)
+        name = html.escape(self._recording.title)
         return text.replace("<title>Viser</title>", f"<title>qrsim - {name}</title>", 1)
 
     def parts(self, tape: Tape, progress: Progress) -> Iterator[str]:
-        """Yield the texts of the parts."""
+        """Yield the text of each part of the film."""
         for first in self.first:
             positions = []
             for number, time in enumerate(self._times[first : first + FRAMES_OF_A_PART].tolist(), first):
@@ -239,10 +237,10 @@ class _Film:
             yield tape.part(positions=np.stack(positions))
         progress(len(self._times), len(self._times))
 
-    def about(self) -> dict[str, object]:
+    def about(self, plots: Plots) -> dict[str, object]:
         """Return the content of the page's heading, timeline, panel and plots, for JSON."""
         recording, layers = self._recording, self._scene.layers
-        times = times_of_readings(recording.run, recording.end)
+        times = plots.times()
         return {
             "heading": recording.heading,
             "end": recording.end,
@@ -255,8 +253,8 @@ class _Film:
             "flying": self._flying,
             "fliers": int(recording.cast.fliers.sum()),
             "stops": [(event.time, i, recording.why(event)) for event, i in recording.stops],
-            "quantities": recording.quantities,
-            "units": _units(recording),
+            "quantities": list(plots.quantities),
+            "band": BAND,
             "period": float(times[1] - times[0]),
-            "notes": thinned(recording),
+            "notes": [*thinned(recording), *recording.notes],
         }

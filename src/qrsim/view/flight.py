@@ -22,7 +22,7 @@ RELOAD_S = 3.0
 
 
 def completed(arguments: Sequence[str]) -> list[str]:
-    """Return arguments with ``--view`` alone written out as ``--view=now``."""
+    """Return command-line arguments with a bare ``--view`` replaced by ``--view=now``."""
     found = list(arguments)
     for i, word in enumerate(found):
         following = found[i + 1] if i + 1 < len(found) else ""
@@ -33,7 +33,7 @@ def completed(arguments: Sequence[str]) -> list[str]:
 
 @contextmanager
 def shown(how: str, port: int, host: str) -> Iterator[LiveView | None]:
-    """Open the page while the context lasts; with "wait", first wait for a browser."""
+    """Open the page in the context and yield it, None if not requested; with "wait", first wait for a browser."""
     if how == OFF:
         yield None
         return
@@ -55,7 +55,7 @@ def shown(how: str, port: int, host: str) -> Iterator[LiveView | None]:
 
 
 def replay(page: LiveView, folder: Path) -> None:
-    """Make the page a replay of the run that was flown."""
+    """Replace the live page by a replay of the run that was flown."""
     from qrsim.runs import open_run
     from qrsim.view.recording import Recording
 
@@ -67,7 +67,7 @@ def replay(page: LiveView, folder: Path) -> None:
 
 
 def stay(page: LiveView) -> None:
-    """Keep the page: on a terminal until Ctrl-C, else while a browser shows it."""
+    """Keep the page open: on a terminal until Ctrl-C, else while a browser shows it."""
     with ending() as asked:
         if sys.stderr.isatty():
             print(f"the page stays, as a replay: {page.address}  (Ctrl-C ends it)", file=sys.stderr, flush=True)

@@ -103,8 +103,10 @@ class Cast:
         around: (K, 3) corners of what is to be seen beside them [m]; None: nothing.
         outlines: looks of the vehicles of each fleet; none: all are quadrotors.
         places: that a task is about; None: none are known.
-        routes: of each vehicle its start and the places (W, 3) that it is sent to [m]; W is 0 where there are none.
+        routes: of each vehicle its start and the places (P, 3) that it is sent to [m]; P is 0 where there are none.
         flown: (K, 3) places along the paths of a recording [m]; None: it has not been flown yet.
+        runs: what each of several runs is called; none: there is one only.
+        run_of: (n,) number of the run of each vehicle; None: there is one only.
     """
 
     names: tuple[str, ...]
@@ -115,24 +117,26 @@ class Cast:
     places: Places | None = None
     routes: tuple[Floats, ...] = ()
     flown: Floats | None = None
+    runs: tuple[str, ...] = ()
+    run_of: Floats | None = None
 
     @property
     def kinds(self) -> list[tuple[Outline | None, Floats]]:
-        """Looks, and the numbers (k,) of the vehicles that have them."""
+        """Outlines (looks), each with the numbers (k,) of its vehicles."""
         of_fleets = self.outlines or (None,) * (int(self.fleets.max(initial=0)) + 1)
         each = [of_fleets[number] for number in self.fleets]
         return [(kind, np.array([i for i, own in enumerate(each) if own == kind])) for kind in dict.fromkeys(each)]
 
     @property
     def fliers(self) -> Floats:
-        """Which vehicles (n,) fly, bool: those that are neither cars nor masts."""
+        """Which vehicles are aircraft, (n,) bool: neither cars nor masts."""
         of_fleets = self.outlines or (None,) * (int(self.fleets.max(initial=0)) + 1)
         flies = np.array([look is None or bool(look.rotors) or look.kind == "plane" for look in of_fleets])
         return np.asarray(flies[self.fleets])
 
     @property
     def true_span(self) -> float:
-        """How large the largest of the vehicles is [m]."""
+        """Size of the largest vehicle [m]."""
         spans = [
             2.0 * (math.hypot(x, y) + outline.rotor_radius)
             for outline in self.outlines
@@ -154,14 +158,14 @@ class Cast:
 
     @property
     def _seen(self) -> Floats:
-        """All places (k, 3) in NED [m] that the camera should have in view at the start."""
+        """Positions (k, 3) NED [m] that the initial view must contain."""
         parts = [self.start_ned, self.ways]
         parts += [] if self.around is None else [self.around]
         return np.vstack(parts if self.places is None else [*parts, self.places.goals])
 
     @property
     def ways(self) -> Floats:
-        """Places (K, 3) along routes and paths that a first view shows beside the vehicles [m]; K may be 0."""
+        """Positions (K, 3) NED [m] along routes and paths for the initial view; K may be 0."""
         found = np.vstack([np.zeros((0, 3)), *self.routes, *(() if self.flown is None else (self.flown,))])
         found = found[np.isfinite(found).all(axis=1)]
         return found[:: 1 + len(found) // MOST_WAYS]
@@ -187,7 +191,7 @@ def cast_of(world: World, start_ned: Floats, places: Places | None = None) -> Ca
 
 
 def _routes(fleet: Fleet) -> Iterator[Floats]:
-    """Yield the start and the waypoints or ends of legs (W, 3) [m] of each vehicle; none for who is sent nowhere."""
+    """Yield each vehicle's start and waypoints or ends of legs, (P, 3) [m]; (0, 3) without a route."""
     starts, places = axes_of(fleet.start.position_ned), axes_of(fleet.route.position_ned)
     for i, count in enumerate(np.ravel(np.asarray(fleet.route.count)).tolist()):
         way = np.vstack([starts[i], places[:count, i]]).astype(np.float64)
@@ -197,7 +201,7 @@ def _routes(fleet: Fleet) -> Iterator[Floats]:
 
 
 def _contents_corners(world: World) -> Floats | None:
-    """Return the corners of the area where something is in it beside vehicles."""
+    """Return the corners of the area if the world has contents; None otherwise."""
     area = world.area
     if not (area.is_box and world.contents.random):
         return None
@@ -208,7 +212,7 @@ def frame_of(state: State, time: float, world: World) -> Frame:
     """Return the frame of a state of NumPy arrays of a world at a simulated time [s]."""
 
     def gather(pick: Any) -> Floats:
-        """Return a vector of each fleet's state, (n, 3) for the vehicles of all fleets."""
+        """Return a vector of all fleets' vehicles, (n, 3); ``pick`` selects it from a fleet's state."""
         return np.concatenate([axes_of(pick(fleet)) for fleet in state.fleets])
 
     models = [fleet.vehicle for fleet in world.fleets]
@@ -256,7 +260,7 @@ def axes_of(vector: object) -> Floats:
 
 
 def _fix(fleet: FleetState) -> object:
-    """Return the position that a fleet's first GNSS receiver reports, NaN without one."""
+    """Return the position that a fleet's first GNSS receiver reports; NaN without a receiver."""
     for reading in fleet.readings:
         if isinstance(reading, GnssReading):
             return reading.position_ned

@@ -51,18 +51,18 @@ class Link:
 
     @property
     def lag_s(self) -> float:
-        """How far behind the browser is [s]: the age of what it has not acknowledged, else of what it has."""
+        """Delay of the browser [s]: the age of the oldest unacknowledged window, at least the last answer time."""
         oldest = next(iter(tuple(self._sent)), None)
         return self.answer_s if oldest is None else max(self.answer_s, time.perf_counter() - oldest)
 
     @property
     def _most(self) -> int:
-        """Windows of messages that may be on their way at once."""
+        """Number of windows of messages that may be unacknowledged at once."""
         # Of a link that is far but not narrow, as many as fill the time of its answers.
         return 1 + int((self._quickest_s or 0.0) / FRAME_S)
 
     async def send(self, window: bytes) -> None:
-        """Send a window, and wait until another may follow."""
+        """Send a window of messages, and wait until the next may be sent."""
         if self._quickest_s is None:
             # How far it is while nothing else is on its way.
             begun = time.perf_counter()
@@ -76,7 +76,7 @@ class Link:
             await self._freed.wait_for(lambda: len(self._sent) < self._most)
 
     def _acknowledged(self, answer: asyncio.Future[float]) -> None:
-        """Take the answer to the oldest window: measure its time and let the next one go."""
+        """Handle the acknowledgement of the oldest window: measure its time, and allow the next."""
         # Also where the connection has ended.
         if not answer.cancelled() and answer.exception() is None:
             self.answer_s = time.perf_counter() - self._sent[0]
@@ -103,10 +103,10 @@ class Gate:
     def __init__(self, token: str = "") -> None:
         self.token = token
         self._links: set[Link] = set()
-        self.wish: Callable[[Any], None] = lambda wish: None
+        self.wish: Callable[[Any], bytes | None] = lambda wish: None
 
     def refusal(self, path: str, host: str | None, origin: str | None) -> str | None:
-        """Return why a request is refused; None: it is not."""
+        """Return why a request is refused; None if it is allowed."""
         if self.token and not compare_digest(path.split("/")[1].split("?")[0].encode(), self.token.encode()):
             return "the address lacks the token that qrsim has printed"
         name = urlsplit(f"//{host or ''}").hostname
@@ -117,7 +117,7 @@ class Gate:
         return None
 
     def _request(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-        """Return viser's answer to HTTP requests behind a check of path, host and origin."""
+        """Return viser's HTTP handler with a check of path, host and origin before it."""
 
         def process(connection: Any, request: Any) -> Any:
             """Answer 403 to a refused request, and pass others on without the token."""
@@ -135,11 +135,11 @@ class Gate:
 
     @property
     def lag_s(self) -> float:
-        """How far behind the slowest browser is [s]; 0 without browsers."""
+        """Delay of the slowest browser [s]; 0 without browsers."""
         return max((link.lag_s for link in tuple(self._links)), default=0.0)
 
     def _guarded(self, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        """Return viser's handler of WebSockets with a ``Link`` for each connection."""
+        """Return viser's WebSocket handler with a ``Link`` for each connection."""
 
         async def handle(connection: Any) -> None:
             """Serve a connection of a page through a link, or of its script."""
@@ -155,16 +155,18 @@ class Gate:
         return handle
 
     async def _listen(self, connection: Any) -> None:
-        """Do what the script of a page asks for, one wish after the other."""
+        """Handle the requests of a page's script, one after the other, and send it the answers."""
         loop = asyncio.get_running_loop()
         async for text in connection:
             with contextlib.suppress(ValueError):
                 wish = json.loads(text)
-                await loop.run_in_executor(None, lambda: self.wish(wish))  # noqa: B023
+                answer = await loop.run_in_executor(None, lambda: self.wish(wish))  # noqa: B023
+                if answer is not None:
+                    await connection.send(answer)
 
     @contextlib.contextmanager
     def installed(self) -> Iterator[None]:
-        """Guard the server that viser starts in this context; it takes no handlers of others."""
+        """Context in which the server that viser starts is guarded by this gate."""
         import websockets.asyncio.server
 
         library: Any = websockets.asyncio.server

@@ -44,7 +44,7 @@ class Ground(Layer):
         super().__init__(stage)
 
     def begin(self) -> None:
-        """Add plane, grid and arrow; they reach beyond all starts and the area."""
+        """Add the ground plane, the grid and the north arrow, beyond all starts and the area."""
         found, extent = corners_of(self._area), self.stage.cast.extent
         edge = 0.0 if found is None else float(np.abs(found[0]).max())
         reach = max(float(np.abs(self.stage.cast.start_ned[:, :2]).max()), edge) + extent
@@ -93,7 +93,7 @@ class Ground(Layer):
 
 
 def arrow_of(cast: Cast, span: float, length: float) -> tuple[float, float, float]:
-    """Return where the arrow begins, north and east [m], and its length [m], at most ``length``."""
+    """Return the north arrow's start (north, east) [m] and its length [m], at most ``length``."""
     places = np.vstack([cast.start_ned, cast.ways])[:, :2]
     # West of all vehicles and routes, which it would cover, and short beside them.
     length = min(length, max(2.0 * span, 0.2 * float(np.ptp(places, axis=0).max())))
@@ -111,7 +111,7 @@ class Area(Layer):
         super().__init__(stage)
 
     def begin(self) -> None:
-        """Draw its edges."""
+        """Add the lines of the area's edges."""
         found = corners_of(self._area)
         if isinstance(self._area, ZonesArea):
             rings = [_levels(zone, ring, self._area) for zone, ring in rings_of(self._area, keep=True)]
@@ -135,7 +135,7 @@ class KeepOuts(Layer):
         super().__init__(stage)
 
     def begin(self) -> None:
-        """Draw edges and walls."""
+        """Add the edges and walls of the exclusion zones."""
         edges = []
         for number, (zone, ring) in enumerate(rings_of(self._area, keep=False)):
             low, high = _levels(zone, ring, self._area)
@@ -160,7 +160,7 @@ class KeepOuts(Layer):
 
 
 def keep_out_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return the layer of zones to stay out of, for a world that has any."""
+    """Return a list with the layer of exclusion zones, [] without such zones."""
     area = world.area
     return [KeepOuts(stage, area)] if isinstance(area, ZonesArea) and rings_of(area, keep=False) else []
 
@@ -202,7 +202,7 @@ class Obstacles(Layer):
 
 
 def solids(prisms: Prisms) -> shapes.Mesh:
-    """Return all prisms as one mesh of their pieces."""
+    """Return all prisms as one mesh."""
     pieces = prisms.pieces
     parts = np.stack(
         [
@@ -221,7 +221,7 @@ def solids(prisms: Prisms) -> shapes.Mesh:
 
 
 def surface(ground: contracts.Ground, outline: tuple[Floats, float, float] | None, reach: float) -> shapes.Mesh:
-    """Return a ground as a mesh over the area's outline, or as far as ``reach`` [m] where it has none."""
+    """Return a ground as a mesh over the area, or over ``reach`` [m] around the origin without an area."""
     low, high = np.array([-reach, -reach]), np.array([reach, reach])
     if outline is not None:
         low, high = outline[0].min(axis=0), outline[0].max(axis=0)
@@ -235,7 +235,7 @@ def surface(ground: contracts.Ground, outline: tuple[Floats, float, float] | Non
 
 
 def grid_cell(extent: float) -> float:
-    """Return 1, 2 or 5 times a power of ten [m], about a twentieth of an extent [m]."""
+    """Return a cell size [m] of 1, 2 or 5 times a power of ten, about a twentieth of an extent [m]."""
     decade = 10.0 ** math.floor(math.log10(extent / 20.0))
     return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= extent / 20.0)
 
@@ -257,13 +257,13 @@ def corners_of(area: object) -> tuple[Floats, float, float] | None:
 
 
 def _edges(corners: Floats, z_min: float, z_max: float) -> Floats:
-    """Return the edges (3 V, 2, 3) of an upright prism."""
+    """Return the edges (3 V, 2, 3) of an upright prism over corners (V, 2) [m]."""
     low, high = (np.insert(corners, 2, z, axis=1) for z in (z_max, z_min))
     return _between(low, high)
 
 
 def rings_of(area: ZonesArea, keep: bool) -> list[tuple[Zone, Sequence[Point]]]:
-    """Return the rings that vehicles stay in, or out of, each with its zone; a hole is one to stay out of."""
+    """Return (zone, ring) for the rings to stay in, or out of; a hole counts as a ring of the other kind."""
     return [
         (zone, ring)
         for zone in area.zones

@@ -28,6 +28,8 @@ MANY = 200
 FULL_RATE = 100
 # The strongest wind that has a colour of its own [m/s].
 STRONG_WIND = 12.0
+# Of several runs, all but the first are drawn so opaque.
+GHOSTLY = 0.6
 # Lengths of arrows, in spans of a vehicle for each m/s.
 ARROW_SPANS = 0.3
 
@@ -59,13 +61,18 @@ class Stage:
     @property
     def few(self) -> bool:
         """Whether each vehicle has a colour of its own."""
-        return self.cast.size <= len(self.palette)
+        return self.cast.run_of is None and self.cast.size <= len(self.palette)
+
+    @property
+    def hues(self) -> NumpyArray:
+        """Palette indices (n,) of the vehicles: one each while they are few, otherwise one per run or fleet."""
+        groups = self.cast.fleets if self.cast.run_of is None else self.cast.run_of
+        return np.asarray((np.arange(self.cast.size) if self.few else groups) % len(self.palette))
 
     @property
     def colours(self) -> Floats:
-        """Colours (n, 3) of the vehicles: one each while they are few, else one per fleet."""
-        numbers = np.arange(self.cast.size) if self.few else self.cast.fleets
-        return self.palette[numbers % len(self.palette)]
+        """Colours (n, 3) of the vehicles."""
+        return self.palette[self.hues]
 
 
 def down_at(ground: Ground, north: Floats, east: Floats) -> Floats:
@@ -101,17 +108,17 @@ class Layer:
 
     @property
     def label(self) -> str:
-        """Return what a page without a server calls it."""
+        """Return the layer's name on a page without a server."""
         return self.title
 
     def begin(self) -> None:
-        """Add the nodes."""
+        """Add the layer's nodes to the scene."""
 
     def draw(self, frame: Frame) -> None:
-        """Update the nodes."""
+        """Update the layer's nodes to a frame."""
 
     def batch(self, name: str, mesh: shapes.Mesh, colours: Any, members: Any = slice(None), **options: Any) -> Any:
-        """Add one instance of a mesh for each vehicle, or for the members (k,) of all, at its start."""
+        """Add one instance of a mesh for each vehicle, or each of ``members`` (k,), at its start."""
         return self.several(name, mesh, self.stage.cast.start_ned[members], shapes.linear(colours), **options)
 
     def several(
@@ -160,6 +167,9 @@ class Bodies:
     def __init__(self, layer: Layer, colours: Any, **options: object):
         every, each = layer.stage.cast.kinds, np.ndim(colours) == 2
         self._start = layer.stage.cast.start_ned
+        runs = layer.stage.cast.run_of
+        if runs is not None and each:
+            options["batched_opacities"] = np.where(runs > 0, GHOSTLY, 1.0).astype(np.float32)
         self.batches = [
             (
                 members,
@@ -175,7 +185,7 @@ class Bodies:
         ]
 
     def place(self, position_ned: Floats, attitude: Floats, span: Floats) -> None:
-        """Move all vehicles (n, 3) [m], turn them (n, 3) [rad], and give each (n,) a span [m]."""
+        """Set positions (n, 3) [m], attitudes (n, 3) [rad] and spans (n,) [m] of all vehicles' bodies."""
         position = _finite(position_ned, self._start)
         turn = np.nan_to_num(quaternion_of(attitude)).astype(np.float32)
         scales = np.repeat(np.asarray(span, np.float32), 3).reshape(-1, 3)
@@ -209,7 +219,7 @@ class Vehicles(Layer):
             self.bodies.paint(np.where(frame.valid[:, None], self.stage.colours, STOPPED_COLOUR).astype(np.uint8))
 
     def on_click(self, call: Callable[[int | None, Any], None]) -> None:
-        """Call a function with the number of a vehicle that is clicked (None: not known which), and the event."""
+        """Register a function to call with the number of a clicked vehicle (None: unknown) and the event."""
 
         def clicked(members: Floats, event: Any) -> None:
             """Call back with the number of the vehicle among all; None where it has none."""
@@ -299,21 +309,21 @@ class Names(Layer):
     every = 2
 
     def begin(self) -> None:
-        """Start without stopped vehicles."""
+        """Add no nodes: the overlay draws the names."""
         self.tell: Callable[[dict[int, str]], None] = lambda reasons: None
 
     def draw(self, frame: Frame) -> None:
-        """Send the overlay the stopped vehicles, and why they stopped."""
+        """Send the overlay the vehicles that have stopped, with the reasons."""
         self.tell(frame.reasons)
 
 
 def _finite(values: Floats, instead: Floats) -> Floats:
-    """Return values with those of ``instead`` where they are not finite."""
+    """Return values with non-finite ones replaced by those of ``instead``."""
     return np.where(np.isfinite(values), values, instead)
 
 
 def _point(handle: Any, start: Floats, vector: Floats, span: float) -> None:
-    """Let arrows begin at ``start`` and show vectors (n, 3) [m/s]."""
+    """Set arrows that begin at ``start`` (n, 3) and show vectors (n, 3) [m/s]."""
     vector = np.nan_to_num(vector)
     length = np.linalg.norm(vector, axis=1) * (ARROW_SPANS * span)
     wide = np.minimum(0.6 * span, length)

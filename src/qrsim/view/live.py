@@ -88,11 +88,11 @@ class LiveView:
 
     @property
     def browsers(self) -> int:
-        """How many browsers show the page."""
+        """Number of browsers that show the page."""
         return len(self._server.get_clients())
 
     def wait_for(self, what: str) -> None:
-        """Show on a page without a world the thing that it waits for."""
+        """Show on an empty page what the program is waiting for."""
         if self._page is not None:
             return
         if self._waiting is None:
@@ -102,12 +102,12 @@ class LiveView:
         self._waiting.content = f"**qrsim**  \nThis page waits for {what}."
 
     def note(self, text: str) -> None:
-        """Say something about the run as a whole, one line."""
+        """Show one line about the whole run."""
         if self._page is not None:
             self._page.say(text)
 
     def begin(self, simulation: Simulation, heading: str, places: Places | None = None) -> None:
-        """Show another world in place of the present one, with the places of its task."""
+        """Show a new simulation in place of the present one, with the places of its task."""
         self._clear()
         world = simulation.world
         page = Page(self._server, cast_of(world, simulation.truth.position_ned, places), world, heading, self.clock)
@@ -126,7 +126,7 @@ class LiveView:
         self._thread.start()
 
     def replay(self, recording: Recording) -> None:
-        """Show a recording of what was flown, at its end, in place of the simulation; what was chosen stays so."""
+        """Replace the simulation by a recording of it, at its end, keeping what users have chosen."""
         before = self._page
         self._clear()
         live = self.clock.speed if self.clock is not None else 1.0
@@ -141,7 +141,7 @@ class LiveView:
         self._thread.start()
 
     def _clear(self) -> None:
-        """End the thread that draws and empty the page, for the next simulation."""
+        """Stop the drawing thread and empty the page, for the next simulation."""
         self._end_drawing()
         if self._page is not None:
             self._page.close()
@@ -154,23 +154,23 @@ class LiveView:
         return most if self.clock is None else self.clock.wait(self._step_s, most)
 
     def offer(self, history: History) -> None:
-        """Offer states for drawing; does not block."""
+        """Queue flown states for drawing, without waiting."""
         self._offer(lambda row: (_row(history.state, row), int(history.ticks[row])), len(history.ticks))
 
     def show(self, simulation: Simulation) -> None:
-        """Offer the present state of a simulation for drawing; copying it takes some microseconds."""
+        """Queue the present state of a simulation for drawing."""
         layout, buffers = simulation.packed
         copies, tick = tuple(np.array(buffer) for buffer in buffers), simulation.tick
         self._offer(lambda _: (layout.unpack(copies), tick), 1)  # type: ignore[arg-type]
 
     def _offer(self, look: Callable[[int], tuple[State, int]], count: int) -> None:
-        """Leave ``count`` states for the thread that draws, in place of those that it has not taken."""
+        """Replace the states queued for the drawing thread by ``count`` new ones."""
         with self._there:
             self._newest = _Offered(look, count, time.perf_counter())
             self._there.notify()
 
     def change(self, simulation: Simulation) -> None:
-        """Apply the changes made on the page."""
+        """Apply the changes that users have requested on the page."""
         while self._asked:
             try:
                 line = steered(simulation, self._asked.popleft())
@@ -195,7 +195,7 @@ class LiveView:
         self._server.stop()
 
     def _end_drawing(self) -> None:
-        """Let the thread draw what it has, and wait for its end."""
+        """Wait until the drawing thread has drawn the queued states and ended."""
         with self._there:
             self._closed = True
             self._there.notify()
@@ -206,7 +206,7 @@ class LiveView:
     # ---- the page's thread ----
 
     def _draw_all(self) -> None:
-        """Draw the newest states until the view closes; the body of the thread."""
+        """Draw the newest states until the view closes; the body of the drawing thread."""
         due, span, before = time.perf_counter(), 0.0, None
         offered: _Offered | None = None
         row = -1
@@ -229,7 +229,7 @@ class LiveView:
             due = self._pace(due)
 
     def _pace(self, due: float) -> float:
-        """Wait until the next frame is due, and return when it is; what is too slow for that drops frames."""
+        """Wait until a frame is due, and return the time of the next one; late frames are dropped."""
         due, now = due + FRAME_S, time.perf_counter()
         if now > due:
             self._overtaken += int((now - due) / FRAME_S)
@@ -239,7 +239,7 @@ class LiveView:
         return due
 
     def _draw(self, offered: _Offered, row: int, span: float) -> int:
-        """Draw the state that is due of those offered, which came in ``span`` [s], and return its number."""
+        """Draw the due state of those queued during ``span`` [s], and return its number."""
         assert self._page is not None
         share = (time.perf_counter() - offered.arrived + FRAME_S) / max(span, FRAME_S)
         now = min(offered.count - 1, max(0, int(share * offered.count) - 1))
@@ -252,7 +252,7 @@ class LiveView:
         return now
 
     def _keep(self, state: State, frame: Frame) -> None:
-        """Remember what the chosen vehicles measure."""
+        """Store the readings of the chosen vehicles for their plots."""
         chosen = frozenset() if self._page is None else self._page.chosen
         values = {vehicle: self._values.get(vehicle, deque()) for vehicle in sorted(chosen)}
         for vehicle, own in values.items():
@@ -278,7 +278,7 @@ class LiveView:
         return times, np.array([row[1][quantity] for row in rows]), true_values(quantity, truth)
 
     def _add_wind(self, page: Page, world: World) -> None:
-        """Add the controls with which a user changes the wind, if the world has one that can change."""
+        """Add the wind controls to the page, if the world's wind can be changed."""
         blows = wind_of(world)
         if blows is None:
             return
@@ -294,7 +294,7 @@ class LiveView:
 
 
 def _row(state: State, row: int) -> State:
-    """Return one of the states that are stacked along the first axis."""
+    """Return row ``row`` of states stacked along the first axis."""
     import jax
 
     found: State = jax.tree.map(lambda leaf: leaf[row], state)
@@ -302,7 +302,7 @@ def _row(state: State, row: int) -> State:
 
 
 def _place(world: World, vehicle: int) -> tuple[int, int]:
-    """Return the fleet of a vehicle, and its number in it."""
+    """Return a vehicle's fleet number, and its number in that fleet."""
     for number, fleet in enumerate(world.fleets):
         if vehicle < fleet.size:
             return number, vehicle
@@ -311,7 +311,7 @@ def _place(world: World, vehicle: int) -> tuple[int, int]:
 
 
 def _measured(state: State, world: World, vehicle: int) -> dict[str, float]:
-    """Return the readings of one vehicle by sensor and quantity, without those of satellites."""
+    """Return "sensor.quantity" -> reading of a vehicle, without those of single satellites."""
     number, i = _place(world, vehicle)
     names, readings = world.fleets[number].sensor_names, state.fleets[number].readings
     return {

@@ -29,7 +29,7 @@ class Shown:
         self._folder, self._height = folder, height
 
     def _repr_html_(self) -> str:
-        """Return the page as a frame, for notebooks."""
+        """Return HTML with the page in a frame, for notebooks."""
         inside = html.escape(self.page, quote=True)
         style = "border:1px solid #ddd;display:block"
         return f'<iframe srcdoc="{inside}" width="100%" height="{self._height}" style="{style}"></iframe>'

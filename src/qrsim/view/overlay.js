@@ -96,8 +96,10 @@
     let [left, top, right, bottom] = [0, 44, box.width, box.height];
     const bar = document.getElementById("qrsim-timeline")?.getBoundingClientRect();
     if (bar) bottom = Math.min(bottom, bar.top - box.top);
+    const plots = document.getElementById("qrsim-plots")?.getBoundingClientRect();
+    if (plots?.height) bottom = Math.min(bottom, plots.top - box.top);
     const sheet = document.querySelector(".mantine-Paper-root[style*='min-height: 3.5em']")?.getBoundingClientRect();
-    if (sheet) bottom = Math.min(bottom, sheet.top - box.top);
+    if (sheet?.height) bottom = Math.min(bottom, sheet.top - box.top);
     const panel = document.getElementById("qrsim-panel")?.getBoundingClientRect();
     if (panel && box.width > 700) right = Math.min(right, panel.left - box.left);
     if (legendOpen && box.width > 700) left = legend.offsetWidth + 12;
@@ -211,12 +213,12 @@
   const label = (vehicle) => {
     made[vehicle] ??= make("div", "qrsim-label", labels);
     const found = made[vehicle], why = reasons[vehicle] ?? "", colour = data.colours[data.colourOf[vehicle]];
-    const key = why + (state.chosen === vehicle);
+    const apart = differences.of(vehicle), key = why + (state.chosen === vehicle) + apart;
     if (found.key !== key) {
       found.key = key;
       found.replaceChildren();
       make("i", "", found).style.background = css(why ? data.stopped : colour);
-      make("b", "", found, data.names[vehicle]);
+      make("b", "", found, data.names[vehicle] + (apart && "\u2002" + apart));
       // No number is parted from its name and unit.
       if (why) make("span", "", found, why.replace(/ = /g, "\u00a0=\u00a0").replace(/(\d) (\S+)$/, "$1\u00a0$2"));
       found.classList.toggle("qrsim-chosen", state.chosen === vehicle);
@@ -227,6 +229,7 @@
     found.size ??= [found.offsetWidth, found.offsetHeight];
     return found;
   };
+  const differences = differencesIn(svg, data.differences);
   const hits = (a, b) => a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
   // Where a label of a size may be, about a vehicle: above, beside, below, and farther off.
   const around = (spot, [w, h]) => {
@@ -351,6 +354,8 @@
     root.style.cssText = `left:${box.left}px;top:${box.top}px;width:${box.width}px;height:${box.height}px`;
     layLegend(tree, box);
     layScale(box);
+    const apart = data.differences && shown(tree, data.differences.path) && shown(tree, "/world/vehicles");
+    differences.draw(apart, place.at, (vehicle) => pixel(vehicle, box), rows);
     layLabels(tree, box);
   };
   const key = (event) => {

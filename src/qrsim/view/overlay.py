@@ -15,6 +15,7 @@ import numpy as np
 
 from qrsim.runs import colours
 from qrsim.view.air import AIR, GUST, REACHES, WHOLE
+from qrsim.view.differences import DIFFERENCES, differences_of
 from qrsim.view.ground import KEEP_OUTS
 from qrsim.view.interference import INTERFERENCE
 from qrsim.view.layers import MOST_LABELS, STRONG_WIND, Bodies, Layer, Stage
@@ -49,6 +50,7 @@ ROWS: dict[str, list[tuple[str, Any, str]]] = {
         ("arrow", [colours.GUST], f"gust in a plane, {REACHES[GUST]:g} m/s a step"),
         ("scale", list(colours.WIND), f"or all of the wind, {REACHES[WHOLE]:g} m/s a step"),
     ],
+    DIFFERENCES: [("thin", [colours.GREY], "from a vehicle to itself in another run, distance [m]")],
     LINKS: [("scale", list(colours.WIND), "radio at the receiver: no to all packets arrive; thin: last one lost")],
     INTERFERENCE: [("plate", [colours.GREY], "reach of a jammer, disc or spoofer, while it acts")],
     "area": [("thin", [colours.GREY], "flight area")],
@@ -90,7 +92,7 @@ class Overlay:
             "css": _text("overlay.css"),
             "names": stage.cast.names,
             "colours": _plain(stage.palette),
-            "colourOf": (np.arange(stage.cast.size) if stage.few else stage.cast.fleets % len(stage.palette)).tolist(),
+            "colourOf": stage.hues.tolist(),
             "stopped": colours.STOPPED,
             "bodies": [(handle.name, members.tolist()) for members, handle in bodies.batches],
             "mostLabels": MOST_LABELS,
@@ -108,45 +110,46 @@ class Overlay:
             },
             "skies": SKIES,
             "legend": _legend(stage, layers, north[1]),
+            "differences": differences_of(stage),
         }
         self._send()
 
     def _send(self) -> None:
         """Send the overlay's scripts and their data to all browsers."""
-        scripts = "\n".join(map(_text, ("sky.js", "overlay.js")))
+        scripts = "\n".join(map(_text, ("sky.js", "differences.js", "overlay.js")))
         run_script(self._server, "overlay", f"const data = {json.dumps(self._data)};\n{scripts}")
 
     def hold(self) -> None:
-        """Let pages begin with the camera of the scene, not with a view of all vehicles."""
+        """Make new pages begin with the scene's camera in place of a view of all vehicles."""
         self._data["frame"] = False
         self._send()
 
     def look_from(self, direction: tuple[float, float, float]) -> None:
-        """Let pages begin with a view of all vehicles from a direction, NED, seen from them."""
+        """Make new pages begin with a view of all vehicles from a direction NED, as seen from the vehicles."""
         self._data["from"] = direction
         self._send()
 
     def say(self, reasons: dict[int, str]) -> None:
-        """Tell why vehicles have stopped, the last ones of very many."""
+        """Show why vehicles have stopped; with very many, only the last ones."""
         found = dict(list(reasons.items())[-MOST_LABELS:])
         if found != self._said:
             self._said = found
             self._tell("reasons", found, None)
 
     def choose(self, vehicle: int | None, browser: object = None) -> None:
-        """Mark a vehicle, or none, in one browser or in all."""
+        """Mark a vehicle as chosen (None: none), in one browser or, by default, all."""
         self._tell("choose", vehicle, browser)
 
     def follow(self, vehicle: int | None, browser: object = None) -> None:
-        """Follow a vehicle, or none, in one browser or in all."""
+        """Follow a vehicle with the camera (None: none), in one browser or, by default, all."""
         self._tell("follow", vehicle, browser)
 
     def sky(self, told: Mapping[str, object] | None, browser: object) -> None:
-        """Show what a vehicle's receiver says of its satellites in one browser, or nothing."""
+        """Show the satellites of a vehicle's receiver in one browser; None hides them."""
         self._tell("sky", told, browser)
 
     def _tell(self, what: str, content: object, browser: object) -> None:
-        """Call a function of the overlay with some content, in one browser or, for None, in all."""
+        """Call a function of the overlay's script in one browser or, for None, in all."""
         # Also where the overlay's own script comes later.
         words = json.dumps(content)
         told = f"(window.qrsimTold ??= {{}}).{what} = {words}; window.qrsim?.{what}({words})"
@@ -156,7 +159,8 @@ class Overlay:
 def _legend(stage: Stage, layers: dict[str, Layer], cell: float) -> list[dict[str, object]]:
     """Return the rows of the legend."""
     rows: list[dict[str, object]] = []
-    if not stage.few and len(set(stage.cast.fleets.tolist())) > 1:
+    rows += [_row("body", [stage.palette[number]], name, "") for number, name in enumerate(stage.cast.runs)]
+    if not rows and not stage.few and len(set(stage.cast.fleets.tolist())) > 1:
         for number in sorted(set(stage.cast.fleets.tolist())):
             first = stage.cast.names[int(np.argmax(stage.cast.fleets == number))]
             rows.append(
@@ -181,7 +185,7 @@ def _row(kind: str, own: Any, text: str, layer: str) -> dict[str, Any]:
 
 
 def _plain(values: object) -> Any:
-    """Return colours for JSON."""
+    """Return colours as lists for JSON."""
     if isinstance(values, dict):
         return {name: list(own) for name, own in values.items()}
     return np.asarray(values).tolist()

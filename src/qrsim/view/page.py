@@ -86,7 +86,7 @@ class Page:
 
     @property
     def chosen(self) -> frozenset[int]:
-        """Numbers of the vehicles that browsers have chosen, and that those will that come."""
+        """Numbers of the vehicles chosen in any browser, or by default in new ones."""
         with self._lock:
             every = [self._choice, *(viewer.choice for viewer in self.viewers.values())]
         return frozenset(choice.vehicle for choice in every if choice.vehicle is not None)
@@ -94,7 +94,7 @@ class Page:
     # ---- browsers ----
 
     def _come(self, client: ClientHandle) -> None:
-        """Make the controls of a browser that has connected, or come back, with its choice of vehicle."""
+        """Add the controls of a browser that has connected, restoring its earlier choice of vehicle."""
         with self._lock:
             if not self._open:
                 return
@@ -112,7 +112,7 @@ class Page:
         self._chosen_now()
 
     def _gone(self, client: ClientHandle) -> None:
-        """Forget a browser that has left."""
+        """Remove the controls of a browser that has disconnected."""
         with self._lock:
             self.viewers.pop(client.client_id, None)
         if self._open:
@@ -128,11 +128,11 @@ class Page:
         return self.sky(vehicle)
 
     def _chosen_now(self) -> None:
-        """Mark the vehicles that browsers have chosen in the scene."""
+        """Update the marks of chosen vehicles in the scene."""
         self.scene.choose(*self.chosen)
 
     def _clicked(self, vehicle: int | None, event: Any) -> None:
-        """Choose the clicked vehicle, or the one nearest to the ray, in the browser that clicked."""
+        """Choose the clicked vehicle, or the one nearest to the ray, in the browser of the click."""
         viewer = self.viewers.get(event.client_id)
         if viewer is not None:
             by_ray = vehicle is None
@@ -152,7 +152,7 @@ class Page:
             viewer.follow(follow)
 
     def adopt(self, other: Page) -> None:
-        """Take over what was chosen, followed and shown on another page of the same vehicles."""
+        """Take over choices and visible layers from another page of the same vehicles."""
         for title, layer in other.scene.layers.items():
             if title in self.scene.layers and layer.root.visible != self.scene.layers[title].root.visible:
                 self._shown[title].value = layer.root.visible
@@ -173,7 +173,7 @@ class Page:
         self._chosen_now()
 
     def close(self) -> None:
-        """Leave the server to another page."""
+        """Remove this page's content, so that another page can use the server."""
         with self._lock:
             self._open = False
         for calls, own in (
@@ -210,7 +210,7 @@ class Page:
             clock.speed = next(s for s in clock.speeds if _speed_name(s) == speed.value)
 
     def _add_layers(self) -> None:
-        """Add the switches of the layers and the size of drawn vehicles."""
+        """Add the switches of layers, and the slider for the size of vehicles."""
         gui, stage = self.server.gui, self.scene.stage
         self._shown: dict[str, Any] = {}
         with gui.add_folder("Layers", order=LAYERS):
@@ -231,7 +231,7 @@ class Page:
         true.on_update(resize)
 
     def _add_air(self) -> None:
-        """Add the controls of the plane in which the air is shown, where there is one."""
+        """Add the controls of the air's plane, if the world has one."""
         layer, gui = self.scene.air, self.server.gui
         self._air: tuple[Any, Any] | None = None
         if layer is None:
@@ -264,13 +264,13 @@ class Page:
         self.scene.show(title, event.target.value)
 
     def say(self, note: str) -> None:
-        """Say something about the run as a whole, one line."""
+        """Show one line about the whole run."""
         self.note = note
         if self.scene.frame is not None:
             self._say(self.scene.frame)
 
     def draw(self, frame: Frame, everything: bool = False) -> None:
-        """Show a frame."""
+        """Draw a frame and update the panel; ``everything``: slow layers too."""
         self.scene.draw(frame, everything)
         # Who pauses after this says what is drawn by now.
         paused = self.clock is not None and not self.clock.playing
@@ -285,7 +285,7 @@ class Page:
         self._delivery.sent()
 
     def _say(self, frame: Frame) -> None:
-        """Write time, number of vehicles in flight, dropped frames and stopped vehicles into the panel."""
+        """Write time, flying vehicles, dropped frames and stopped vehicles into the panel."""
         stopped = f", {len(frame.reasons)} stopped" if frame.reasons else ""
         fliers = self.scene.cast.fliers
         flying = f"{int((frame.valid & fliers).sum())} of {int(fliers.sum())} vehicles fly{stopped}"

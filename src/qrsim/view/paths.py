@@ -30,7 +30,7 @@ class Paths(Layer):
     thickness = 3.0
 
     def begin(self) -> None:
-        """Begin all paths at the start."""
+        """Start all paths at the vehicles' starts."""
         cast = self.stage.cast
         each = SEGMENTS // cast.size
         pieces = int(np.clip(each, FEWEST_PIECES, MOST_PIECES))
@@ -50,7 +50,7 @@ class Paths(Layer):
         self.extend(np.array([frame.time]), self.position(frame)[None])
 
     def missing(self, time: float) -> Floats:
-        """Return times (K,) [s] up to a time at which positions are wanted: since the last, or of a whole minute."""
+        """Return times (K,) [s] at which positions are needed: since the last one, or for a whole minute."""
         if self._time is not None and self._time <= time <= self._time + LENGTH_S:
             return np.arange(self._time + self._corner_s, time, self._corner_s)
         self._time = None
@@ -77,7 +77,7 @@ class Paths(Layer):
         self._changed = set(range(len(self._points)))
 
     def _keep_corner(self, time: float) -> None:
-        """Make the tip a corner, and begin a new piece if the newest is full or long enough."""
+        """Keep the path's tip as a corner, and begin a new piece if the last one is full."""
         self._known, self._corner_at = self._known + 1, time
         if self._known > self._corners or time - self._from[self._newest] >= self._piece_s * (1.0 - 1e-6):
             tip = self._points[self._newest, -1]
@@ -87,18 +87,18 @@ class Paths(Layer):
             self._changed.add(self._newest)
 
     def _forget(self) -> None:
-        """Remove pieces that ended more than a minute ago."""
+        """Remove path pieces older than a minute."""
         assert self._time is not None
         for number in np.flatnonzero(np.isfinite(self._to) & (self._to < self._time - LENGTH_S)).tolist():
             self._points[number], self._to[number] = self._points[number, -1], -np.inf
             self._changed.add(number)
 
     def position(self, frame: Frame) -> Floats:
-        """Return the positions (n, 3) [m] to draw of a frame."""
+        """Return the positions (n, 3) [m] in a frame that the path follows."""
         return frame.position_ned
 
     def draw(self, frame: Frame) -> None:
-        """Send the pieces that changed."""
+        """Send the changed pieces to the browsers."""
         for number in self._changed:
             if number in self._nodes:
                 self._nodes[number].points = self._segments(number)
@@ -119,7 +119,7 @@ class Paths(Layer):
         return np.stack([points[:-1], points[1:]], axis=2).reshape(-1, 2, 3)
 
     def _colours(self) -> Any:
-        """Return one colour for all segments, or one for each end of each."""
+        """Return one colour for all segments, or a colour for each end of each segment."""
         colours = self.stage.colours
         if (colours == colours[0]).all():
             return tuple(colours[0].tolist())
@@ -151,7 +151,7 @@ class EstimatedPaths(Paths):
     thickness = 1.5
 
     def position(self, frame: Frame) -> Floats:
-        """Return the estimates (n, 3) [m]."""
+        """Return the estimated positions (n, 3) [m] in a frame."""
         return frame.estimate_ned
 
     def _colours(self) -> Any:

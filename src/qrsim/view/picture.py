@@ -25,7 +25,7 @@ SCENE_ONLY = """
 
 
 def check_name(path: Path) -> None:
-    """Raise UsageError if a picture of this name cannot be written."""
+    """Raise UsageError for a picture's file name with an unsupported suffix."""
     if path.suffix.lower() != ".png":
         raise UsageError(f"--screenshot {path}: the name has to end in .png")
     if not path.parent.is_dir():
@@ -52,7 +52,9 @@ def photograph(server: ViserServer, caption: str, size: tuple[int, int] = (WIDTH
         _wait_for_client(server)
         browser.evaluate(SCENE_ONLY)
         picture = _settled(browser)
-    ImageDraw.Draw(picture).text((16, 12), caption, fill="black", font_size=20)
+    # A letter is about half as wide as high.
+    size_px = min(20.0, max(9.0, 1.9 * (width - 32) / max(1, len(caption))))
+    ImageDraw.Draw(picture).text((16, 12), caption, fill="black", font_size=size_px)
     found = io.BytesIO()
     picture.save(found, "PNG", optimize=True)
     return found.getvalue()
@@ -68,7 +70,7 @@ def _wait_for_client(server: ViserServer) -> None:
 
 
 def _settled(browser: Browser) -> Image.Image:
-    """Return the picture once it does not change any more, and shows something."""
+    """Return the page's picture once it is not empty and no longer changes."""
     before, changed = b"", time.monotonic()
     deadline = changed + PATIENCE_S
     while True:

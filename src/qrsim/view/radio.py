@@ -33,7 +33,7 @@ class RadioLinks(Layer):
     most_in_film = 300
 
     def begin(self) -> None:
-        """Make the half lines of links, not shown yet."""
+        """Add the half-lines of radio links, hidden at first."""
         size = self.stage.cast.size
         room = self._room = min(MOST_DRAWN, size * (size - 1))
         self._handle = self.several(
@@ -61,7 +61,7 @@ class RadioLinks(Layer):
 
 
 def halves(links: Links, position_ned: Floats, valid: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return start (L, 3) [m], vector (L, 3) [m] and quality (L,) of the half lines that links are drawn as.
+    """Return starts (L, 3) [m], vectors (L, 3) [m] and qualities (L,) of the half-lines that represent links.
 
     Args:
         links: of the last period.
@@ -85,10 +85,10 @@ def halves(links: Links, position_ned: Floats, valid: Floats) -> tuple[Floats, F
 
 
 def _filled(rows: Floats, room: int, filler: Floats) -> Floats:
-    """Return rows filled up to ``room`` of them with copies of ``filler``."""
+    """Return rows padded to ``room`` rows with copies of ``filler``."""
     return np.concatenate([rows, np.broadcast_to(filler, (room - len(rows), len(filler)))])
 
 
 def radio_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return the layer of a world whose vehicles have radios."""
+    """Return a list with the layer of radio links, [] without radios."""
     return [RadioLinks(stage)] if world.radio is not None and stage.cast.size > 1 else []

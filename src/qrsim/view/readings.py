@@ -1,4 +1,4 @@
-"""What all vehicles measured against the truth, thinned evenly, for plots of a page without a server."""
+"""Columns of logs: of single vehicles over some time, and of all vehicles at some times; satellites of receivers."""
 
 from __future__ import annotations
 
@@ -10,38 +10,13 @@ from qrsim.core.arrays import Floats
 from qrsim.models.gnss.fixes import OF_SATELLITES
 from qrsim.runs import Run
 from qrsim.runs.layout import INDEX
-from qrsim.view.sky import columns_of, of_satellites
-from qrsim.view.truth import true_values
+from qrsim.view.sky import columns_of
 
-# Of all quantities of all vehicles together: at most so many values, and so many a second of each.
-MOST_VALUES, FASTEST_HZ = 8_000_000, 10.0
-# The same of satellites: of all vehicles together, and a second.
+# Of satellites: at most so many values of all vehicles together, and so many a second of each.
 MOST_OF_SKIES, SKY_HZ = 6_000_000, 1.0
 # How far ahead a log is read [s], because time goes on; streams of single vehicles that are kept: of as many browsers
 # as half of it with choices of their own.
 AHEAD_S, MOST_KEPT = 120.0, 8
-
-
-class Readings:
-    """Measured quantities of a run, and the true ones.
-
-    Attributes:
-        quantities: their names.
-        time: (K,) [s].
-    """
-
-    def __init__(self, run: Run, end: float):
-        self.quantities, self.time = quantities_of(run), times_of_readings(run, end)
-        self._measured = _sampled(run, "measurements", self.quantities, self.time) if self.quantities else {}
-        self._truth = _sampled(run, "truth", _numbers(run, "truth"), self.time) if self.quantities else {}
-
-    def of_vehicles(self) -> Iterator[tuple[Floats, Floats]]:
-        """Yield measured and true values of each vehicle, each (Q, K)."""
-        count = next(iter(self._measured.values())).shape[1] if self._measured else 0
-        for i in range(count):
-            truth = {name: values[:, i] for name, values in self._truth.items()}
-            measured = np.stack([values[:, i] for values in self._measured.values()])
-            yield measured, np.stack([true_values(name, truth) for name in self.quantities])
 
 
 class Skies:
@@ -59,10 +34,10 @@ class Skies:
         values = len(slots) * len(OF_SATELLITES) * len(run.vehicles)
         self.time = np.linspace(0.0, end, max(2, min(MOST_OF_SKIES // values, int(end * SKY_HZ) + 1)))
         columns = [name for slot in slots for name in slot.values()]
-        self._sampled = _sampled(run, "measurements", columns, self.time)
+        self._sampled = sampled(run, "measurements", columns, self.time)
 
     def of_vehicles(self) -> Iterator[dict[str, Floats]]:
-        """Yield what each vehicle's receiver said: arrays (slots, K) by field, angles in degrees, NaN as -1."""
+        """Yield for each vehicle field -> array (slots, K) of its satellites; degrees, NaN as -1."""
         count = next(iter(self._sampled.values())).shape[1] if len(self.time) else 0
         for i in range(count):
             found = {
@@ -86,7 +61,7 @@ class Excerpts:
         self._kept: dict[tuple[int, str], tuple[float, float, Floats, dict[str, Floats]]] = {}
 
     def of(self, vehicle: int, stream: str, start: float, end: float) -> tuple[Floats, dict[str, Floats]]:
-        """Return times (T,) [s] and columns (T,) of a vehicle, of at least all ticks from ``start`` to ``end`` [s]."""
+        """Return times (T,) [s] and columns (T,) of a vehicle that cover ``start`` to ``end`` [s], cached."""
         kept = self._kept.pop((vehicle, stream), None)
         if kept is None or start < kept[0] or end > kept[1]:
             kept = self._read(vehicle, stream, start, end + AHEAD_S)
@@ -98,7 +73,7 @@ class Excerpts:
     def _read(
         self, vehicle: int, stream: str, start: float, end: float
     ) -> tuple[float, float, Floats, dict[str, Floats]]:
-        """Return start, end and times [s] of a part of a stream, and a vehicle's numbers by name."""
+        """Return start, end and times [s] of a part of a stream, and column -> values of a vehicle."""
         names = _numbers(self._run, stream)
         times, parts = [np.zeros(0)], {name: [np.zeros(0)] for name in names}
         for batch in self._run[stream].batches(names, start=start, end=end):
@@ -108,27 +83,13 @@ class Excerpts:
         return start, end, np.concatenate(times), {name: np.concatenate(found) for name, found in parts.items()}
 
 
-def quantities_of(run: Run) -> list[str]:
-    """Return the names of the measured quantities of a run that can be plotted."""
-    if "measurements" not in run:
-        return []
-    # Of single satellites there is a picture of its own.
-    return [name for name in _numbers(run, "measurements") if not of_satellites(name)]
-
-
-def times_of_readings(run: Run, end: float) -> Floats:
-    """Return the times (K,) [s] of the readings of a run that ends at a time [s]: evenly spaced, at least two."""
-    series = max(1, len(quantities_of(run)) + len(_numbers(run, "truth"))) * len(run.vehicles)
-    return np.linspace(0.0, end, max(2, min(MOST_VALUES // series, int(end * FASTEST_HZ) + 1)))
-
-
 def _numbers(run: Run, stream: str) -> list[str]:
-    """Return the columns of a stream that are numbers of a continuous quantity."""
+    """Return the numeric columns of a stream that can be plotted."""
     return [column.name for column in run.describe(stream)[len(INDEX) :] if column.dtype.startswith("float")]
 
 
-def _sampled(run: Run, stream: str, names: list[str], time: Floats) -> dict[str, Floats]:
-    """Return the last values (K, n) of columns up to each time (K,) [s], in one pass over the files."""
+def sampled(run: Run, stream: str, names: list[str], time: Floats) -> dict[str, Floats]:
+    """Return {column: last values (K, n) up to each time (K,) [s]} of a stream, in one pass over the files."""
     known = run[stream].time
     rows = np.maximum(0, np.searchsorted(known, time + 1e-6, side="right") - 1)
     found = {name: np.empty((len(time), len(run.vehicles)), np.float32) for name in names}

@@ -67,11 +67,11 @@ class Rebuilt:
         self._cameras = _cameras(run, world)
 
     def _precision(self) -> Any:
-        """Return a context with the precision in which the run was flown."""
+        """Return the context of JAX with the precision of the run."""
         return jax.enable_x64(self._wide)
 
     def at(self, time: float) -> Beside:
-        """Return the contents at a time [s]."""
+        """Return the world's contents, cameras and weather at a time [s]."""
         tick = round(time / self._world.time_step)
         contents = self._start
         if contents.persons is not None:
@@ -83,7 +83,7 @@ class Rebuilt:
         return Beside(self._blowing(time), self._drawn, contents, self._keys.fleets, cameras, self._field)
 
     def _blowing(self, time: float) -> World:
-        """Return the world with the weather at a time [s]: as last requested, with its changes at set times."""
+        """Return the world with its weather at a time [s], from requests and scheduled changes."""
         tick: Any = np.int32(round(time / self._world.time_step))
         worlds = [world for since, world in self._worlds if since <= tick]
         changes = self._world.changes
@@ -94,7 +94,7 @@ class Rebuilt:
         return with_asked(self._world, asked) if asked else self._world
 
     def _blown(self, tick: int) -> object:
-        """Return the puffs at a tick: from those before it, or from the start again."""
+        """Return the plume's puffs at a tick, simulated on from the last call if possible."""
         done = tick // period_ticks(self._world.contents.plume.period, self._world.time_step)
         if done < self._puffs_ticks:
             self._puffs, self._puffs_ticks = self._start.plume, 0
@@ -107,7 +107,7 @@ class Rebuilt:
 
 
 def _weathers(run: Run, world: World) -> Iterator[tuple[int, World]]:
-    """Yield the tick of each change of the weather that was requested in flight, and the world from then on."""
+    """Yield (tick, world from then on) for each change of the weather requested in flight."""
     for entry in run.injections:
         numbers = {name: value for name, value in entry.items() if name not in KEYS}
         with contextlib.suppress(UsageError):
@@ -132,7 +132,7 @@ def _drawn_again(world: World, keys: Any) -> tuple[Any, Any, object]:
 
 
 def _blown(world: World, keys: Any, puffs: Any, done: object, wanted: object) -> object:
-    """Return the puffs after ``wanted`` of their periods, from those after ``done``."""
+    """Return the puffs after ``wanted`` plume periods, given those after ``done``."""
     plume = world.contents.plume
     stream = keys.stream(0, jnp.arange(plume.ids, dtype=jnp.uint32))
     ticks = period_ticks(plume.period, world.time_step)
@@ -157,7 +157,7 @@ class _Camera:
         self._vehicles, self._dtype = vehicles, dtype
 
     def at(self, time: float) -> CameraReading:
-        """Return the reading at a time [s]."""
+        """Return the recorded camera reading at a time [s]."""
         where, attitude, number = (
             self._columns.at(name, time)[self._vehicles].astype(self._dtype)
             for name in ("taken_at_ned", "taken_attitude", "picture")
@@ -166,7 +166,7 @@ class _Camera:
 
 
 def _cameras(run: Run, world: World) -> dict[tuple[int, int], _Camera]:
-    """Return the cameras that were recorded, by the numbers of fleet and sensor."""
+    """Return (fleet number, sensor number) -> recorded camera."""
     found, first = {}, 0
     for number, fleet in enumerate(world.fleets):
         for index in (index for place, index in camera_places(world) if place == number):

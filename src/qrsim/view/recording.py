@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,21 +17,50 @@ from qrsim.runs.surroundings import surroundings_of
 from qrsim.tasks.places import Places
 from qrsim.view.columns import Columns, vector
 from qrsim.view.frame import Cast, Frame, Links, cast_of
-from qrsim.view.readings import Excerpts, quantities_of
+from qrsim.view.readings import Excerpts
 from qrsim.view.reasons import in_words
 from qrsim.view.rebuilt import rebuilt
 from qrsim.view.sky import Satellite, columns_of, satellites
-from qrsim.view.truth import ANGLES, AXES, true_values
+from qrsim.view.truth import ANGLES, AXES
 from qrsim.world.state import World
 
-# Of a plot [s].
-PLOT_S = 60.0
+# How long before a time a receiver's last words are looked for [s].
+SKY_S = 60.0
 # Times at which places along the paths are looked up.
 PATH_TIMES = 100
 
 
+@dataclass(frozen=True)
+class Member:
+    """One of the runs of a page.
+
+    Attributes:
+        letter: that its vehicles have in front of their names; "": there is one run only.
+        recording: of it.
+        shift: how much later than it was flown it is shown [s].
+        first: number of its first vehicle among those of all runs.
+        offset: where its origin is (3,) in the frame of the first run [m].
+    """
+
+    letter: str
+    recording: Recording
+    shift: float = 0.0
+    first: int = 0
+    offset: Floats = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def end(self) -> float:
+        """The last time [s] at which it is shown."""
+        return self.recording.end + self.shift
+
+
 class Recording:
     """A recorded run, readable at any time.
+
+    Args:
+        run: what is read.
+        over: the run over which it is shown, None: it is shown by itself. Over another one only true positions and
+            attitudes are read.
 
     Raises:
         RunError: there is no flight in it, or it is damaged.
@@ -42,10 +71,13 @@ class Recording:
         time: (T,) times of the true states that are kept [s].
         shown: every so-many-th tick is shown.
         stops: events of vehicles that stopped, and the number of the vehicle.
+        notes: what does not fit of other runs, one line each: of one run nothing.
     """
 
-    def __init__(self, run: Run):
-        self.run = run
+    notes: tuple[str, ...] = ()
+
+    def __init__(self, run: Run, over: Recording | None = None):
+        self.run, self._over = run, over
         if "truth" not in run or f"position_ned.{AXES[0]}" not in run["truth"]:
             raise RunError(
                 f"{run.folder}: no true positions (truth.position_ned) were recorded, so nothing can be shown"
@@ -55,22 +87,38 @@ class Recording:
         self._truth = Columns(run, "truth", {"position": position, "attitude": attitude, "valid": valid})
         if not len(self._truth.time):
             raise RunError(f"{run.folder}: not a single tick was recorded, so there is nothing to show")
-        self._measured = Columns(run, "measurements", {"fix": _fixes(run), "height": _heights(run)})
-        mean, gust = (vector(run, "wind", name, AXES) for name in ("mean_ned", "gust_ned"))
-        self._wind = Columns(run, "wind", {"mean": mean, "gust": gust})
+        measured = {"fix": _fixes(run), "height": _heights(run)} if over is None else {}
+        wind = {name: vector(run, "wind", f"{name}_ned", AXES) for name in ("mean", "gust")} if over is None else {}
+        self._measured = Columns(run, "measurements", measured)
+        self._wind = Columns(run, "wind", wind)
         self.time, self.shown = self._truth.time, self._truth.stride
         numbers = {name: i for i, name in enumerate(run.vehicles)}
         self.stops = [(event, numbers[event.vehicle]) for event in _stops(run) if event.vehicle is not None]
         self.world, self.cast = self._surroundings()
-        self._rebuilt = rebuilt(run, self.world)
-        self._links = _links(run)
+        self._rebuilt = rebuilt(run, self.world) if over is None else None
+        self._links = _links(run) if over is None else None
         self._excerpts = Excerpts(run)
         self._slots = columns_of(run["measurements"].columns()) if "measurements" in run else []
 
     @property
     def end(self) -> float:
-        """The last time [s]."""
+        """Time of the last tick [s]."""
         return float(self.time[-1])
+
+    @property
+    def title(self) -> str:
+        """The name of the scenario."""
+        return self.run.info.scenario
+
+    @property
+    def members(self) -> list[Member]:
+        """The runs that are shown: this one."""
+        return [Member("", self)]
+
+    @property
+    def events(self) -> list[Event]:
+        """Events of the run; none if they were not recorded."""
+        return self.run.events if EVENTS in self.run else []
 
     @property
     def heading(self) -> str:
@@ -81,6 +129,11 @@ class Recording:
     def _surroundings(self) -> tuple[World | None, Cast]:
         """Return world and cast of the recorded scenario; no world, with a warning, if it cannot be built."""
         start = self._truth.at("position", self.time[0])
+        over = self._over
+        # Of the same scenario nothing has to be built again.
+        same = over is not None and over.run.vehicles == self.run.vehicles and _looks(over.run) == _looks(self.run)
+        if over is not None and same:
+            return over.world, replace(over.cast, start_ned=np.nan_to_num(start).astype(float), flown=self._flown())
         try:
             world = self.run.built().world(self.run.info.precision)
             cast = replace(cast_of(world, start, self._places()), flown=self._flown())
@@ -98,12 +151,12 @@ class Recording:
         return None, Cast(self.run.vehicles, np.zeros(count, int), starts, flown=self._flown())
 
     def _flown(self) -> Floats:
-        """Return places (K, 3) [m] along all paths."""
+        """Return positions (K, 3) [m] along all flown paths."""
         times = self.time[:: 1 + len(self.time) // PATH_TIMES]
         return np.vstack([self._truth.at("position", float(time)) for time in times])
 
     def _places(self) -> Places | None:
-        """Return the places that the run's task is about, None without a task."""
+        """Return the places of the run's task, None without a task."""
         scenario = self.run.scenario
         task = scenario.get("task") if isinstance(scenario, dict) else None
         known = isinstance(task, dict) and task.get("type", "none") != "none"
@@ -129,7 +182,7 @@ class Recording:
         )
 
     def _links_at(self, time: float) -> Links | None:
-        """Return the links of the radio at a time [s]; None where none were recorded."""
+        """Return the radio links at a time [s]; None if none were recorded."""
         if self._links is None:
             return None
         found = [self._links.at(f"link{k}", time) for k in range(len(self._links.names))]
@@ -137,7 +190,7 @@ class Recording:
         return Links(sender.astype(int), error, outcome.astype(int))
 
     def why(self, event: Event) -> str:
-        """Return in words why a vehicle has stopped, from the event of the stop."""
+        """Return as text why a vehicle has stopped, from its event."""
         return in_words(event.kind, event.field, event.value, None if self.world is None else self.world.area)
 
     def positions(self, times: Floats) -> Floats:
@@ -155,27 +208,11 @@ class Recording:
         estimate[..., 2] = np.where(np.isfinite(height), -height, estimate[..., 2])
         return estimate
 
-    # ---- plots ----
-
-    @property
-    def quantities(self) -> list[str]:
-        """Measured quantities, by name."""
-        return quantities_of(self.run)
-
-    def plotted(self, vehicle: int, quantity: str, time: float) -> tuple[Floats, Floats, Floats]:
-        """Return (times, measured, true), each (K,), of the minute before a time [s]."""
-        times, measured = self._excerpts.of(vehicle, "measurements", time - PLOT_S, time)
-        # True states may be recorded less often.
-        true_times, truth = self._excerpts.of(vehicle, "truth", time - 2.0 * PLOT_S, time)
-        chosen = (times >= time - PLOT_S) & (times <= time + 1e-6)
-        rows = np.maximum(0, np.searchsorted(true_times, times[chosen] + 1e-6, side="right") - 1)
-        return times[chosen], measured[quantity][chosen], true_values(quantity, truth)[rows]
-
     def sky(self, vehicle: int, time: float) -> list[Satellite]:
-        """Return the satellites of a vehicle as its receiver said at a time [s]; none where it said nothing of them."""
+        """Return the satellites that a vehicle's receiver reported at a time [s]; [] without any."""
         if not self._slots:
             return []
-        times, measured = self._excerpts.of(vehicle, "measurements", time - PLOT_S, time)
+        times, measured = self._excerpts.of(vehicle, "measurements", time - SKY_S, time)
         row = int(np.searchsorted(times, time + 1e-6, side="right")) - 1
         if row < 0:
             return []
@@ -183,8 +220,16 @@ class Recording:
         return satellites(said) if np.isfinite(said["elevation"]).all() else []
 
 
+def _looks(run: Run) -> object:
+    """Return (fleet, vehicle) of each fleet in a run's scenario, to compare how vehicles look; None if unknown."""
+    fleets = run.scenario.get("fleets") if isinstance(run.scenario, dict) else None
+    if not isinstance(fleets, dict):
+        return None
+    return [(name, fleet.get("vehicle") if isinstance(fleet, dict) else None) for name, fleet in fleets.items()]
+
+
 def _links(run: Run) -> Columns | None:
-    """Return what was logged of the links of the radio; None without one."""
+    """Return the logged columns of radio links; None without a radio."""
     names = run["measurements"].columns() if "measurements" in run else ()
     count = links_logged(names)
     each: dict[str, tuple[str, ...] | None] = {
@@ -194,7 +239,7 @@ def _links(run: Run) -> Columns | None:
 
 
 def _first(run: Run, ending: str) -> str | None:
-    """Return the name of the first measured quantity with this ending, without it."""
+    """Return the first measured quantity's name that has this ending, without the ending; None without one."""
     columns = run["measurements"].columns() if "measurements" in run else ()
     return next((column.removesuffix(f".{ending}") for column in columns if column.endswith(f".{ending}")), None)
 
@@ -212,7 +257,7 @@ def _heights(run: Run) -> tuple[str, ...] | None:
 
 
 def _stops(run: Run) -> list[Event]:
-    """Return why vehicles stopped, each once."""
+    """Return one event for each vehicle that stopped."""
     if EVENTS not in run:
         return []
     found = {e.vehicle: e for e in reversed(run.events) if e.kind not in NOT_A_STOP and e.vehicle in run.vehicles}

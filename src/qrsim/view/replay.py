@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.runs.layout import EVENTS
 from qrsim.view.clock import FRAME_S, SPEEDS, Clock
 from qrsim.view.page import Page
+from qrsim.view.plots import Plots
 from qrsim.view.recording import Recording
 from qrsim.view.scene import Scene
+from qrsim.view.several import Several
 from qrsim.view.timeline import Timeline
 
 # The slider is moved at every so-many-th frame.
@@ -31,7 +32,7 @@ class Replay:
         time: simulated time that is shown [s].
     """
 
-    def __init__(self, recording: Recording, page: Page, clock: Clock, time: float = 0.0):
+    def __init__(self, recording: Recording | Several, page: Page, clock: Clock, time: float = 0.0):
         self.recording, self.page, self.clock = recording, page, clock
         self.time = time
         self._lock = threading.Lock()
@@ -40,25 +41,22 @@ class Replay:
         with page.time_folder:
             self._slider: Any = page.server.gui.add_slider("t [s]", 0.0, max(end, step), step, min(time, end))
         self._slider.on_update(self._scrub)
-        events = recording.run.events if EVENTS in recording.run else []
-        self._timeline = Timeline(page.server, end, list(events), clock, self.seek)
-        if recording.quantities:
-            page.plotted = lambda vehicle, quantity: recording.plotted(vehicle, quantity, self.time)
-            page.add_plots(recording.quantities)
+        self._timeline = Timeline(page.server, end, recording.events, clock, self.seek, Plots(recording))
+        page.note = page.note or " / ".join(recording.notes)
         page.sky = lambda vehicle: recording.sky(vehicle, self.time)
         self.seek(time)
 
     def _scrub(self, event: Any) -> None:
-        """Go to the time of the slider where a user has moved it."""
+        """Go to the slider's time after a user has moved it."""
         # What the program itself moved has no client.
         if event.client is not None:
             self.seek(self._slider.value)
 
-    def seek(self, time: float) -> None:
-        """Go to a time [s]."""
+    def seek(self, time: float, everything: bool = True) -> None:
+        """Go to a time [s]; without ``everything``, layers that are slow to draw follow some frames later."""
         with self._lock:
             self.time = min(max(0.0, time), self.recording.end)
-            self._show(everything=True)
+            self._show(everything)
 
     def _show(self, everything: bool = False) -> None:
         """Draw the frame at the present time; ``everything``: also slow layers and the slider."""
@@ -70,7 +68,7 @@ class Replay:
             self._timeline.show(self.time)
 
     def run(self, stop: threading.Event) -> None:
-        """Play until ``stop`` is set and the clock is closed; restart at the end."""
+        """Play in real time until ``stop`` is set and the clock is closed; at the end start again."""
         times = self.recording.time
         step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
         most = math.ceil(2.0 * SPEEDS[-2] * FRAME_S / step)
@@ -87,8 +85,8 @@ class Replay:
                 self._show(everything=ended or not self.clock.playing)
 
 
-def remember_paths(scene: Scene, recording: Recording, time: float) -> None:
-    """Extend the paths of a scene to a time [s], or after a jump redraw them so that they end at it."""
+def remember_paths(scene: Scene, recording: Recording | Several, time: float) -> None:
+    """Extend a scene's paths to a time [s]; after a jump, rebuild them."""
     for paths, read in zip(scene.paths, (recording.positions, recording.estimates), strict=True):
         times = paths.missing(time)
         if len(times):

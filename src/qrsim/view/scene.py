@@ -13,6 +13,7 @@ from qrsim.core.arrays import Floats
 from qrsim.view.air import AIR, Air, air_layers
 from qrsim.view.cameras import Cameras, camera_layers
 from qrsim.view.contents import contents_layers
+from qrsim.view.differences import difference_layers
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.ground import Area, Ground, Obstacles, keep_out_layers
 from qrsim.view.interference import interference_layers
@@ -65,7 +66,7 @@ class Scene:
         self.vehicles = Vehicles(self.stage)
         self.paths = (Paths(self.stage), EstimatedPaths(self.stage))
         others, names = (Poles, Ghosts, Wind, Gusts), Names(self.stage)
-        moving = [*self.paths, *(layer(self.stage) for layer in others), names]
+        moving = [*self.paths, *(layer(self.stage) for layer in others), names, *difference_layers(self.stage)]
         solid: list[Layer] = []
         if world is not None:
             solid = [Area(self.stage, world), *keep_out_layers(self.stage, world), Obstacles(self.stage, world)]
@@ -84,30 +85,30 @@ class Scene:
         self._look()
 
     def _look(self) -> None:
-        """Let pages begin with a view from the south, of all starts, routes and paths."""
+        """Set the initial view of new pages: from the south, with all starts, routes and paths."""
         # Vehicles leave where they start; what they fly in is seen as a whole.
         self._begin(self.cast.centre, self.cast.extent * (1.15 if self.cast.around is None else 0.8))
         self._server.initial_camera.near, self._server.initial_camera.far = 0.1, max(1000.0, 20.0 * self.cast.extent)
 
     def look(self, at: Floats, distance: float, from_ned: tuple[float, float, float] = SOUTH) -> None:
-        """Set the initial view in place of one of all vehicles: a target (3,), a distance [m] and a direction."""
+        """Set the initial camera to look at a point (3,) NED from a distance [m] in a direction NED."""
         self._begin(at, distance, from_ned)
         self.overlay.hold()
 
     def _begin(self, at: Floats, distance: float, from_ned: tuple[float, float, float] = SOUTH) -> None:
-        """Set where the camera of a new browser is: ``distance`` [m] from a place, in a direction in NED."""
+        """Set a new browser's camera at ``distance`` [m] from the point ``at``, in a direction NED."""
         camera = self._server.initial_camera
         camera.up = (0.0, 0.0, -1.0)
         camera.look_at = tuple(at)
         camera.position = tuple(np.asarray(at) + distance * np.array(from_ned))
 
     def look_from(self, direction: tuple[float, float, float]) -> None:
-        """Let pages begin with a view of all vehicles from a direction, NED, seen from them."""
+        """Make new pages begin with a view of all vehicles from a direction NED, as seen from the vehicles."""
         self._begin(self.cast.centre, self.cast.extent, direction)
         self.overlay.look_from(direction)
 
     def draw(self, frame: Frame, everything: bool = False) -> None:
-        """Show a frame.
+        """Draw the layers that are due for a frame; ``everything``: all visible ones.
 
         Args:
             frame: what to show.
@@ -131,13 +132,13 @@ class Scene:
                 self._draw(*max(waiting, key=lambda late: self._due[late[0]]))
 
     def _draw(self, number: int, layer: Layer) -> None:
-        """Draw a layer that is due, and count that as done."""
+        """Draw a layer, and record when it was drawn."""
         self._due[number] %= 1.0
         assert self.frame is not None
         layer.draw(self.frame)
 
     def _strained(self) -> float:
-        """Return the factor by which slow links reduce how often layers besides the vehicles are drawn."""
+        """Return the factor by which slow browsers reduce the rate of all layers except vehicles."""
         self._strain = min(MOST_STRAIN, max(1.0, self.lag_s() / LAG_S, STRAIN_LEFT * self._strain))
         return self._strain
 
@@ -151,12 +152,12 @@ class Scene:
 
     @property
     def air(self) -> Air | None:
-        """Return the layer of the air in a plane; None in a world without one."""
+        """Layer of the air in a plane; None in a world without one."""
         found = self.layers.get(AIR)
         return found if isinstance(found, Air) else None
 
     def show_air(self, height: float, shows: str) -> None:
-        """Show the air at a height over the origin [m], GUST or WHOLE."""
+        """Set the height [m] of the air's plane, and whether it shows gusts (GUST) or the whole wind (WHOLE)."""
         layer = self.air
         if layer is None:
             return
@@ -172,7 +173,7 @@ class Scene:
             self.draw(self.frame, everything=True)
 
     def choose(self, *vehicles: int) -> None:
-        """Choose the vehicles of single-vehicle layers: those that browsers have chosen."""
+        """Set the vehicles that single-vehicle layers show."""
         with self._lock:
             self.stage.chosen = frozenset(vehicles)
             for layer in self.layers.values():
@@ -180,7 +181,7 @@ class Scene:
                     layer.draw(self.frame)
 
     def nearest(self, origin: object, direction: object) -> int | None:
-        """Return the vehicle at the smallest angle from a ray of the camera."""
+        """Return the vehicle with the smallest angle from a camera's ray; None without vehicles."""
         if self.frame is None:
             return None
         away = self.frame.position_ned - np.asarray(origin)
@@ -191,7 +192,7 @@ class Scene:
 
 
 def _span(cast: Cast) -> float:
-    """Return the size [m] in which vehicles are drawn at first."""
+    """Return the initial size [m] of drawn vehicles."""
     largest = LARGEST_SPAN
     if cast.size > MANY:
         room = float(np.sqrt(np.prod(np.ptp(cast.start_ned[:, :2], axis=0)) / cast.size))

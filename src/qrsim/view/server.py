@@ -23,7 +23,7 @@ def require_viser() -> None:
 
 
 def start_server(port: int = PORT, label: str = "qrsim", host: str = LOOPBACK) -> ViserServer:
-    """Start a server, for this machine alone or with a token in its address; if its port is taken, use the next free.
+    """Start a page server, for this machine only or with a token in its address; a taken port becomes the next.
 
     Args:
         port: to listen on; 0: any that is free.
@@ -80,7 +80,7 @@ class Delivery:
 
     @property
     def lag_s(self) -> float:
-        """How far behind the slowest browser is [s]."""
+        """Delay of the slowest browser [s]."""
         return self._gate.lag_s
 
     def sent(self) -> None:
@@ -109,8 +109,11 @@ def free_port(port: int, host: str = LOOPBACK) -> int:
     raise RunError(f"cannot listen on {host}: ports {port} to {min(port + 99, 65535)} are all in use")
 
 
-def listen(server: ViserServer, wish: Callable[[Any], None]) -> None:
-    """Set the function that is called, in a thread, with each wish of the page's script; it replaces the one before."""
+def listen(server: ViserServer, wish: Callable[[Any], bytes | None]) -> None:
+    """Set the function that is called, in a thread, with each request of the page's script.
+
+    What it returns is sent to that script.
+    """
     _gates[server].wish = wish
 
 

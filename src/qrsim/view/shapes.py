@@ -22,20 +22,20 @@ _CUBE_FACES = np.array(
 
 
 def merged(*meshes: Mesh) -> Mesh:
-    """Merge meshes into one."""
+    """Merge meshes into one mesh."""
     firsts = np.cumsum([0, *(len(corners) for corners, _ in meshes)])
     faces = [triangles + first for (_, triangles), first in zip(meshes, firsts[:-1], strict=True)]
     return np.concatenate([corners for corners, _ in meshes]), np.concatenate(faces)
 
 
 def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> Mesh:
-    """Return a box between two corners."""
+    """Return the mesh of a box between two corners."""
     corners = np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     return corners, _CUBE_FACES
 
 
 def disc(x: float, y: float, z: float, radius: float, corners: int = 10) -> Mesh:
-    """Return a flat disc that faces up."""
+    """Return the mesh of a flat disc that faces up (-z)."""
     angles = np.arange(corners) * 2.0 * math.pi / corners
     rim = np.stack([x + radius * np.cos(angles), y + radius * np.sin(angles), np.full(corners, z)], axis=1)
     i = np.arange(corners)
@@ -43,7 +43,7 @@ def disc(x: float, y: float, z: float, radius: float, corners: int = 10) -> Mesh
 
 
 def prism(radius: float, z_min: float, z_max: float, corners: int = 24) -> Mesh:
-    """Return an upright cylinder about the z axis."""
+    """Return the mesh of an upright cylinder about the z axis."""
     low, faces_low = disc(0.0, 0.0, z_min, radius, corners)
     high, faces_high = disc(0.0, 0.0, z_max, radius, corners)
     i, j = np.arange(corners), np.roll(np.arange(corners), -1)
@@ -53,7 +53,7 @@ def prism(radius: float, z_min: float, z_max: float, corners: int = 24) -> Mesh:
 
 
 def cone(x_min: float, x_max: float, radius: float, corners: int = 8) -> Mesh:
-    """Return a cone along x, its tip at ``x_max``."""
+    """Return the mesh of a cone along x, its base at ``x_min`` and its tip at ``x_max``."""
     angles = np.arange(corners) * 2.0 * math.pi / corners
     rim = np.stack([np.full(corners, x_min), radius * np.cos(angles), radius * np.sin(angles)], axis=1)
     i = np.arange(corners)
@@ -89,7 +89,7 @@ def multirotor(rotors: tuple[tuple[float, float, float], ...], radius: float) ->
 
 
 def _arm(x: float, y: float, z: float) -> Mesh:
-    """Return a flat arm from the middle to a hub."""
+    """Return a flat arm from the origin to a hub."""
     length = max(math.hypot(x, y), 1e-9)
     corners, faces = box((0.0, -0.02, -0.02), (1.0, 0.02, 0.02))
     across = np.array([-y / length, x / length, 0.0])
@@ -100,7 +100,7 @@ def _arm(x: float, y: float, z: float) -> Mesh:
 
 
 def mast() -> Mesh:
-    """Return a box with an antenna above it, of height 1, with a beak where it looks."""
+    """Return a box with an antenna on it, 0.8 high, with a beak that points forwards."""
     antenna = box((-0.02, -0.02, -0.8), (0.02, 0.02, -0.1))
     return merged(
         box((-0.12, -0.12, -0.2), (0.12, 0.12, 0.0)), antenna, disc(0.0, 0.0, -0.8, 0.15), cone(0.1, 0.3, 0.05)
@@ -108,7 +108,7 @@ def mast() -> Mesh:
 
 
 def car() -> Mesh:
-    """Return a car of length 1 in body axes, its wheels on the ground at z = 0, with a beak where it looks."""
+    """Return a car of length 1 in body axes, wheels at z = 0, with a beak that points forwards."""
     body = box((-0.45, -0.2, -0.3), (0.4, 0.2, -0.12))
     cabin = box((-0.3, -0.16, -0.42), (0.12, 0.16, -0.3))
     beak, faces = cone(0.38, 0.6, 0.09)
@@ -153,7 +153,7 @@ _OTHERS = {"mast": mast, "car": car, "plane": plane}
 
 
 def looks(outline: Outline | None) -> Mesh:
-    """Return a vehicle of span 1 in body axes."""
+    """Return the mesh of a vehicle's outline, of span 1 in body axes; a quadrotor for None."""
     if outline is None:
         return quadrotor()
     return multirotor(outline.rotors, outline.rotor_radius) if outline.rotors else _OTHERS[outline.kind]()
@@ -171,7 +171,7 @@ def pin() -> Mesh:
 
 
 def along(direction: Floats) -> Floats:
-    """Return unit quaternions (n, 4), w first, that turn the x axis into directions (n, 3) of any length."""
+    """Return unit quaternions (n, 4), w first, that rotate the x axis to directions (n, 3) of any length."""
     length = np.linalg.norm(direction, axis=1)
     unit = direction / np.maximum(length, 1e-9)[:, None]
     # The half-way rotation between (1, 0, 0) and the unit vector; straight back it is half a turn about z.
@@ -183,7 +183,7 @@ def along(direction: Floats) -> Floats:
 
 
 def linear(colours: object) -> NumpyArray:
-    """Return sRGB colours (..., 3) as the linear ones that a page wants of instances and corners (IEC 61966-2-1)."""
+    """Convert sRGB colours (..., 3), 0 to 255, to linear ones for mesh instances (IEC 61966-2-1)."""
     share = np.asarray(colours, np.float64) / 255.0
     found = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
     return np.round(255.0 * found).astype(np.uint8)
@@ -195,5 +195,5 @@ def speed_colours(speed: Floats, strongest: float) -> Floats:
 
 
 def ratio_colours(ratio: Floats, strongest: float) -> Floats:
-    """Return colours (n, 3) of logarithmic ratios (n,), saturated beyond -/+ ``strongest``."""
+    """Return colours (n, 3) for log ratios (n,), saturated beyond +-``strongest``."""
     return on_scale(RATIO, 0.5 + 0.5 * ratio / strongest)

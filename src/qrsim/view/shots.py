@@ -44,7 +44,7 @@ class Camera:
 
     @staticmethod
     def parsed(text: str, vehicles: Iterable[str]) -> Camera:
-        """Return the camera of VEHICLE, DIRECTION, VEHICLE:DIRECTION or "area".
+        """Parse a camera: VEHICLE, DIRECTION, VEHICLE:DIRECTION or "area".
 
         Raises:
             UsageError: there is no such vehicle, or no such direction.
@@ -64,7 +64,7 @@ class Camera:
         return Camera(name, direction)
 
     def aim(self, scene: Scene, world: World | None = None) -> None:
-        """Let pages of a scene, of which a frame was drawn, begin with this view."""
+        """Set the initial view of a scene's pages to this camera, after a frame was drawn."""
         if self.vehicle is not None and scene.frame is not None:
             number = scene.cast.names.index(self.vehicle)
             scene.choose(number)
@@ -79,7 +79,7 @@ class Camera:
 
 
 def _corners(scene: Scene, world: World | None) -> NumpyArray:
-    """Return corners (K, 3) of the area of a world [m]; of where vehicles start, if it is no box or not known."""
+    """Return the corners (K, 3) [m] of the area if it is a known box; else of the vehicles' starts."""
     area = None if world is None else world.area
     if area is None or not area.is_box:
         return scene.cast.start_ned
@@ -87,7 +87,7 @@ def _corners(scene: Scene, world: World | None) -> NumpyArray:
 
 
 def parsed_size(text: str) -> tuple[int, int]:
-    """Return width and height [pixels] of a text such as "1920x1080".
+    """Parse a size such as "1920x1080" to width and height [pixels].
 
     Raises:
         UsageError: it is no size, or too small or too large.
@@ -100,7 +100,7 @@ def parsed_size(text: str) -> tuple[int, int]:
 
 
 def parsed_layers(text: str, shown: dict[str, bool]) -> dict[str, bool]:
-    """Return which layers are shown: those named, separated by commas; or all that are shown but those after "-".
+    """Return layer -> whether shown: only the named layers, or all shown ones except those after "-".
 
     Args:
         text: such as "vehicles, true paths", "-poles, -gusts" or "all".

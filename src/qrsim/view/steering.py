@@ -36,7 +36,7 @@ class Wind:
 
 
 def wind_of(world: World) -> Wind | None:
-    """Return the mean wind of a world; None for a wind model without one speed and direction."""
+    """Return the mean wind of a world; None for a wind model without a single speed and direction."""
     try:
         limit = wind_limit(world)
     except UsageError:
@@ -57,5 +57,5 @@ def steered(simulation: Simulation, request: Request) -> str:
 
 
 def with_asked(world: World, asked: Mapping[Any, Any]) -> World:
-    """Return a world with the wind set by the fields of recorded events."""
+    """Return a world with the wind changed to field -> value, as recorded in events."""
     return with_wind(world, asked.get(SPEED), asked.get(BEARING))

@@ -83,7 +83,7 @@ class Locations(_Marks):
 
 
 def task_layers(stage: Stage, places: Places | None) -> list[Layer]:
-    """Return the layers of what a task has of goals, sources and locations."""
+    """Return the layers of a task's goals, sources and locations; [] without any."""
     if places is None:
         return []
     parts = ((Goals, places.goals), (Sources, places.sources), (Locations, places.locations))

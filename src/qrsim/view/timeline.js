@@ -23,7 +23,12 @@
       100 * time / Math.max(data.end, 1e-9) + "%";
     track.append(mark);
   }
-  bar.append(button, track, label);
+  const plots = document.createElement("button");
+  plots.style.cssText = "border:1px solid #8888;border-radius:4px;background:none;font:inherit;cursor:pointer;color:inherit";
+  plots.textContent = "Plots";
+  plots.title = "quantities over time (P)";
+  plots.onclick = () => { window.qrsimPlots?.toggle(); plots.blur(); };
+  bar.append(button, track, label, plots);
   document.body.append(bar);
   const at = location.href.split(/[?#]/)[0].replace(/^http/, "ws").replace(/\/$/, "") + "/timeline";
   let socket = null, ended = false, playing = false, now = 0, last = 0, later = 0;
@@ -52,18 +57,20 @@
   };
   window.qrsimTime = (time, plays, speed) => {
     now = time; playing = plays;
+    window.qrsimPlots?.time(time);
     done.style.width = 100 * time / Math.max(data.end, 1e-9) + "%";
     button.textContent = plays ? "||" : "\u25B6";
     label.textContent = clock(time) + " / " + clock(data.end) + "  " + speed + " x";
   };
   const seek = (event, always) => {
     clearTimeout(later);
-    const wait = always ? 0 : 80 - (performance.now() - last), clientX = event.clientX;
+    const wait = always ? 0 : 40 - (performance.now() - last), clientX = event.clientX;
     // Not too often, but the last place is never left out.
-    if (wait > 0) { later = setTimeout(() => seek({clientX}, true), wait); return; }
+    if (wait > 0) { later = setTimeout(() => seek({clientX}, false), wait); return; }
     last = performance.now();
     const box = track.getBoundingClientRect();
-    say({time: data.end * Math.min(1, Math.max(0, (event.clientX - box.left) / box.width))});
+    // While it is dragged, what is slow to draw may wait.
+    say({time: data.end * Math.min(1, Math.max(0, (event.clientX - box.left) / box.width)), drag: !always});
   };
   track.onpointerdown = (event) => { track.setPointerCapture(event.pointerId); seek(event, true); };
   track.onpointermove = (event) => { if (event.buttons) seek(event, false); };

@@ -13,7 +13,7 @@ AXES, ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")
 
 
 def true_values(quantity: str, truth: Mapping[str, Floats]) -> Floats:
-    """Return the true values (K,) of a measured quantity; NaN if it has none, as a number of satellites.
+    """Return the true values (K,) of a measured quantity; NaN for one without a truth, such as a number of satellites.
 
     Args:
         quantity: SENSOR.FIELD or SENSOR.FIELD.AXIS.

@@ -80,7 +80,7 @@ class Viewer:
 
     @property
     def _name(self) -> str:
-        """Name of the chosen vehicle, or the word for none."""
+        """Name of the chosen vehicle, or the entry for none."""
         vehicle = self.choice.vehicle
         return NOBODY if vehicle is None else self._scene.cast.names[vehicle]
 
@@ -95,7 +95,7 @@ class Viewer:
         return choice, plot
 
     def _series(self) -> Any:
-        """Return the lines of a plot: what is measured in the vehicle's colour."""
+        """Return the plot's series: time, measured (in the vehicle's colour), true."""
         colour = self._scene.stage.colours[self.choice.vehicle or 0]
         stroke = "#{:02x}{:02x}{:02x}".format(*colour.tolist())
         return (
@@ -105,14 +105,14 @@ class Viewer:
         )
 
     def _named(self) -> None:
-        """Choose the vehicle whose name the user has selected."""
+        """Choose the vehicle that the user has selected by name."""
         name = self.who.value
         vehicle = None if name == NOBODY else self._scene.cast.names.index(name)
         if vehicle != self.choice.vehicle:
             self.choose(vehicle)
 
     def choose(self, vehicle: int | None) -> None:
-        """Choose a vehicle, plot what it measures, and follow it if following is switched on."""
+        """Choose a vehicle (None: none), plot its readings, and follow it if following is on."""
         self.choice.vehicle = vehicle
         if self.who.value != self._name:
             self.who.value = self._name
@@ -120,14 +120,14 @@ class Viewer:
         self._show()
 
     def follow(self, follow: bool) -> None:
-        """Let the camera go with the chosen vehicle, or not."""
+        """Start or stop following the chosen vehicle with the camera."""
         self.choice.follow = follow
         if self.follows.value != follow:
             self.follows.value = follow
         self._show()
 
     def _show(self) -> None:
-        """Show or hide overlay, plots and fault controls as the choice of vehicle requires."""
+        """Show or hide overlay, plots and fault controls, depending on the chosen vehicle."""
         vehicle, overlay = self.choice.vehicle, self._scene.overlay
         overlay.choose(vehicle, self._client)
         overlay.follow(vehicle if self.choice.follow else None, self._client)
@@ -141,7 +141,7 @@ class Viewer:
         self.send_sky()
 
     def send_sky(self) -> None:
-        """Send the satellites over the chosen vehicle to the browser, if they have changed."""
+        """Send the chosen vehicle's satellites to the browser, if they have changed."""
         vehicle = self.choice.vehicle
         found = [] if vehicle is None else self._sky(vehicle)
         now = told(self._name, found)
@@ -150,7 +150,7 @@ class Viewer:
             self._scene.overlay.sky(now, self._client)
 
     def plot(self) -> None:
-        """Draw the plots anew."""
+        """Redraw the plots."""
         if self.choice.vehicle is None or self._plotted is None:
             return
         for choice, plot in self.plots:
@@ -162,6 +162,6 @@ class Viewer:
 
 
 def _first_choice(quantities: list[str], number: int) -> str:
-    """Return the initial quantity of a plot: one with instructive errors, if it is measured."""
+    """Return the initial quantity of plot ``number``: one with instructive errors, if it is measured."""
     wanted = ("position_ned.x", "height")
     return next((q for q in quantities if q.endswith(wanted[number])), quantities[number])

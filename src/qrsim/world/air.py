@@ -18,7 +18,7 @@ Time = tuple[Array, Array]
 
 
 def turbulence_inputs(turbulence: Turbulence, position_ned: Vec3, time: Time, field: object) -> dict[str, object]:
-    """Return the arguments that a turbulence names in ``reads``, in addition to its state and the height.
+    """Return the keyword arguments that a turbulence declares in ``reads``.
 
     Args:
         turbulence: of the world.
@@ -31,7 +31,7 @@ def turbulence_inputs(turbulence: Turbulence, position_ned: Vec3, time: Time, fi
 
 
 def gust_at(world: World, field: object, memory: object, height_agl: Array, position_ned: Vec3, time: Time) -> Vec3:
-    """Return the gust (n,) [m/s], random and discrete, and the updrafts at positions (n,) [m].
+    """Return the gust (n,) [m/s] NED at positions (n,) [m]: turbulence, discrete gust and updrafts together.
 
     ``memory`` is the turbulence's state.
     """
@@ -51,14 +51,14 @@ def gust_at(world: World, field: object, memory: object, height_agl: Array, posi
 
 
 def _shared_and_own(world: World, field: Any) -> tuple[object, tuple[object, ...]]:
-    """Return the part of the turbulent field that all vehicles share, and the random draws of each updraft."""
+    """Return the turbulent field that all vehicles share, and the random draw of each updraft."""
     return (field.turbulence, field.updrafts) if world.updrafts else (field, ())
 
 
 def gust_rates_at(
     world: World, field: object, memory: object, height_agl: Array, position_ned: Vec3, time: Time
 ) -> Vec3 | None:
-    """Return the rotation of the air (n,) [rad/s] in NED, None where the turbulence gives none."""
+    """Return the rotation of the air (n,) [rad/s] in NED, None if the turbulence has no rotation."""
     if not world.turbulence.rates:
         return None
     inputs = turbulence_inputs(world.turbulence, position_ned, time, _shared_and_own(world, field)[0])
@@ -66,7 +66,7 @@ def gust_rates_at(
 
 
 def weather_at(world: World, tick: Array) -> World:
-    """Return a world with its weather at a tick; itself where it does not change."""
+    """Return a world with its changing weather set to a tick; unchanged if the weather is constant."""
     changes = world.changes
     if changes is None:
         return world
@@ -82,7 +82,7 @@ def weather_at(world: World, tick: Array) -> World:
 
 
 def _scaled(world: World, gusts: Vec3) -> Vec3:
-    """Return random gusts, or their rates, of the strength that they have now."""
+    """Return turbulent gusts, or their rates, times the world's present gust scale."""
     scale = world.gust_scale
     return gusts if scale is None else gusts.map(lambda axis: axis * scale)
 
@@ -95,7 +95,7 @@ def around_of(
     faults: tuple[RotorFault, ...] = (),
     tick: Array | None = None,
 ) -> Around:
-    """Return the part of the world that vehicles (n,) may read.
+    """Return the surroundings that vehicles (n,) may read: ground, rotating air, known rotor faults.
 
     Args:
         world: with its ground.

@@ -20,7 +20,7 @@ from qrsim.world.state import Fleet, FleetState, World
 
 
 def check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState, ...]) -> tuple[FleetState, ...]:
-    """Check all vehicles after a step; one that breaks a limit is put back where it was, at rest.
+    """Return the fleets after the checks of a step; a vehicle that breaks a limit is put back, at rest.
 
     Args:
         world: parameters.
@@ -59,7 +59,7 @@ def check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState,
 def own_checks(
     world: World, fleet: Fleet, state: FleetState, before_ned: Vec3 | None = None
 ) -> list[tuple[int, Array, Array]]:
-    """Check each vehicle (n,) of a fleet alone, without the others; (code, value, broken).
+    """Return the checks (code, value, broken) of each vehicle (n,) of a fleet that need no other vehicle.
 
     Args:
         world, fleet, state: of the fleet.
@@ -83,7 +83,7 @@ def own_checks(
 
 
 def _empty_battery(fleet: Fleet, state: FleetState) -> list[tuple[int, Array, Array]]:
-    """Return the check (code, charge, empty) of vehicles (n,) with a battery that can run out."""
+    """Return [(code, charge, empty)] of vehicles (n,) with a battery that can run out, [] for others."""
     if not fleet.battery.drains:
         return []
     charge = cast(Charged, state.battery).charge
@@ -91,6 +91,6 @@ def _empty_battery(fleet: Fleet, state: FleetState) -> list[tuple[int, Array, Ar
 
 
 def _hits_obstacle(world: World, fleet: Fleet, start_ned: Vec3, end_ned: Vec3) -> tuple[int, Array, Array]:
-    """Return the check (code, number of the obstacle, hit) of ways (n,)."""
+    """Return the check (code, number of the obstacle, hit) of straight ways (n,) against obstacles."""
     number, hit = obstacle_hit(world.obstacles, start_ned, end_ned, world.radius_of(fleet))
     return reason_code("collision", "obstacle"), number, hit

@@ -41,7 +41,7 @@ class Commanded(NamedTuple):
 def command_fleet(
     world: World, whole: State, fleet: Fleet, state: FleetState, tick: Array, action: Action, believed: Estimate | None
 ) -> Commanded:
-    """Command a fleet at the start of a tick; see ``step`` of world/tick.py for the arguments."""
+    """Return guidance, set-point, controller and commands of a fleet at the start of a tick."""
     if isinstance(action, Some):
         return _command_some(world, whole, fleet, state, tick, action, believed)
     if isinstance(action, Piloted):
@@ -88,7 +88,7 @@ def command_fleet(
 def _command_some(
     world: World, whole: State, fleet: Fleet, state: FleetState, tick: Array, some: Some, believed: Estimate | None
 ) -> Commanded:
-    """Command a fleet of which a user commands some vehicles."""
+    """Return the commands of a fleet of which a user commands only some vehicles."""
     # The estimate of the controllers continues also for vehicles that fly a user's commands.
     found = command_fleet(world, whole, fleet, state, tick, None, believed)
     for which, action in some.parts:
@@ -105,7 +105,7 @@ def _command_some(
 
 
 def _joined(commands: Commands, which: Array, command: object) -> Commands:
-    """Add a command for some vehicles (n,) bool; those of one kind become one."""
+    """Return ``commands`` with ``command`` added for vehicles ``which`` (n,) bool, merged with one of the same kind."""
     for number, (theirs, other) in enumerate(commands):
         if _alike(command, other):
             both = (None if theirs is None else theirs | which, select(which, command, other))
@@ -120,7 +120,7 @@ def _alike(one: object, other: object) -> bool:
 
 
 def by_kind(commands: Sequence[tuple[Array | None, object, Array]], function: Callable[[object, Array], T]) -> T:
-    """Apply a function to the commands of each kind, and return each vehicle's result by the masks (n,) bool."""
+    """Return each vehicle's result of ``function``, called once for each kind of command, chosen by masks (n,)."""
     merged: T | None = None
     for which, command, clipped in commands:
         result = function(command, clipped)
@@ -145,13 +145,13 @@ def _mates(world: World, whole: State, fleet: Fleet, state: FleetState, estimate
 
 
 def _flying(position_ned: Vec3, state: FleetState) -> Vec3:
-    """Return positions (n,), NaN for stopped vehicles."""
+    """Return positions (n,) with NaN for stopped vehicles."""
     flies = state.violation.code == 0
     return position_ned.map(lambda axis: jnp.where(flies, axis, jnp.nan))
 
 
 def _others(world: World, whole: State, fleet: Fleet) -> dict[str, Any]:
-    """Return the estimated positions (m,) of all other fleets, if its guidance uses them; NaN for stopped vehicles."""
+    """Return the estimated positions (m,) of all other fleets by argument name, NaN if stopped; {} if not used."""
     if not fleet.guidance.sees_others:
         return {}
     positions = []

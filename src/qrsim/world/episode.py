@@ -73,7 +73,7 @@ def episode_draws(world: World, keys: WorldKeys, like: Array) -> dict[str, Draw]
 
 
 def refuse_unplaced(world: World, placed: Sequence[npt.ArrayLike]) -> None:
-    """Raise an error if a fleet has no start position.
+    """Raise an error if a fleet has no start position in some world.
 
     Args:
         world: whose fleets.
@@ -91,12 +91,12 @@ def refuse_unplaced(world: World, placed: Sequence[npt.ArrayLike]) -> None:
 
 
 def draw_ranges(world: World, draws: dict[str, Draw]) -> tuple[Array, ...]:
-    """Draw a number () for each range of the world."""
+    """Return a random number () for each range of the world."""
     return tuple(uniform(draws[f"{RANGE}/{item.name}"], 0, item.low, item.high)[0] for item in world.ranges)
 
 
 def draw_field(world: World, draws: dict[str, Draw]) -> object:
-    """Draw the part of an episode's gusts that all vehicles share, or None; with updrafts an ``AirField``."""
+    """Return the gust field that all vehicles of an episode share, or None; with updrafts an ``AirField``."""
     turbulence, shared = world.turbulence, None
     if turbulence.field_ids:
         shared = turbulence.draw_field(draws[FIELD], **({"wind": world.wind} if turbulence.sees_wind else {}))
@@ -109,7 +109,7 @@ def draw_field(world: World, draws: dict[str, Draw]) -> object:
 
 
 def start_contents(world: World, draws: dict[str, Draw]) -> ContentsState:
-    """Draw the plume, the ground and the persons of an episode."""
+    """Return the random plume, land cover and persons of an episode; None for parts without randomness."""
     contents = world.contents
     release: Plume = contents.plume
     plume = terrain = persons = None
@@ -123,7 +123,7 @@ def start_contents(world: World, draws: dict[str, Draw]) -> ContentsState:
 
 
 def place(world: World, fleet: Fleet, draws: dict[str, Draw]) -> tuple[Start, Array | None]:
-    """Place a fleet at its start; also return whether positions were found, None for given ones."""
+    """Return a fleet's start, and () bool: positions were found; None for given positions."""
     if not fleet.placement.random:
         return fleet.start, None
     start: Start
@@ -136,7 +136,7 @@ def place(world: World, fleet: Fleet, draws: dict[str, Draw]) -> tuple[Start, Ar
 
 
 def surroundings(world: World, contents: ContentsState, tick: Array) -> Surroundings:
-    """Return the part of a world that sensors may read at a tick."""
+    """Return the parts of a world that sensors may read at a tick."""
     return Surroundings(
         world.contents,
         contents,
@@ -153,7 +153,7 @@ def surroundings(world: World, contents: ContentsState, tick: Array) -> Surround
 def step_contents(
     world: World, state: State, fleets: tuple[FleetState, ...], due: Array, after: Array
 ) -> ContentsState:
-    """Release puffs, and mark the persons found by the vehicles at their new positions."""
+    """Return plume and persons after a tick: puffs released, persons found by vehicles marked."""
     contents = state.contents
     plume: Plume = world.contents.plume
     persons = world.contents.persons
@@ -195,7 +195,7 @@ def picture(world: World, state: State, number: int, camera: str) -> Picture:
 
 
 def film(world: World, state: State, number: int, camera: str) -> tuple[Any, Any, Stream]:
-    """Return the camera of a fleet, its last reading, and the stream of its noise; arguments as of ``picture``."""
+    """Return a fleet's camera, its last reading, and its noise stream; arguments as of ``picture``."""
     fleet = world.fleets[number]
     index = fleet.sensor_names.index(camera)
     ids = jnp.arange(fleet.size, dtype=jnp.uint32)
@@ -204,7 +204,7 @@ def film(world: World, state: State, number: int, camera: str) -> tuple[Any, Any
 
 
 def develop(world: World, contents: ContentsState, camera: TakesPictures, reading: Record, stream: Stream) -> Picture:
-    """Develop the last pictures of a camera of vehicles (n,).
+    """Return the last picture of each vehicle (n,) of a camera, computed from its last reading.
 
     Args:
         world: with the numbers of the episode.

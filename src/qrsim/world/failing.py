@@ -17,7 +17,7 @@ from qrsim.world.state import Fleet, FleetState, State, World
 
 
 def first_failsafe(world: World, fleet: Fleet, pose: Pose) -> FailsafeState | None:
-    """Return the failsafes of a fleet at a start, home on the ground below it; None if the fleet has no failsafes."""
+    """Return a fleet's failsafe state at the start, home on the ground below; None without failsafes."""
     if fleet.failsafes is None:
         return None
     start = pose.position_ned
@@ -35,7 +35,7 @@ def by_failsafe(
     setpoint: object,
     tick: Array,
 ) -> tuple[FailsafeState, PathSetpoint]:
-    """Return the failsafes of a fleet after a tick, and the set-point (n,) of its guidance or of a failsafe.
+    """Return a fleet's failsafe state after a tick, and the set-point (n,): the given one, or a failsafe's.
 
     Args:
         world, whole: parameters and state.
@@ -61,7 +61,7 @@ def by_failsafe(
 
 
 def _as_path(setpoint: object) -> PathSetpoint:
-    """Return a set-point as one of position, velocity and acceleration; a waypoint is at rest."""
+    """Return a waypoint as a path set-point at rest; a path set-point unchanged."""
     if isinstance(setpoint, PathSetpoint):
         return setpoint
     assert isinstance(setpoint, WaypointSetpoint)
@@ -71,7 +71,7 @@ def _as_path(setpoint: object) -> PathSetpoint:
 
 
 def _fixed(fleet: Fleet, state: FleetState) -> Array | None:
-    """Return whether a receiver of each vehicle (n,) has a fix; None without receivers, or if the truth is fed."""
+    """Return (n,) bool: a receiver has a fix; None without receivers, or if the controller is fed the truth."""
     if fleet.controller.feed == "truth":
         return None
     places = [vars(reading).get("position_ned") for reading in state.readings]
@@ -85,7 +85,7 @@ def _fixed(fleet: Fleet, state: FleetState) -> Array | None:
 
 
 def _heard(world: World, whole: State, fleet: Fleet, tick: Array) -> Array | None:
-    """Return the tick (n,) at which the newest received message was sent; None if no link can be lost."""
+    """Return the tick (n,) at which the newest message received from the link was sent; None if no link can be lost."""
     assert fleet.failsafes is not None
     if fleet.failsafes.NAV_DLL_ACT == "none" or world.radio is None:
         return None

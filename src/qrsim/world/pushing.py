@@ -17,7 +17,7 @@ from qrsim.world.state import Fleet
 def pushed(
     fleet: Fleet, vehicle: VehicleState, step: Callable[[VehicleState], tuple[Any, ...]], tick: Array, dt: float
 ) -> tuple[Any, ...]:
-    """Advance vehicles (n,) by a step in which they may be pushed; nothing is added for a fleet without pushes.
+    """Return the results of ``step`` for vehicles (n,), with the pushes that act added.
 
     Half of the change of velocity comes before the step, and half after it (Strang splitting), so that a free vehicle
     gains exactly the acceleration times the time, and the position that belongs to it. Accelerometers feel a push.
@@ -46,7 +46,7 @@ def pushed(
 
 
 def _half(model: Vehicle, vehicle: VehicleState, ned: Vec3, body: Vec3, dt: float) -> tuple[VehicleState, Vec3]:
-    """Return vehicles (n,) after half a step of accelerations (n,) [m/s^2] alone, and these in body axes."""
+    """Return vehicles (n,) after half a step of accelerations alone, and the accelerations (n,) [m/s^2], body axes."""
     felt = rotation(model.pose(vehicle).attitude).to_body(ned) + body
     free = [
         axis if name in model.pushable else jnp.zeros_like(axis) for name, axis in zip("xyz", felt.axes, strict=True)
@@ -56,5 +56,5 @@ def _half(model: Vehicle, vehicle: VehicleState, ned: Vec3, body: Vec3, dt: floa
 
 
 def _scaled(factor: float, axis: Array) -> Array:
-    """Return a product (n,); -0 where it is 0, because that changes no bit of any sum, not even the sign of a 0."""
+    """Return ``factor`` times (n,), and -0.0 for 0, which changes no bit of any sum."""
     return jnp.where(axis != 0.0, rounded(factor * axis), -0.0)

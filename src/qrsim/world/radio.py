@@ -20,7 +20,7 @@ from qrsim.world.state import Action, Fleet, FleetState, Saying, State, World, W
 
 
 def split_messages(actions: tuple[Action, ...]) -> tuple[tuple[Action, ...], tuple[Outbox | None, ...]]:
-    """Split actions into each fleet's action without messages, and the messages of its vehicles, None without any."""
+    """Return each fleet's action without messages, and each fleet's messages, None without."""
     plain = tuple(action.action if isinstance(action, Saying) else action for action in actions)
     return plain, tuple(action.outbox if isinstance(action, Saying) else None for action in actions)
 
@@ -68,7 +68,7 @@ def exchange(world: World, state: State, outboxes: tuple[Outbox | None, ...], ti
 
 
 def _failed(world: World, like: Array, tick: Array) -> tuple[Array | None, Array | None]:
-    """Return which radios (n,) are off by a fault, and the share (n,) of packets that each loses; None: none can."""
+    """Return (n,) bool: a fault has the radio off, and the share (n,) of lost packets; None, None without faults."""
     faults = [
         (*fleet.radio_faults, *([] if fleet.radio_slot is None else [fleet.radio_slot])) for fleet in world.fleets
     ]
@@ -83,7 +83,7 @@ def _failed(world: World, like: Array, tick: Array) -> tuple[Array | None, Array
 
 
 def heard(world: World, state: State, tick: Array) -> Inbox:
-    """Return the messages that the vehicles (n,) of a world have received by a tick."""
+    """Return the messages that vehicles (n,) of a world have received by a tick."""
     assert world.radio is not None
     return world.radio.received(state.radio, tick, world.time_step)
 
@@ -98,7 +98,7 @@ def vehicle_ids(fleet: Fleet) -> npt.NDArray[np.uint32]:
 
 
 def _merged_outbox(world: World, outboxes: tuple[Outbox | None, ...], like: Array) -> Outbox:
-    """Return one outbox of all vehicles, empty for those of silent fleets."""
+    """Return the outboxes of all fleets as one, empty for fleets without messages."""
     assert world.radio is not None
     parts = []
     for fleet, part in zip(world.fleets, outboxes, strict=True):
@@ -116,7 +116,7 @@ def _merged_outbox(world: World, outboxes: tuple[Outbox | None, ...], like: Arra
 
 
 def _beacons(world: World, state: State, outboxes: tuple[Outbox | None, ...]) -> Outbox:
-    """Return the beacons of all vehicles: estimated position and velocity; none of vehicles that send messages."""
+    """Return the beacons of all vehicles, estimated position and velocity, sent only as the outboxes ask."""
     assert world.radio is not None
     size, parts, sends = world.radio.size, [], []
     for fleet, now, part in zip(world.fleets, state.fleets, outboxes, strict=True):

@@ -38,7 +38,7 @@ def sense(
     due: Array,
     after: Array,
 ) -> FleetState:
-    """Step the sensors that are due; the readings of invalid vehicles are NaN."""
+    """Return a fleet with the sensors that are due stepped; readings of stopped vehicles are NaN."""
     scene = scene_of(fleet, state, sky, view)
     valid = state.violation.code == 0
     states, delivered, undisturbed, fitted = [], [], [], []
@@ -116,7 +116,7 @@ def with_traffic(
 def inputs_of(
     sensor: Sensor, fitting: Fitting | None, scene: dict[str, object], memory: Fitted | None, time_step: float
 ) -> dict[str, object]:
-    """Return the inputs of a sensor by name (``reads``), at its mounting position and in its axes."""
+    """Return the true inputs of a sensor by name (``reads``), at its mounting position and in its axes."""
     if fitting is None or (fitting.position_body is None and fitting.attitude is None):
         return {item: scene[item] for item in sensor.reads}
     before = None if memory is None else memory.rates_body
@@ -124,7 +124,7 @@ def inputs_of(
 
 
 def starting_fitted(fleet: Fleet, scene: dict[str, object], readings: tuple[Record, ...], tick: Array) -> object:
-    """Return the states of a fleet's fittings at the start, from the first readings of its sensors; () without any."""
+    """Return the states of a fleet's sensor fittings at the start; () without fittings."""
     if not fleet.fittings:
         return ()
     rates = cast(Vec3, scene["rates_body"])
@@ -135,12 +135,12 @@ def starting_fitted(fleet: Fleet, scene: dict[str, object], readings: tuple[Reco
 
 
 def _fitted(state: FleetState, number: int) -> Fitted | None:
-    """Return the state of how a sensor is fitted; None if no sensor of the fleet has one."""
+    """Return the state of a sensor's fitting, None without."""
     return state.fitted[number] if state.fitted else None
 
 
 def _moved_on(memory: Fitted | None, scene: dict[str, object]) -> Fitted | None:
-    """Return the state of a fitting with the present rates, if it needs them at the next tick."""
+    """Return a fitting's state with the present body rates stored, if the next tick needs them."""
     if memory is None or memory.rates_body is None:
         return memory
     return replace(memory, rates_body=cast(Vec3, scene["rates_body"]))
@@ -155,7 +155,7 @@ def _sent(
     dt: float,
     tick: Array,
 ) -> tuple[object, Any]:
-    """Step a sensor and send its reading; return its state, and the readings in transit."""
+    """Return a sensor's state after a step, and its readings in transit with the new one added."""
     after, reading = step()
     assert memory.transit is not None
     late = fitting.ticks(period, dt, draw, memory.transit.due[0].shape)
@@ -172,7 +172,7 @@ def _believed(
     due: Array,
     after: Array,
 ) -> Belief | None:
-    """Step the controller's own estimator with the present readings; return its belief, None without an estimator.
+    """Return the belief of the fleet's own estimator after a step with the present readings; None without.
 
     Vehicles that are not ``valid`` (n,) keep their last estimate, with zero velocity: without new readings, a filter
     would go on predicting their flight.
@@ -199,7 +199,7 @@ def first_belief(
     readings: dict[str, Record],
     start: Estimate,
 ) -> Belief | None:
-    """Return the belief of a fleet's own estimator at the start; None without an estimator.
+    """Return the belief of the fleet's own estimator at the start; None without an estimator.
 
     Args:
         fleet, state: parameters and state of the fleet.
@@ -230,7 +230,7 @@ def first_belief(
 
 
 def at_rest(estimate: Estimate) -> Estimate:
-    """Return an estimate with no velocity."""
+    """Return the estimate with zero velocity."""
     return replace(estimate, velocity_ned=estimate.velocity_ned.map(jnp.zeros_like))
 
 
@@ -244,7 +244,7 @@ def faulted(
     first: bool = False,
     late: Late | None = None,
 ) -> tuple[Record, tuple[FaultMemory | None, ...]]:
-    """Apply a sensor's faults in turn; return the delivered reading and the states of the faults.
+    """Return a reading after a sensor's faults in turn, and the faults' new memories.
 
     Args:
         fleet, name: fleet and name of the sensor.
@@ -265,7 +265,7 @@ def faulted(
 
 
 def scene_of(fleet: Fleet, state: FleetState, sky: SkyState, view: Surroundings | None = None) -> dict[str, object]:
-    """Everything a sensor may declare in ``reads``."""
+    """Return all true inputs, by name, that a sensor may declare in ``reads``."""
     vehicle = fleet.vehicle.pose(state.vehicle)
     loads = any("load" in sensor.reads for sensor in fleet.sensors)
     return {
@@ -288,7 +288,7 @@ def scene_of(fleet: Fleet, state: FleetState, sky: SkyState, view: Surroundings 
 
 
 def with_airspeed(fleet: Fleet, state: FleetState, estimate: Estimate) -> Estimate:
-    """Return an estimate with the airspeed that the fleet's controller reads, or without one if it reads none.
+    """Return the estimate with an airspeed if the fleet's controller reads one, else without.
 
     An airspeed in the estimate is kept; else it is the measured one, or the true one without a sensor.
     """
@@ -305,13 +305,13 @@ def with_airspeed(fleet: Fleet, state: FleetState, estimate: Estimate) -> Estima
 
 
 def airspeed_of(pose: Pose, air_ned: Vec3) -> Array:
-    """Return the speed (n,) [m/s] through air that moves (n,) [m/s] NED."""
+    """Return the airspeed (n,) [m/s] of a pose in air with velocity ``air_ned`` (n,) [m/s]."""
     through = pose.velocity_body - rotation(pose.attitude).to_body(air_ned)
     return root(through.dot(through))
 
 
 def estimate_of(fleet: Fleet, state: FleetState) -> Estimate:
-    """Return the controller's estimate: its own, the truth, or from horizontal GNSS, barometer and attitude."""
+    """Return the controller's estimate: by its own estimator, the truth, or GNSS, barometer and attitude."""
     if state.belief is not None and fleet.controller.feed != "truth":
         return state.belief.estimate
     truth = fleet.vehicle.pose(state.vehicle)
@@ -340,7 +340,7 @@ class Measured(TypedDict, total=False):
 
 
 def measured_quantities(readings: tuple[Record, ...]) -> Measured:
-    """Merge the fields of all readings by name; the first sensor with a field takes precedence.
+    """Return the fields of all readings by name; for a field in several, the first sensor's.
 
     Fields of other names than those of ``Measured`` are there too.
     """

@@ -31,14 +31,14 @@ LEVEL = 1e-4
 
 
 def on_ground(fleet: Fleet, state: FleetState) -> Array | None:
-    """Return which vehicles (n,) of a fleet are on the ground, bool; None if touching it ends a flight."""
+    """Return (n,) bool: a vehicle is on the ground; None if touching the ground ends a flight."""
     if state.parked is not None:
         return state.parked
     return fleet.vehicle.on_ground(state.vehicle)
 
 
 def ground_argument(fleet: Fleet, standing: Array | None) -> dict[str, Array]:
-    """Return the argument ``on_ground`` (n,) bool of a guidance that uses it, by name; empty for other guidances."""
+    """Return {"on_ground": (n,) bool} for a guidance that uses it, {} for other guidances."""
     if not fleet.guidance.sees_ground:
         return {}
     return {"on_ground": jnp.zeros(fleet.size, bool) if standing is None else standing}
@@ -47,7 +47,7 @@ def ground_argument(fleet: Fleet, standing: Array | None) -> dict[str, Array]:
 def started(
     world: World, fleet: Fleet, vehicle: VehicleState, low: Vec3 | None
 ) -> tuple[VehicleState, Vec3 | None, Array | None]:
-    """Return vehicles (n,) at the start; those that start on the ground are at rest there, with still rotors.
+    """Return vehicles (n,) at the start; those that start on the ground are put on it, at rest, rotors still.
 
     Returns:
         The state, the second part of the position, and which vehicles are parked (n,), None in a fleet that cannot be.
@@ -67,7 +67,7 @@ def started(
 def settled(
     world: World, fleet: Fleet, before: FleetState, command: object, moved: VehicleState, low: Vec3 | None, force: Vec3
 ) -> tuple[VehicleState, Vec3 | None, Vec3, Array]:
-    """Hold vehicles on the ground that are parked or touch down softly, after a step of a fleet that can be parked.
+    """Return vehicles (n,) after a step with those held on the ground that are parked or touch down softly.
 
     Args:
         world, fleet: parameters.
@@ -116,14 +116,14 @@ def _levelled(world: World, pose: Pose) -> Pose:
 
 
 def _stopping_force(world: World, before: Pose, attitude: Euler, gravity: Array) -> Vec3:
-    """Return the mean specific force (n,) [m/s^2] of a step at whose end vehicles are at rest, body axes."""
+    """Return the mean specific force (n,) [m/s^2] in body axes that brings vehicles to rest in one step."""
     came = rotation(before.attitude).to_ned(before.velocity_body)
     stop = came.map(lambda axis: -axis / world.time_step)
     return rotation(attitude).to_body(replace(stop, z=stop.z - gravity))
 
 
 def lying_force(turned: Rotation) -> Vec3:
-    """Return the specific force (n,) [m/s^2], in body axes, of vehicles at rest in an attitude: their weight alone."""
+    """Return the specific force (n,) [m/s^2] in body axes of vehicles at rest in an attitude."""
     return Vec3(turned.forward.z, turned.right.z, turned.down.z) * AT_REST
 
 
@@ -148,7 +148,7 @@ def ground_checks(world: World, fleet: Fleet, state: FleetState) -> list[Check]:
 
 
 def over_the_floor(world: World, fleet: Fleet, position_ned: Vec3) -> Vec3:
-    """Return positions (n,) for the check of the area, not below z = 0 if ``ground_checks`` checks the ground instead.
+    """Return positions (n,) for the area's check, raised to z = 0 if ``ground_checks`` checks the ground.
 
     So a floor at z = 0 never ends such a flight; a floor above that, z_max below 0, does.
     """
@@ -159,27 +159,27 @@ def over_the_floor(world: World, fleet: Fleet, position_ned: Vec3) -> Vec3:
 
 
 def _depth(world: World, pose: Pose, low: Vec3 | None) -> Array:
-    """Return the depth of vehicles (n,) below the ground [m], negative above it."""
+    """Return the depth (n,) [m] of vehicles below the ground, negative above."""
     position = pose.position_ned
     depth = position.z - world.ground_down(position)
     return depth if low is None else depth + low.z
 
 
 def _touch(world: World, pose: Pose) -> tuple[Array, Array]:
-    """Return speed (n,) [m/s] and tilt (n,) [rad] from the normal of the ground."""
+    """Return the speed (n,) [m/s], and the tilt (n,) [rad] from the ground's normal, at the ground."""
     normal = world.ground.normal(pose.position_ned)
     return pose.velocity_body.norm(), jnp.arccos(jnp.clip(-normal.dot(rotation(pose.attitude).down), -1.0, 1.0))
 
 
 def _is_soft(speed: Array, tilt: Array) -> Array:
-    """Return whether a touch-down is soft enough to land: speed [m/s] and tilt [rad]."""
+    """Return whether a touch-down is soft enough to land, by speed [m/s] and tilt [rad]."""
     return (speed < SOFT_SPEED) & (tilt < SOFT_TILT)
 
 
 def _at_rest_below(
     world: World, fleet: Fleet, pose: Pose, low: Vec3 | None, thrust: Array
 ) -> tuple[VehicleState, Vec3 | None]:
-    """Put vehicles (n,) on the ground at a pose's place.
+    """Return the states of vehicles (n,) put on the ground below a pose, at rest.
 
     Returns:
         States with the attitude and rates of the pose, no velocity and a thrust (n,) [N]; and ``low`` with z 0.

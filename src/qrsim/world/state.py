@@ -136,7 +136,7 @@ class Fleet:
 
     @property
     def own_estimator(self) -> Estimator | None:
-        """The fleet's estimator, else that of its controller; None without one."""
+        """The fleet's estimator, else its controller's; None without."""
         return self.controller.estimator() if self.estimator is None else self.estimator
 
     @property
@@ -150,16 +150,16 @@ class Fleet:
 
     @property
     def all_faults(self) -> tuple[Fault | FaultSlot, ...]:
-        """Faults of sensors, then the slots for injected ones, in the order in which they are applied."""
+        """Sensor faults of the scenario, then the slots for injected ones, in order of application."""
         return (*self.faults, *self.fault_slots)
 
     @property
     def all_battery_faults(self) -> tuple[BatteryFault, ...]:
-        """Faults of the battery, then the slot for an injected one."""
+        """Battery faults of the scenario, then the slot for an injected one."""
         return (*self.battery_faults, *(() if self.battery_slot is None else (self.battery_slot,)))
 
     def voltage(self, battery: object, load: Load, tick: Array) -> Array | None:
-        """Return the battery voltage under load (n,) [V] at a tick; None where it has none."""
+        """Return the battery's voltage under load (n,) [V] at a tick, None for a battery without voltage."""
         voltage = self.battery.voltage(battery, load)
         for fault in self.all_battery_faults:
             voltage = fault.sagged(voltage, tick)
@@ -167,7 +167,7 @@ class Fleet:
 
     @property
     def first_normals(self) -> int:
-        """Standard normals that its estimator draws for each vehicle at a start."""
+        """Number of standard normals that the estimator draws for each vehicle at a start."""
         return 0 if self.own_estimator is None else self.own_estimator.first_normals
 
     @property
@@ -177,7 +177,7 @@ class Fleet:
         return tuple(name for name, fitting in pairs if fitting is not None and fitting.jitter > 0.0)
 
     def fitting(self, number: int) -> Fitting | None:
-        """Return mounting and latency of a sensor; None: at the centre of mass, without latency."""
+        """Return mounting and latency of sensor number ``number``; None: at the centre of mass, without latency."""
         return self.fittings[number] if self.fittings else None
 
 
@@ -240,7 +240,7 @@ class World(Tabled):
 
     @property
     def radii(self) -> Array | None:
-        """Radius (n,) [m] of all vehicles; None if every fleet has the default."""
+        """Radius (n,) [m] of every vehicle; None if every fleet has the default."""
         if all(fleet.radius is None for fleet in self.fleets):
             return None
         return jnp.concatenate([jnp.broadcast_to(self.radius_of(fleet), (fleet.size,)) for fleet in self.fleets])
@@ -256,19 +256,19 @@ class World(Tabled):
         return self.ground.down(position_ned)
 
     def height_agl(self, position_ned: Vec3) -> Array:
-        """Return the height (n,) [m] of positions (n,) above the ground, negative below it."""
+        """Return the height (n,) [m] of positions (n,) above the ground, negative below ground."""
         if self.ground.at_zero:
             return self.area.height_agl(position_ned)
         return self.ground.down(position_ned) - position_ned.z
 
     def rows_of(self, name: str) -> slice[int, int, None]:
-        """Return the slice of the named fleet in arrays (n,) of all vehicles."""
+        """Return the slice of the fleet ``name`` in arrays (n,) of all vehicles."""
         number = [fleet.name for fleet in self.fleets].index(name)
         first = sum(fleet.size for fleet in self.fleets[:number])
         return slice(first, first + self.fleets[number].size)
 
     def with_drawn(self, drawn: tuple[Array, ...]) -> World:
-        """Return the world with an episode's draws for its ranges."""
+        """Return the world with an episode's random numbers in the places of its ranges."""
         world = self
         for item, value in zip(self.ranges, drawn, strict=True):
             for path in item.paths:
@@ -277,7 +277,7 @@ class World(Tabled):
 
 
 def replaced(item: Any, path: tuple[str | int, ...], value: Array) -> Any:
-    """Return a tree with the leaf at a path replaced, in its own shape."""
+    """Return a tree with the leaf at ``path`` replaced by ``value``, broadcast to the leaf's shape and dtype."""
     if not path:
         return jnp.broadcast_to(value, jnp.shape(item)).astype(jnp.asarray(item).dtype)
     step, rest = path[0], path[1:]
@@ -296,7 +296,7 @@ class Belief:
 
     @staticmethod
     def of(estimator: Estimator, memory: object, estimate: Estimate) -> Belief:
-        """Return the belief of an estimator after an update."""
+        """Return the estimator's memory, estimate and standard deviations as one record."""
         return Belief(memory, estimate, estimator.std(memory))
 
 
@@ -370,7 +370,7 @@ class State:
 
 
 def position_of(fleet: FleetState) -> Vec3:
-    """Return the true position of each vehicle (n,) [m] with both its parts, of arrays on the host."""
+    """Return the true position (n,) [m] of each vehicle in float64, rounding remainders added."""
     position: Vec3 = joined(fleet.vehicle.position_ned, fleet.position_low_ned)
     return position
 
@@ -389,12 +389,12 @@ class WorldKeys:
 
 
 def period_ticks(period: float, time_step: float) -> int:
-    """Convert a period to ticks (checked to be whole when the scenario is loaded)."""
+    """Return a period in ticks; scenarios are checked so that it is whole."""
     return max(1, round(period / time_step))
 
 
 def when_due(ticks: int, due: Array, fresh: Callable[[], S], held: S) -> S:
-    """Return fresh() on every multiple of ``ticks``, else the held value."""
+    """Return ``fresh()`` if ``due`` is a multiple of ``ticks``, else ``held``."""
     if ticks == 1:
         return fresh()
     return lax.cond(due % ticks == 0, fresh, lambda: held)

@@ -101,7 +101,7 @@ def step(
     estimates: tuple[Estimate | None, ...] | None = None,
     before: Array | None = None,
 ) -> State:
-    """Advance a world from tick to tick + 1.
+    """Return the state at tick + 1 from the state at tick.
 
     Args:
         world, state: of one world; vmap over worlds from outside.
@@ -145,7 +145,7 @@ def step(
 
 
 def _step_sky(world: World, state: State, due: Array, after: Array) -> SkyState:
-    """Return the sky after a tick: common and satellite errors, if they are due."""
+    """Return the sky after a tick, stepped if it is due."""
     draw = draw_sky(world, state.sky_keys, after, state.sky.range_error[0])
     seconds, fraction = split_time(after, world.time_step, draw.like.dtype)
     ticks = period_ticks(world.sky.period, world.time_step)
@@ -165,7 +165,7 @@ def _fly(
     action: Action,
     believed: Estimate | None,
 ) -> FleetState:
-    """Compute wind, set-point, command and dynamics of one fleet; ``check`` puts invalid vehicles back."""
+    """Return a fleet after a tick of flight (wind, set-point, command, dynamics), limits not checked yet."""
     dt, model = world.time_step, fleet.vehicle
     pose = model.pose(state.vehicle)
     direction = rotation(pose.attitude)
@@ -202,6 +202,7 @@ def _fly(
         """Return the state after a tick of flight with a command, and its specific force."""
 
         def step(vehicle: VehicleState) -> tuple[Any, ...]:
+            """Return the vehicle one step later, the second part of its position, and the specific force."""
             to_body = lambda trig: trig.rotation().to_body(air)  # noqa: E731
             return move(model, vehicle, state.position_low_ned, command, to_body, drawn, dt, around)
 
@@ -240,7 +241,7 @@ def _fly(
 
 
 def _turned(fleet: Fleet, before: FleetState, after: VehicleState) -> Array | None:
-    """Return the whole turns (n,) of the yaw since the start; None if its limit ignores them."""
+    """Return the whole turns (n,) of the yaw since the start, for the yaw limit; None if they are not counted."""
     if before.turns is None:
         return None
     old, new = (fleet.vehicle.pose(each).attitude.yaw for each in (before.vehicle, after))

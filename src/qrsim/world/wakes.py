@@ -86,8 +86,7 @@ def wakes_of(world: World, before: tuple[FleetState, ...]) -> Wakes:
 
 
 def wakes_on(world: World, wakes: Wakes, fleet: Fleet, pose: Pose, turned: Rotation) -> tuple[Vec3, Vec3] | None:
-    """Return the velocity (n,) [m/s] in NED that the wakes of all other vehicles add to the air at a fleet, and the
-    rotation (n,) [rad/s] in body axes.
+    """Return the wakes' air velocity (n,) [m/s] NED at a fleet, and their rotation (n,) [rad/s] in body axes.
 
     Args:
         world: with all fleets.
@@ -124,7 +123,7 @@ def wakes_on(world: World, wakes: Wakes, fleet: Fleet, pose: Pose, turned: Rotat
 
 
 def _by_pairs(found: list[tuple[Jets, bool]], fleet: Fleet, pose: Pose, turned: Rotation) -> tuple[Vec3, Vec3]:
-    """Compute the result of ``wakes_on`` from all pairs of vehicles at once."""
+    """Return the velocity and rotation of ``wakes_on``, computed from all pairs of vehicles at once."""
     points = fleet.vehicle.wake_points()
     none = Vec3.zeros(pose.position_ned.x.shape, pose.position_ned.x.dtype)
     near = [_reached(jets, pose.position_ned, _extent(points)) & _others(jets, fleet, same) for jets, same in found]
@@ -144,10 +143,11 @@ def _by_pairs(found: list[tuple[Jets, bool]], fleet: Fleet, pose: Pose, turned: 
 def _one_by_one(
     felt: tuple[Vec3, Vec3], jets: Jets, reaching: _Reaching, same: bool, fleet: Fleet, pose: Pose, turned: Rotation
 ) -> tuple[Vec3, Vec3]:
-    """Add the wakes in ``reaching`` to velocity and rotation ``felt``, each compared with all vehicles of the fleet."""
+    """Return velocity and rotation ``felt`` with the wakes in ``reaching`` added, wake by wake."""
     points, others = fleet.vehicle.wake_points(), jnp.arange(fleet.size, dtype=jnp.int32)
 
     def one_more(carry: tuple[Array, Vec3, Vec3]) -> tuple[Array, Vec3, Vec3]:
+        """Return number, velocity and rotation with one more wake added."""
         turn, velocity, rates = carry
         whose = reaching.numbers.at[turn].get(mode="promise_in_bounds")
         jet = jax.tree.map(lambda leaf: leaf.at[whose].get(mode="promise_in_bounds")[None], jets)
@@ -155,6 +155,7 @@ def _one_by_one(
         near = near & (others != whose) if same else near
 
         def more() -> tuple[Vec3, Vec3]:
+            """Return velocity and rotation with the wake's part added."""
             blown = _wind_of_jet(jet, near, pose.position_ned, points, turned)
             return velocity + blown[0], rates + blown[1]
 
@@ -164,7 +165,7 @@ def _one_by_one(
 
 
 def _wind_of_jet(jet: Jets, near: Array, place: Vec3, points: tuple[Point, ...], turned: Rotation) -> tuple[Vec3, Vec3]:
-    """Return the mean velocity (k,) in NED and the rotation (k,) in body axes that one wake adds, where it is near."""
+    """Return the mean velocity (k,) [m/s] NED and the rotation (k,) [rad/s] by one wake, 0 where not ``near``."""
     axis = jet.axis.map(lambda part: part[0, 0])
     speeds = [
         jnp.where(near, jet_speed(jet.wake, jet.thrust, *_cylindrical(jet, at))[0], 0.0)
@@ -178,7 +179,7 @@ def _wind_of_jet(jet: Jets, near: Array, place: Vec3, points: tuple[Point, ...],
 def _reaching(
     world: World, before: tuple[FleetState, ...], jets: tuple[Jets | None, ...], extent: Array
 ) -> tuple[_Reaching | None, ...]:
-    """Return the vehicles with wakes that may reach another in flight, with wake points up to ``extent`` [m] away."""
+    """Return, for each fleet, its vehicles with wakes that may reach another vehicle in flight; None without."""
     flying = [state.violation.code == 0 for state in before]
     places = [fleet.vehicle.pose(state.vehicle).position_ned for fleet, state in zip(world.fleets, before, strict=True)]
     # NaN: infinitely far from all others.
@@ -201,7 +202,7 @@ def _reaching(
 
 
 def _radius(jets: Jets, lowest: Array, extent: Array) -> Array:
-    """Return the horizontal reach (m,) [m] of wakes for vehicles down to the height of the lowest; 0 without a wake.
+    """Return the horizontal reach (m,) [m] of wakes above the height of the lowest vehicle; 0 without a wake.
 
     A wake lies inside a cone of half width b + k s at a distance s along its axis, and inside a cylinder of half width
     B. The axis is tilted by t. Down to a depth h below its vehicle, s is at most (h + b sin t)/(cos t - k sin t) in
@@ -224,7 +225,7 @@ def _radius(jets: Jets, lowest: Array, extent: Array) -> Array:
 
 
 def _indices_of(chosen: Array) -> _Reaching:
-    """Return the numbers of the chosen (m,), in their order."""
+    """Return the indices of True in a mask (m,), first ones first, and their number."""
     m = chosen.shape[0]
     rank, numbers = jnp.cumsum(chosen, dtype=jnp.int32), jnp.arange(m, dtype=jnp.int32)
     listed = jnp.zeros(m, jnp.int32).at[jnp.where(chosen, rank - 1, m)].set(numbers, mode="drop")
@@ -242,12 +243,12 @@ def _points_ned(points: tuple[Point, ...], middle: Vec3, turned: Rotation) -> li
 
 
 def _sum(vectors: list[Vec3]) -> Vec3:
-    """Return the sum of vectors."""
+    """Return the sum of a list of vectors."""
     return functools.reduce(operator.add, vectors)
 
 
 def _jets_of(world: World, fleet: Fleet, state: FleetState) -> Jets | None:
-    """Return the jets below the rotors of a fleet's vehicles; None for vehicles without any."""
+    """Return the wakes (jets) of a fleet's vehicles; None for vehicles without."""
     wake = fleet.vehicle.wake()
     if wake is None:
         return None
@@ -270,20 +271,20 @@ def _jets_of(world: World, fleet: Fleet, state: FleetState) -> Jets | None:
 
 
 def _others(jets: Jets, fleet: Fleet, same: bool) -> Array:
-    """Return (m, n) bool: the pair is a vehicle that has a wake, and another vehicle."""
+    """Return (m, n) bool: the upper vehicle has a wake and is not the lower one."""
     lower = jnp.arange(fleet.size)[None, :]
     return (jets.thrust > 0.0) & ((lower != lower.T) if same else (lower >= 0))
 
 
 def _cylindrical(jets: Jets, position_ned: Vec3) -> tuple[Array, Array]:
-    """Return the distance (m, n) [m] of positions (n,) along the axes, and the squared distance [m^2] from them."""
+    """Return distances (m, n) [m] of positions (n,) along the wakes' axes, and squared distances [m^2] from them."""
     offset = position_ned.map(lambda axis: axis[None, :]) - jets.position_ned
     along = offset.dot(jets.axis)
     return along, jnp.maximum(offset.dot(offset) - along * along, 0.0)
 
 
 def _reached(jets: Jets, position_ned: Vec3, extent: Array) -> Array:
-    """Return (m, n) bool: the wake reaches the vehicle, whose wake points are up to ``extent`` [m] away."""
+    """Return (m, n) bool: the wake reaches the vehicle, with wake points up to ``extent`` [m] from it."""
     along, beside_squared = _cylindrical(jets, position_ned)
     reach = edge(jets.wake, jets.thrust, along) + extent
     return (along > -extent) & (reach > 0.0) & (beside_squared < reach * reach)
@@ -296,12 +297,12 @@ def _sum_at(jets: Jets, position_ned: Vec3, counts: Array, law: _Law) -> Vec3:
 
 
 def _vector(point: Point, like: Array) -> Vec3:
-    """Return a point as a vector of arrays in the shape of ``like``."""
+    """Return a point as a vector of arrays, shaped as ``like``."""
     return Vec3(*(jnp.broadcast_to(jnp.asarray(part, like.dtype), like.shape) for part in point))
 
 
 def _rotation_of(points: tuple[Point, ...], downward: list[Array]) -> Vec3:
-    """Return the rotation (n,) [rad/s] in body axes that fits downward velocities (n,) at points best.
+    """Return the rotation (n,) [rad/s] in body axes that best fits downward velocities (n,) [m/s] at points.
 
     Only roll and pitch are fitted; the points must be placed evenly about the body axes.
     """
@@ -311,7 +312,7 @@ def _rotation_of(points: tuple[Point, ...], downward: list[Array]) -> Vec3:
 
 
 def _slope(levers: list[Array | float], values: list[Array]) -> Array:
-    """Return the slope of values (n,) over levers, 0 where all levers are 0."""
+    """Return the least-squares slope (n,) of values over levers, 0 if all levers are 0."""
     square = sum(lever * lever for lever in levers)
     if isinstance(square, float | int) and square <= 0.0:
         return values[0] * 0.0

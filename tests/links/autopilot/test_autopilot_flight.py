@@ -99,7 +99,7 @@ while wire.recv(184, socket.MSG_WAITALL):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="it runs on Linux")
-@pytest.mark.parametrize("fly_on", [False, True])
+@pytest.mark.parametrize("fly_on", [pytest.param(False, marks=pytest.mark.long), True])
 def test_a_firmware_that_dies_in_flight_is_named_and_the_others_fly_on_if_asked(fly_on: bool, tmp_path: Path):
     program = tmp_path / "firmware"
     program.write_text(MORTAL.format(python=sys.executable, mark=tmp_path / "mark"))

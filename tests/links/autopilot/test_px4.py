@@ -23,6 +23,7 @@ from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation
 
 
+@pytest.mark.long
 def test_it_boots_after_any_number_of_frames_and_all_sensors_are_sent() -> None:
     flown = Flown(truth=True)
     first, second = flown.fly(1.0, boot=[0, 53])

@@ -27,6 +27,8 @@ from qrsim.links.mavlink.stack.flight_stack import FlightStack
 from qrsim.links.mavlink.world import FlownWorld
 from qrsim.scenarios.scenario import load_scenario
 
+# Sockets in the short tier: test_mavlink_world.py.
+pytestmark = pytest.mark.long
 M = mavutil.mavlink
 NAN = math.nan
 VEHICLES, FACTOR, PATIENCE_S = 21, 5.0, 20.0
@@ -145,7 +147,6 @@ def served():
     found.end()
 
 
-@pytest.mark.long
 def test_of_many_on_one_port_one_is_flown(served):
     # From the tenth vehicle on all speak to one port, whose client sends each frame to all of them.
     client = Client(f"udpin:{ports.HERE}:{served.ports.peers[-1]}", 15)
@@ -217,7 +218,6 @@ def test_harmed_frames_and_those_for_others_are_passed_over_and_replayed_ones_ar
     assert client.command(400, 0) == ACCEPTED
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("vehicle", "frame_of", "alt"), [(5, 5, 406.0), (6, 6, 6.0), (7, 11, 6.0)])
 def test_global_set_points_are_flown_in_their_frames(served, vehicle, frame_of, alt):
     client = served.client(vehicle)
@@ -246,7 +246,6 @@ def test_global_set_points_are_flown_in_their_frames(served, vehicle, frame_of, 
     assert served.said(vehicle, "Failsafe: no offboard set-points") == 1
 
 
-@pytest.mark.long
 def test_two_that_are_sent_to_one_local_place_fly_side_by_side(served):
     """Each from where it stood, as MAVSDK's example flies two; the program of one starts again meanwhile."""
     clients = [served.client(vehicle) for vehicle in (17, 18)]
@@ -278,7 +277,6 @@ def test_two_that_are_sent_to_one_local_place_fly_side_by_side(served):
     assert clients[1].command(21) == ACCEPTED
 
 
-@pytest.mark.long
 def test_an_attitude_with_thrust_is_flown(served):
     client = served.client(8)
     client.mav.param_request_read_send(9, 1, b"MPC_THR_HOVER", -1)
@@ -332,7 +330,6 @@ def test_a_mission_outside_the_fence_and_an_arming_outside_it(served):
     client.until("SYS_STATUS", lambda s: not s.onboard_control_sensors_health & M.MAV_SYS_STATUS_PREARM_CHECK)
 
 
-@pytest.mark.long
 def test_who_does_not_read_costs_the_others_nothing(served):
     stalled = socket.socket()
     stalled.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -394,7 +391,6 @@ def test_who_speaks_no_mavlink_or_hangs_up_costs_the_others_nothing(served, capl
     assert served.client(11).command(520, 1) == ACCEPTED
 
 
-@pytest.mark.long
 def test_a_client_of_ardupilot():
     served = Served("ardupilot", 1, 10.0)
     try:

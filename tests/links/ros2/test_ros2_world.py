@@ -302,6 +302,7 @@ def test_estimates_are_published_at_the_rate_that_is_asked(flown):
     assert counts["/uav_0/battery"] == 4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("height", "expected"), [(-0.2, -math.inf), (-100.0, math.inf)])
 def test_ranges_that_are_not_measured_are_infinite(height, expected):
     """By REP-117: nearer than range_min, and nothing within range_max."""

@@ -301,17 +301,19 @@ class TestRangeErrors:
             assert low < np.mean(path[epoch] ** 2) < high
         assert abs(np.mean(path[0])) < z_limit(1) / math.sqrt(self.N)
 
-    def test_change_per_epoch(self, path):
+    def test_change_per_epoch(self):
         """0.1746 m, as in the reference: std sqrt(2 (1 - a))."""
         expected = self.STD * math.sqrt(2.0 * -math.expm1(-0.2 / self.TAU))
         assert round(expected, 4) == 0.1747
         assert round(self.STD * math.sqrt(-math.expm1(-0.4 / self.TAU)), 4) == 0.1746
-        changes = self.STD * np.diff(path[:201].astype(np.float64), axis=0)
+        path = errors_of(OrnsteinUhlenbeckErrors(), 1, self.N, 200) / self.STD
+        changes = self.STD * np.diff(path.astype(np.float64), axis=0)
         # Squared changes of one satellite are uncorrelated to 1e-8, so that all of them count.
         low, high = chi_squared_band(changes.size)
         # Single precision keeps 1 - a = 1e-4 to 3e-8.
         assert low - 3e-4 < np.mean(changes**2) / expected**2 < high + 3e-4
 
+    @pytest.mark.long
     def test_time_constant(self, path):
         """Recovered from the regression over 400 s, with 99.9 % confidence to 13 %."""
         first, last = path[0].astype(np.float64), path[-1].astype(np.float64)
@@ -322,6 +324,7 @@ class TestRangeErrors:
         assert z_limit(1) * relative == pytest.approx(0.128, abs=1e-3)
         assert abs(-lag / math.log(slope) / self.TAU - 1.0) < z_limit(1) * relative
 
+    @pytest.mark.long
     def test_autocorrelation(self, path):
         for epochs in (500, self.STEPS):
             r = math.exp(-0.2 * epochs / self.TAU)
@@ -329,6 +332,7 @@ class TestRangeErrors:
             error = math.sqrt((1.0 + r * r) / self.N)
             assert abs(np.mean(path[0] * path[epochs]) - r) < z_limit(2) * error
 
+    @pytest.mark.long
     def test_satellites_are_independent(self, path):
         found = [np.mean(path[e, apart:] * path[e, :-apart]) for e in (0, self.STEPS) for apart in (1, 2, 24)]
         # Also what drives them later, where the first values have no part.

@@ -77,13 +77,16 @@ def test_72_runs_without_a_loss_are_a_go() -> None:
 
 def test_one_loss_needs_another_look() -> None:
     lost = {"stopped": [1.0], "stopped_s": [12.0], "left_area": [1.0], "stopped_leg": [2.0], "stopped_vehicle": [0.0]}
+    lost["wind_max_m_s"] = [19.0]
     assert verdicts(Given(72, **lost), 1)["loss"] == "marginal"
     assert undecided(judge(Given(72, **lost), LIMITS, 1))
     assert verdicts(Given(144, **lost), 2)["loss"] == "go"
     loss = rows(Given(144, **lost), 2)["loss"]
-    assert loss.why.startswith("144 runs, 1 lost (1 left the area): below")
+    assert loss.why.startswith(
+        "1 of 144 runs lost (0.69 %): 1 left the area, the strongest wind of those that left was 19 m/s; the share is"
+    )
     assert loss.worst is not None
-    assert loss.worst.text() == "scout, leg 2, 12 s, seed 0"
+    assert loss.worst.text() == "vehicle scout, leg 2, 12 s, seed 0"
 
 
 def test_between_two_looks_nothing_that_needs_runs_is_decided() -> None:
@@ -94,9 +97,21 @@ def test_between_two_looks_nothing_that_needs_runs_is_decided() -> None:
 
 def test_the_early_look_decides_against_only() -> None:
     assert verdicts(Given(32), 0)["loss"] == "marginal"
-    found = rows(Given(32, stopped=[1.0] * 6, stopped_s=[30.0, 20.0, 25.0, 30.0, 30.0, 30.0], crashed=[1.0] * 6), 0)
+    found = rows(
+        Given(
+            32,
+            stopped=[1.0] * 6,
+            stopped_s=[30.0, 20.0, 25.0, 30.0, 30.0, 30.0],
+            crashed=[1.0] * 6,
+            charge_end=[0.0] * 4,
+        ),
+        0,
+    )
     assert found["loss"].verdict == "no-go"
-    assert found["loss"].why == "32 runs, 6 lost (6 crashed), the earliest at 20 s, seed 1"
+    assert (
+        found["loss"].why
+        == "6 of 32 runs lost (19 %): 6 crashed, the battery was empty in 4; the earliest: 20 s, seed 1"
+    )
     assert not undecided(list(found.values()))
 
 
@@ -131,7 +146,8 @@ def test_a_margin_names_its_moment(metres: float, verdict: str) -> None:
     given = {f"{margin}_m": [20.0, metres], f"{margin}_leg": [1.0, 3.0], f"{margin}_at_s": [5.0, 80.0]}
     row = rows(Given(72, **given), 1)["fence"]
     assert row.verdict == verdict
-    assert row.why.endswith(f"the nearest to the sides of the area was {metres:.1f} m (scout, leg 3, 80 s, seed 1)")
+    nearest = f"the nearest to the sides of the area was {metres:.1f} m"
+    assert row.why.endswith(f"{nearest} (vehicle scout, leg 3, 80 s, seed 1)")
 
 
 def test_the_worst_counts_and_what_is_only_reported_does_not() -> None:

@@ -16,9 +16,9 @@ from qrsim.studies.flight_logs.excitation import (
     described,
     follow,
     measure,
-    nature,
     noise_of,
     standing_still,
+    why_unexcited,
     without_frozen,
     without_ground,
 )
@@ -110,7 +110,7 @@ def test_a_log_that_is_carried_by_hand(log: FlightLog) -> None:
     asked = ("roll_command", "pitch_command", "yaw_rate_command", "throttle")
     found = of(changed(log, **dict.fromkeys(asked, still)))
     assert found.shown == ()
-    assert nature(found).startswith("not commanded: roll, pitch, roll_rate, pitch_rate, yaw_rate move")
+    assert why_unexcited(found).startswith("not commanded: roll, pitch, roll_rate, pitch_rate, yaw_rate move")
 
 
 @pytest.mark.parametrize(("share", "follows"), [(0.40, False), (0.60, True)])
@@ -149,7 +149,7 @@ def test_slow_logs_show_no_attitude(rate: float, shown: bool, log: FlightLog) ->
         assert found.lacking["heave"] == "velocity_down was logged at 1.8 Hz; at least 2 Hz are needed"
         slow = of(replace(log, rates=dict.fromkeys(log.signals, 1.0)))
         assert slow.shown == ()
-        assert nature(slow) == "logged too slowly to show how a vehicle answers"
+        assert why_unexcited(slow) == "logged too slowly to show how a vehicle answers"
 
 
 @pytest.mark.parametrize(("acceleration", "shown"), [(0.85, False), (1.15, True)])
@@ -203,4 +203,4 @@ def test_an_answer_may_be_late_but_not_by_more_than_documented(delay_s: float, f
 
 @pytest.mark.parametrize(("share", "words"), [(0.96, "on the ground"), (0.94, "not in flight")])
 def test_a_log_is_of_the_ground_when_hardly_anything_moves(share: float, words: str, log: FlightLog) -> None:
-    assert nature(replace(of(log), still=share)).startswith(words)
+    assert why_unexcited(replace(of(log), still=share)).startswith(words)

@@ -11,22 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from qrsim.studies.learn.objective import Scaled, _velocity_ned
-from qrsim.studies.learn.ppo import Samples, Settings, _advantages, _loss
+from qrsim.envs.objective import Scaled, _velocity_ned
+from qrsim.studies.learn.ppo import Rows, Samples, Settings, _advantages, _loss, _rows_of
 from qrsim.studies.learn.training import Moments
-
-
-def samples(**changes: Any) -> Samples:
-    zeros = jnp.zeros((3, 1), jnp.float32)
-    parts = dict.fromkeys(Samples._fields, zeros) | {"ended": jnp.zeros((3, 1), bool)}
-    return Samples(**{**parts, **changes})
 
 
 def test_advantages_stop_at_the_end_of_an_episode() -> None:
     reward = jnp.asarray([[1.0], [2.0], [4.0]], jnp.float32)
     ended = jnp.asarray([[False], [True], [False]])
     settings = Settings(discount=0.5, trace=0.5)
-    found = _advantages(samples(reward=reward, ended=ended, value_after=jnp.full((3, 1), 8.0)), settings)
+    found = _advantages(reward, jnp.zeros((3, 1)), jnp.full((3, 1), 8.0), ended, settings)
     # Errors 5, 6 and 8; the first adds a quarter of the second, and the second nothing of the third.
     np.testing.assert_allclose(found[:, 0], [6.5, 6.0, 8.0])
 
@@ -36,9 +30,22 @@ def test_a_ratio_beyond_the_clip_gains_nothing() -> None:
     weights = {"policy": identity, "value": identity, "log_spread": jnp.zeros(1, jnp.float32)}
     flat = jnp.zeros(2, jnp.float32)
     # Both outputs are as likely as can be, e times as likely as they were: the ratio of the good one is clipped at 1.2.
-    part = Samples(flat[:, None], flat[:, None], flat - 1.0, flat, flat, flat, flat)
-    loss, _ = jax.jit(partial(_loss, Settings()))(weights, part, jnp.asarray([1.0, -1.0], jnp.float32), flat)
+    part = Rows(flat[:, None], flat[:, None], flat - 1.0, jnp.asarray([1.0, -1.0], jnp.float32), flat)
+    loss, _ = jax.jit(partial(_loss, Settings()))(weights, part)
     assert float(loss) == pytest.approx(-(1.2 - np.e) / 2.0, rel=1e-5)
+
+
+def test_values_beyond_a_time_limit_count_and_those_beyond_a_crash_do_not() -> None:
+    # The value is the input. Episode 0 goes on, 1 is cut off where the value is 5, and 2 has crashed.
+    one = [(jnp.eye(1, dtype=jnp.float32), jnp.zeros(1, jnp.float32))]
+    weights = {"policy": one, "value": one, "log_spread": jnp.zeros(1, jnp.float32)}
+    inputs = jnp.asarray([[1.0, 1.0, 1.0], [3.0, 7.0, 7.0]])[..., None]
+    ended, beyond = jnp.asarray([[False, True, True]]), jnp.asarray([[0.0, 5.0, 0.0]])
+    given = Samples(inputs, jnp.ones((1, 3, 1)), jnp.full((1, 3), 2.0), ended, beyond)
+    found = jax.jit(partial(_rows_of, settings=Settings(discount=0.5)))(weights, given)
+    np.testing.assert_allclose(found.target, [3.5, 4.5, 2.0])
+    np.testing.assert_allclose(found.advantage, [2.5, 3.5, 1.0])
+    np.testing.assert_allclose(found.log_density, [0.0, 0.0, 0.0])
 
 
 def test_moments_are_those_of_all_rows() -> None:

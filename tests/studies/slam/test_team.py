@@ -46,6 +46,7 @@ def test_the_first_vehicle_is_that_of_a_flight_alone(shared: list[list[Flight]],
         assert np.array_equal(one.ranges, other.ranges, equal_nan=True)
 
 
+@pytest.mark.long
 def test_vehicles_fly_routes_of_their_own_on_levels_of_their_own(shared: list[list[Flight]]) -> None:
     for flights in shared:
         assert [-float(flight.truth[0, 2]) for flight in flights] == [20.0, 19.0, 21.0]

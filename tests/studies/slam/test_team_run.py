@@ -59,6 +59,7 @@ def test_ranges_between_the_vehicles_of_a_run_are_those_that_they_measured(run: 
     assert found.relative_rmse_m < 0.8 * apart.relative_rmse_m
 
 
+@pytest.mark.long
 def test_two_of_three_in_another_order(run: Path) -> None:
     found = qrsim.slam.cooperative_from_run(run, vehicles=["pelicans_2", "pelicans_0"], states="poses")
     assert found.truth_ned[:, 0, :2].tolist() == [[-10.0, 5.0], [0.0, 0.0]]

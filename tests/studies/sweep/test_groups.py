@@ -11,6 +11,7 @@ import pytest
 from tests.studies.sweep.conftest import planned
 
 from qrsim.errors import ScenarioError
+from qrsim.studies.sweep import groups
 
 WINDY = {"world.wind": {"type": "log_shear", "speed_20ft": 1.0, "wind_from_deg": 90.0}}
 GUSTY = WINDY | {"world.turbulence": {"type": "dryden"}}
@@ -62,6 +63,43 @@ def test_worlds_are_those_of_their_scenarios_to_the_bit(
         for one, another in zip(mine, theirs, strict=True):
             assert np.asarray(one).dtype == np.asarray(another).dtype
             assert np.asarray(one).tobytes() == np.asarray(another).tobytes()
+
+
+def test_the_places_of_many_numbers_are_found_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Five ranges, two of them alike: in radians, in ticks, in lists and as they are."""
+    masses = {"fleets.pelicans.vehicle": {"type": "pelican", "mass": [1.6, 1.6]}}
+    ranges = {
+        "world.wind.speed_20ft": (0.5, 9.0),
+        "world.wind.wind_from_deg": (-30.0, 60.0),
+        "fleets.pelicans.faults.1.start": (0.0, 0.4),
+        "fleets.pelicans.vehicle.mass.0": (1.5, 2.0),
+        "fleets.pelicans.vehicle.mass.1": (1.5, 2.0),
+    }
+    changes: dict[str, Any] = {
+        "set": {"duration": 1.0} | GUSTY | FAILING | TWO | masses,
+        "vary": {path: {"low": low, "high": high} for path, (low, high) in ranges.items()},
+        "sampling": {"type": "latin_hypercube", "points": 4},
+        "seeds": 1,
+    }
+    monkeypatch.setattr(groups, "MANY", 99)
+    (one_by_one,) = planned(tmp_path, **changes).groups.values()
+    monkeypatch.setattr(groups, "MANY", 4)
+    monkeypatch.setattr(groups, "_place", None)
+    (together,) = planned(tmp_path, **changes).groups.values()
+    assert together.places is not None
+    assert one_by_one.places is not None
+    for one, other in zip(one_by_one.places, together.places, strict=True):
+        assert (one.path, one.step, one.in_degrees) == (other.path, other.step, other.in_degrees)
+        assert [number for number, _ in one.parts] == [number for number, _ in other.parts]
+        for (_, mine), (_, theirs) in zip(one.parts, other.parts, strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+    assert {place.path: (place.step, place.in_degrees) for place in together.places} == {
+        "world.wind.speed_20ft": (0.0, False),
+        "world.wind.wind_from_deg": (0.0, True),
+        "fleets.pelicans.faults.1.start": (0.02, False),
+        "fleets.pelicans.vehicle.mass.0": (0.0, False),
+        "fleets.pelicans.vehicle.mass.1": (0.0, False),
+    }
 
 
 def test_times_of_faults_are_rounded_down_to_ticks(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from qrsim.cli import main
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.studies.sweep import analysis
 from qrsim.studies.sweep.figures import edges
-from qrsim.studies.sweep.report import find, print_report, replay, to_json, write
+from qrsim.studies.sweep.report import against_best, find, print_report, replay, to_json, write
 from qrsim.studies.sweep.results import Results
 from qrsim.studies.sweep.store import Store
 
@@ -170,6 +170,19 @@ def test_nothing_is_said_where_there_is_nothing(tmp_path: Path) -> None:
     results = Results(made(tmp_path, lambda wind, mass, noise: wind, failure={"metric": "wind_max_m_s", "above": 99.0}))
     assert analysis.boundary(results) == "no episode failed (wind_max_m_s > 99 m/s)"
     assert "saltelli" in str(analysis.sensitivity(results, results.metric("wind_max_m_s")))
+
+
+def test_the_worst_is_shown_over_the_best(tmp_path: Path) -> None:
+    """Of a larger wind the tracking error is larger; the command flies both and opens one page."""
+    report = find(made(tmp_path, lambda wind, mass, noise: wind), None, [])
+    folder, results = tmp_path / "report", report.results
+    assert report.best is not None
+    winds = [results.values_at(episode)[WIND] for episode in (report.worst[0], report.best)]
+    assert winds == [4.0, 0.0]
+    command = str(against_best(report, folder))
+    runs = [folder / f"episode_{int(results.positions[episode])}" for episode in (report.worst[0], report.best)]
+    assert [part.split(" --out ")[-1] for part in command.split(" && ")[:2]] == list(map(str, runs))
+    assert command.endswith(f" && qrsim view {runs[0]} {runs[1]}")
 
 
 def test_a_report_of_a_sweep_that_still_runs(tmp_path: Path) -> None:

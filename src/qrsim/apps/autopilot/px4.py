@@ -121,9 +121,17 @@ class Px4:
 
         def flown_by(simulation: Simulation) -> Px4Flight:
             flight = Px4Flight(
-                simulation, fleets, start_usec, port, self.first_instance, self.wait, self.realtime, self.truth, host,
+                simulation,
+                fleets,
+                start_usec,
+                port,
+                self.first_instance,
+                self.wait,
+                self.realtime,
+                self.truth,
+                host,
                 say,
-            )  # fmt: skip
+            )
             if build is None:
                 for link in flight.links:
                     say(f"{link.name} waits for PX4 instance {link.instance} on TCP {link.port}")

@@ -62,7 +62,7 @@ class Injecting:
             require("view", "--view")
 
     def applied(self, scenario: Scenario) -> tuple[Scenario, tuple[Injection, ...]]:
-        """Return a scenario in which these faults are possible, and the requests that are made in flight.
+        """Return a scenario that allows the injections of a file, and the requests to make in flight.
 
         Raises:
             UsageError: a part that no fleet has, or a file that cannot be read or injected.
@@ -80,7 +80,7 @@ def say(line: str) -> None:
 
 
 def check(options: Options) -> None:
-    """Raise a UsageError for numbers and names out of range that all autopilots share."""
+    """Raise UsageError for options out of range that all autopilots share."""
     check_seed(options.seed)
     if options.every < 1:
         raise UsageError(f"--every {options.every}: expected an integer from 1")
@@ -105,7 +105,7 @@ def recorded(
     injections: tuple[Injection, ...],
     flown_by: Callable[[Simulation], Flown],
 ) -> Iterator[tuple[Flown, Pace]]:
-    """Fly a scenario and record it; yield the flight, which is closed, and its pace. Then the page stays.
+    """Fly a scenario and record it; yield the closed flight and its pace, then keep the 3-D page open.
 
     Args:
         options: of the command.
@@ -148,7 +148,7 @@ def recorded(
 
 
 def report(options: Options, who: str, folder: Path, fleets: tuple[str, ...], pace: Pace) -> None:
-    """Print how a flight went."""
+    """Print the summary of a flight."""
     from qrsim.runs import open_run
     from qrsim.runs.separation import smallest_separation
     from qrsim.runs.summary import summarise

@@ -88,7 +88,7 @@ class Check:
         return 1 if found[-1].runs else 0
 
     def _use_cores(self) -> None:
-        """Let JAX use as many cores as asked for, or all; an option below 1 is refused."""
+        """Set the number of cores that JAX uses, all by default; raises UsageError below 1."""
         from contextlib import suppress
 
         from qrsim.engine.settings import available_cores, configure
@@ -109,7 +109,7 @@ class Check:
         return load_scenario(self.scenario, with_duration(self.set, self.duration))
 
     def _policy(self, scenario: Scenario) -> tuple[Any, int]:
-        """Return the policy, None without one, and the number of ticks between its calls."""
+        """Return the policy, None without one, and its period in ticks."""
         from qrsim.envs.learned import rollout_policy
         from qrsim.interface.policies import load_function
         from qrsim.tasks.learned import is_policy_file
@@ -216,7 +216,7 @@ def _draw(scenario: Scenario, flown: Rollout, found: list[Outcome], path: Path) 
 
 
 def _print_outcomes(found: list[Outcome], runs: int) -> None:
-    """Print a table: in how many runs each outcome occurred, with its interval, seeds and place."""
+    """Print a table of outcomes: number of runs, interval, seeds and worst place."""
     width = max(len(outcome.name) for outcome in found)
     print(f"  {'in a run, any vehicle ...':<{width + 6}} {'runs':>5} {'fraction':>9}   95 % interval")
     for outcome in found:
@@ -230,14 +230,14 @@ def _print_outcomes(found: list[Outcome], runs: int) -> None:
 
 
 def _where(moment: Any) -> str:
-    """Return seed, vehicle, time and place of a moment, in words."""
+    """Return seed, vehicle, time and place of a moment as text."""
     north, east, down = moment.position_ned
     place = f"north {north:.1f}, east {east:.1f}, height {-down:.1f} m"
     return f"seed {moment.seed}, {moment.vehicle}, {moment.time_s:.2f} s, {place}"
 
 
 def _check_picture(path: Path) -> None:
-    """Refuse a picture that cannot be written, before anything is flown."""
+    """Raise UsageError for a picture that cannot be written, before anything is flown."""
     from qrsim.errors import did_you_mean
 
     formats = ("png", "pdf", "svg")

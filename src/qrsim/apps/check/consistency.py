@@ -55,12 +55,12 @@ class Row:
         return "consistent" if self.low <= 1.0 <= self.high else ""
 
     def to_json(self) -> dict[str, object]:
-        """Return the fields by name, what is not known as None."""
+        """Return the fields by name, with NaN as None."""
         return {name: None if value != value else value for name, value in asdict(self).items()}
 
 
 def consistency(flown: Rollout) -> list[Row]:
-    """Return a row for each block of errors with a stated covariance, [] if no estimator states one."""
+    """Return a row for each block of errors with a reported covariance; [] if no estimator reports one."""
     found = []
     for name, metric in ROWS.items():
         values = np.asarray(flown[metric], np.float64)
@@ -73,7 +73,7 @@ def consistency(flown: Rollout) -> list[Row]:
 
 
 def _row(name: str, runs: NumpyArray) -> Row:
-    """Return mean and confidence interval of a number that each run has one of; NaN bounds for one run."""
+    """Return mean and confidence interval of a number given for each run; NaN bounds for a single run."""
     from scipy import stats
 
     mean, count = float(runs.mean()), len(runs)

@@ -92,7 +92,7 @@ class Outcome:
 
 
 def outcomes(flown: Rollout) -> list[Outcome]:
-    """Return in how many runs each kind of failure happened; the last entry counts the runs with any of them."""
+    """Return the number of runs with each kind of failure; the last entry counts runs with any."""
     kinds = np.array([kind for kind, _ in REASONS])[flown["reason"]]
     stopped, places = flown["stopped_at_s"], flown["position_ned"]
     times = {name: np.where(kinds == kind, stopped, np.nan) for name, kind in KINDS.items()}
@@ -121,7 +121,7 @@ def outcomes(flown: Rollout) -> list[Outcome]:
 
 
 def _outcome(flown: Rollout, name: str, times: NumpyArray, places: NumpyArray) -> Outcome:
-    """Return an outcome from the times (W, n) at which it happened, NaN where it did not, and the places (W, n, 3)."""
+    """Return an outcome from its times (W, n) [s], NaN if it did not happen, and places (W, n, 3) NED [m]."""
     from scipy.stats import binomtest
 
     earliest = np.nanmin(np.where(np.isnan(times), np.inf, times), axis=1)
@@ -140,7 +140,7 @@ def _outcome(flown: Rollout, name: str, times: NumpyArray, places: NumpyArray) -
 def _moment(
     flown: Rollout, world: int, vehicle: int, times: NumpyArray, places: NumpyArray, value: float | None = None
 ) -> Moment:
-    """Return the moment of a vehicle in a world of the rollout, from arrays of times [s] and places in NED [m]."""
+    """Return time, place and seed of an outcome of a vehicle in one world of the rollout."""
     north, east, down = (float(x) for x in places[world, vehicle])
     return Moment(
         int(flown.seeds[world]), flown.vehicles[vehicle], float(times[world, vehicle]), (north, east, down), value

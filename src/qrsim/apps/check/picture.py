@@ -46,7 +46,7 @@ def save_picture(scenario: Scenario, flown: Rollout, found: list[Outcome], path:
 
 
 def _drawn(scenario: Scenario, flown: Rollout, found: list[Outcome]) -> Any:
-    """Return a figure: a map of where runs went wrong, and bars of how many did."""
+    """Return the figure: a map of failures and bars of their numbers."""
     figure = new_figure(12, 5.5)
     axes = figure.subplots(1, 2, width_ratios=(3, 2))
     _plan(axes[0], scenario, flown)
@@ -94,7 +94,7 @@ def outline(area: Any) -> list[list[float]]:
 
 
 def _bars(axes: Any, found: list[Outcome]) -> None:
-    """Draw the fraction of the runs with each outcome [%] and its 95 % interval."""
+    """Draw the percentage of runs with each outcome and its 95 % interval."""
     names = [outcome.name for outcome in found]
     rows = np.arange(len(found))[::-1]
     fractions = np.array([100 * outcome.fraction for outcome in found])

@@ -109,7 +109,7 @@ class OpenLoop:
 
 
 def known_vehicles() -> dict[str, Any]:
-    """Return the classes of vehicle models by name: those with the states and commands of the identified one."""
+    """Return name -> class of the vehicle models with the identified quadrotor's states and commands."""
     from qrsim.models.vehicles.quadrotor import Quadrotor
     from qrsim.scenarios.catalogue import VEHICLES
 
@@ -125,7 +125,7 @@ def _vehicle(name: str) -> Quadrotor:
 
 
 def _initial_state(vehicle: Quadrotor, initial: list[float] | None) -> NumpyArray:
-    """Return the (13,) state; what ``initial`` leaves out is zero, thrust the weight."""
+    """Return the initial state (13,); missing values are 0, and the thrust is the weight."""
     from qrsim.simulation.openloop import hover_state
 
     state = hover_state(vehicle)
@@ -135,7 +135,7 @@ def _initial_state(vehicle: Quadrotor, initial: list[float] | None) -> NumpyArra
 
 
 def _numbers(option: str, text: str, counts: tuple[int, ...], expected: str) -> list[float]:
-    """Parse finite numbers separated by commas."""
+    """Parse comma-separated finite numbers; raises UsageError for another number of them than in ``counts``."""
     fields = text.split(",")
     numbers = []
     for place, field in enumerate(fields, start=1):

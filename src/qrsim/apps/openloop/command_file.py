@@ -76,7 +76,7 @@ def read_commands(path: Path, units: Units) -> CommandTable:
 
 
 def _read_bytes(path: Path) -> bytes:
-    """Return the content of a file without a byte-order mark; raise UsageError if empty or unreadable."""
+    """Return a file's content without a byte-order mark; raises UsageError if it is empty or unreadable."""
     try:
         content = read_bytes(path)
     except FileNotFoundError as error:
@@ -90,7 +90,7 @@ def _read_bytes(path: Path) -> bytes:
 
 
 def _nearest_file(path: Path) -> str:
-    """Suggest a CSV file of the same folder, where one has a similar name."""
+    """Return a hint at a CSV file in the folder with a similar name; "" without one."""
     hint = did_you_mean(path.name, sorted(found.name for found in path.parent.glob("*.csv")))
     return hint if hint.startswith("; did you mean") else ""
 
@@ -129,7 +129,7 @@ def _missing_column_hint(column: str, names: list[str], units: Units) -> str:
 
 
 def _read_fast(content: bytes, header: _Header) -> NumpyArray | None:
-    """Return the (T, 5) values of a plain file, None where anything is out of the ordinary."""
+    """Return the values (T, 5) of a regular file; None if anything is irregular."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
@@ -153,7 +153,7 @@ def _read_fast(content: bytes, header: _Header) -> NumpyArray | None:
 
 
 def _read_slow(path: Path, content: bytes, header: _Header) -> tuple[NumpyArray, NumpyArray]:
-    """Return the (T, 5) values and their (T,) line numbers; raise UsageError for the first fault."""
+    """Return values (T, 5) and line numbers (T,); raises UsageError for the first fault."""
     reader = CsvRows(io.StringIO(_decode(path, content), newline=""))
     # Flat arrays: a million small lists would keep the garbage collector busy.
     numbers, lines = array("d"), array("q")
@@ -190,7 +190,7 @@ def _numbers(path: Path, line: int, fields: list[str], header: _Header) -> list[
 
 
 def _number_problem(text: str) -> str:
-    """Say why a field is not a finite number."""
+    """Return why a field is not a finite number."""
     if not text:
         return "the field is empty"
     if _NUMBER.fullmatch(text):
@@ -209,7 +209,7 @@ def _decode(path: Path, content: bytes) -> str:
 
 
 def _shown(text: str) -> str:
-    """Return a text in quotes, at most 40 characters of it."""
+    """Return a text in quotes, cut to 40 characters."""
     return repr(text if len(text) <= 40 else text[:37] + "...")
 
 

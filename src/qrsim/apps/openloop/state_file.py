@@ -19,7 +19,7 @@ _ROWS_PER_WRITE = 4096
 
 
 def check_output(output: str, overwrite: bool, source: Path) -> None:
-    """Refuse an output that cannot be written, before any work is done.
+    """Raise UsageError for an output that cannot be written, before any work is done.
 
     Raises:
         UsageError: the folder is missing, the file exists and ``overwrite`` is off, or it is ``source`` itself.
@@ -40,7 +40,7 @@ def check_output(output: str, overwrite: bool, source: Path) -> None:
 
 
 def write_states(states: NumpyArray, output: str) -> None:
-    """Write states of shape (T, 16) with 17 significant digits; a file appears only when it is complete.
+    """Write states (T, 16) as CSV with 17 significant digits, to a file or standard output.
 
     Raises:
         RunError: the file cannot be written.

@@ -15,7 +15,7 @@ _LIMITS = np.array([COMMAND_LIMITS[name] for name in COMMAND_FIELDS])
 
 
 def to_si(values: NumpyArray, units: Units) -> NumpyArray:
-    """Convert commands of shape (T, 5); no limits are applied."""
+    """Convert commands (T, 5) to SI without applying limits."""
     if units == "si":
         return values
     command = raw_to_command(*values.T)
@@ -45,7 +45,7 @@ def si_within_limits(table: CommandTable, units: Units, clip: bool) -> tuple[Num
 
 
 def _refuse(table: CommandTable, units: Units, row: int, column: int, count: int) -> None:
-    """Raise UsageError for the command in a row and column that is out of its range, as first of ``count``."""
+    """Raise UsageError for the out-of-range command at a row and column, the first of ``count``."""
     low, high = limits_in(units)[column]
     # Rounded towards the inside, so that a bound copied from the message is itself allowed.
     low, high = math.ceil(low * 100.0) / 100.0, math.floor(high * 100.0) / 100.0

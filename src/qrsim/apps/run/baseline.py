@@ -8,7 +8,7 @@ from qrsim.scenarios.scenario import Scenario
 
 
 def task_policy(scenario: Scenario, source: str, seed: int, precision: str) -> tuple[Any, int]:
-    """Return a policy of a scenario's task, and its period in ticks.
+    """Return the policy of a scenario's task that ``source`` names, and its period in ticks.
 
     Args:
         scenario: with a task.

@@ -161,7 +161,7 @@ class Run:
 
     @property
     def _of_task(self) -> bool:
-        """True for a policy of the scenario's task: its baseline, or a learned one."""
+        """True for a policy of the scenario's task: its baseline or a learned one."""
         if self.policy is None or self.policy == BASELINE:
             return self.policy is not None
         from qrsim.tasks.learned import is_policy_file
@@ -216,7 +216,7 @@ class Run:
             raise
 
     def _report(self, folder: Path, pace: Pace) -> None:
-        """Print the summary of a run and draw its figure; raise if the figure could not be drawn."""
+        """Print the summary of a run and draw its figure; raises RunError if the figure fails."""
         from qrsim.runs import open_run
         from qrsim.runs.summary import summarise
 
@@ -328,7 +328,7 @@ def _print_table(recorded: RecordedRun, summaries: list[VehicleSummary]) -> None
 
 
 def _worst(summaries: list[VehicleSummary]) -> Iterator[str]:
-    """Yield a line each for the largest error of height and the lowest charge, where there are any."""
+    """Yield a line for the largest height error and one for the lowest charge, if known."""
     heights = [row for row in summaries if math.isfinite(row.height_error_rms_m)]
     if heights:
         row = max(heights, key=lambda each: each.height_error_rms_m)
@@ -345,7 +345,7 @@ def _worst(summaries: list[VehicleSummary]) -> Iterator[str]:
 
 
 def _print_events(recorded: RecordedRun) -> None:
-    """Say what went wrong or came back; reached waypoints are in the table."""
+    """Print the events that went wrong or recovered; reached waypoints are in the table."""
     notable = [event for event in recorded.events if event.kind not in ("waypoint_reached", "command_clipped")]
     for event in notable[:MOST_EVENTS]:
         print(event.message)
@@ -354,7 +354,7 @@ def _print_events(recorded: RecordedRun) -> None:
 
 
 def _number(value: float, digits: int = 2) -> str:
-    """Return a number with some digits as text, "-" if it is not finite."""
+    """Return a number as text with ``digits`` decimals, "-" if it is not finite."""
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"
 
 

@@ -36,7 +36,7 @@ class CoverageGuidance(TeamGuidance):
     knows: Literal["all", "heard"] = setting(default="all", doc=KNOWS)
 
     def centroid(self, position_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
-        """Return north and east (n,) [m] of the centroid of each vehicle's cell; without one, its position."""
+        """Return the centroid (n,) [m], north and east, of each vehicle's cell; its position for an empty cell."""
         middle = (jnp.arange(self.cells, dtype=position_ned.x.dtype) + 0.5) / self.cells
         (south, far_north), (west, far_east) = (
             [jnp.atleast_1d(edge)[None] for edge in edges]
@@ -59,12 +59,12 @@ class CoverageGuidance(TeamGuidance):
         share = 1.0 / jnp.maximum(count, 1.0)
 
         def mean(axis: Array, stay: Array) -> Array:
-            """Return the mean coordinate of a vehicle's grid points, ``stay`` without any."""
+            """Return the mean coordinate of each vehicle's grid points, ``stay`` for no grid point."""
             return jnp.where(some, jnp.sum(jnp.where(mine, axis, 0.0), axis=(0, 1)) * share, stay)
 
         return mean(north, position_ned.x), mean(east, position_ned.y)
 
     def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
-        """Return the velocity [m/s] north and east (n,) that is wanted."""
+        """Return the wanted velocity (n,) [m/s], north and east."""
         north, east = self.centroid(position_ned, mates)
         return towards(Vec3(north, east, position_ned.z), position_ned, self.speed, self.gain)

@@ -47,7 +47,7 @@ class FlockingGuidance(TeamGuidance):
     knows: Literal["all", "heard"] = setting(default="all", doc=KNOWS)
 
     def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
-        """Return the velocity [m/s] north and east (n,) that is wanted."""
+        """Return the wanted velocity (n,) [m/s], north and east."""
         away = position_ned.map(lambda axis: axis[None]) - mates.position_ned
         distance = length_of(away.x, away.y)
         separation = jnp.broadcast_to(self.separation, position_ned.x.shape)[None]

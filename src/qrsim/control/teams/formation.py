@@ -17,7 +17,7 @@ _LEADER_GAIN = 0.5
 
 
 def disagreement(place_ned: Vec3, position_ned: Vec3, mates: Mates, weight: Array) -> tuple[Array, Array]:
-    """Return the weighted sums north and east (n,) [m] of the errors of the offsets to all known mates.
+    """Return the weighted sums (n,) [m], north and east, of each vehicle's offset errors to its known mates.
 
     R. Olfati-Saber and R. M. Murray, Consensus problems in networks of agents, IEEE TAC 49 (2004), eq. 1, of positions
     less their places in the formation.
@@ -64,7 +64,7 @@ class FormationGuidance(TeamGuidance):
     knows: Literal["all", "heard"] = setting(default="all", doc=KNOWS)
 
     def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
-        """Return the velocity [m/s] north and east (n,) that is wanted."""
+        """Return the wanted velocity (n,) [m/s], north and east."""
         leads = (mates.number == 0) if self.leader else jnp.zeros(mates.number.shape, bool)
         led = jnp.any(leads, axis=0)
         rest = jnp.sum(mates.known & ~leads, axis=0).astype(position_ned.x.dtype)

@@ -32,11 +32,11 @@ class Mates:
 
     @property
     def known(self) -> Array:
-        """Rows that contain a neighbour, (K, n) bool."""
+        """(K, n) bool: the row holds a neighbour."""
         return self.number >= 0
 
     def now(self) -> Mates:
-        """Return the neighbours extrapolated to now by their reported velocity."""
+        """Return the neighbours with positions extrapolated to now by their reported velocities."""
         position = self.position_ned + self.velocity_ned * self.age
         return replace(self, position_ned=position, age=0.0 * self.age)
 
@@ -54,7 +54,7 @@ def mates_of(position_ned: Vec3, velocity_ned: Vec3, reach: Array, count: int) -
     row = jnp.maximum(near.index, 0)
 
     def theirs(axis: Array) -> Array:
-        """Return a value of each mate, 0 without a mate."""
+        """Return a value of each neighbour, 0 in rows without a neighbour."""
         return jnp.where(nobody, 0.0, jnp.asarray(axis).at[row].get(mode="promise_in_bounds"))
 
     return Mates(
@@ -67,7 +67,7 @@ def mates_of(position_ned: Vec3, velocity_ned: Vec3, reach: Array, count: int) -
 
 
 def mates_wanted(mates: int, fleet: int) -> int:
-    """Return the length of a neighbour list for ``mates`` neighbours in a fleet of ``fleet`` vehicles."""
+    """Return the length of a neighbour list: ``mates``, limited to 1 up to ``fleet`` - 1."""
     return max(1, min(mates, fleet - 1))
 
 
@@ -134,7 +134,7 @@ class TeamGuidance(Guidance, Protocol):
         dt: float = 0.0,
         mates: Mates | None = None,
     ) -> tuple[RouteState, VelocityHeightSetpoint]:
-        """Return the state and the set-point.
+        """Return the state, and the set-point (n,) with the velocity wanted for the present neighbours.
 
         Args:
             state, route, position_ned, others_ned, velocity_ned, dt: as of every guidance.
@@ -152,7 +152,7 @@ class TeamGuidance(Guidance, Protocol):
 
     @abstractmethod
     def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
-        """Return the velocity [m/s] north and east (n,) that is wanted."""
+        """Return the wanted velocity (n,) [m/s], north and east."""
 
 
 def last_waypoint(route: Route) -> Vec3:
@@ -163,17 +163,17 @@ def last_waypoint(route: Route) -> Vec3:
 
 
 def length_of(north: Array, east: Array) -> Array:
-    """Return the lengths of horizontal vectors; with a slope of zero, and not none, where they vanish."""
+    """Return the lengths of horizontal vectors, with gradient 0 at zero."""
     return root(north * north + east * east)
 
 
 def limited(north: Array, east: Array, speed: Array) -> tuple[Array, Array]:
-    """Return a velocity (n,) that is no faster than a speed [m/s]."""
+    """Return a velocity (n,) [m/s], north and east, scaled down to at most ``speed`` [m/s]."""
     length = length_of(north, east)
     scale = jnp.where(length > speed, speed / jnp.where(length > speed, length, 1.0), 1.0)
     return north * scale, east * scale
 
 
 def towards(goal: Vec3, position_ned: Vec3, speed: Array, gain: Array | float) -> tuple[Array, Array]:
-    """Return the velocity (n,) to goals (n,) [m]: ``gain`` [1/s] times the way, no faster than a speed [m/s]."""
+    """Return the velocity (n,) [m/s], north and east, to goals (n,) [m]: ``gain`` [1/s] times distance, limited."""
     return limited(gain * (goal.x - position_ned.x), gain * (goal.y - position_ned.y), speed)

@@ -14,7 +14,7 @@ from qrsim.core.vectors import Vec3
 
 
 def mean_heading(velocity_ned: Vec3, mates: Mates) -> Array:
-    """Return the heading [rad] (n,) of the sum of the directions of each vehicle and of those it knows.
+    """Return the mean heading (n,) [rad] of each vehicle and its known mates, by the sum of unit vectors.
 
     T. Vicsek et al., Novel type of phase transition in a system of self-driven particles, PRL 75 (1995), eq. 2, without
     its noise.
@@ -49,6 +49,6 @@ class VicsekGuidance(TeamGuidance):
     knows: Literal["all", "heard"] = setting(default="all", doc=KNOWS)
 
     def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
-        """Return the velocity [m/s] north and east (n,) that is wanted."""
+        """Return the wanted velocity (n,) [m/s], north and east."""
         heading = mean_heading(velocity_ned, mates)
         return self.speed * jnp.cos(heading), self.speed * jnp.sin(heading)

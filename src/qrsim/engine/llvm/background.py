@@ -41,12 +41,12 @@ def compile_later(text: bytes, done: Callable[[bytes], None]) -> None:
 
 
 def packed(text: str) -> bytes:
-    """Compress the text of a module."""
+    """Compress the text of an LLVM module."""
     return zlib.compress(text.encode(), 1)
 
 
 def unpacked(text: bytes) -> str:
-    """Return the text of a module."""
+    """Decompress the text of an LLVM module."""
     return zlib.decompress(text).decode()
 
 
@@ -77,7 +77,7 @@ def _compile_in_process(text: bytes) -> bytes | None:
 
 @atexit.register
 def _stop() -> None:
-    """Let no compiler run on after the simulation."""
+    """Stop background compilation at the exit of the process."""
     process = _running["process"]
     if isinstance(process, subprocess.Popen):
         with contextlib.suppress(OSError):
@@ -85,7 +85,7 @@ def _stop() -> None:
 
 
 def _forget() -> None:
-    """Start again without the threads and children of a parent process."""
+    """Drop the threads and child processes of the parent process, after a fork."""
     global _REQUESTS, _STARTING
     _REQUESTS, _STARTING = queue.SimpleQueue(), threading.Lock()
     _running.update(thread=None, process=None)

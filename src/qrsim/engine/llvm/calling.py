@@ -34,7 +34,7 @@ OnSeats = Callable[[Callable[[int], None]], None]
 
 @cache
 def pause_address() -> int:
-    """Return the address of the system's function that lets other threads run; 0: there is none."""
+    """Return the address of the system's yield function, 0 if there is none."""
     with contextlib.suppress(OSError, AttributeError):
         posix = os.name == "posix"
         function = ctypes.CDLL(None).sched_yield if posix else ctypes.CDLL("kernel32").SwitchToThread
@@ -43,7 +43,7 @@ def pause_address() -> int:
 
 
 def _at_seat(call: Callable[..., object], addresses: Sequence[int], arguments: Sequence[int], seat: int) -> None:
-    """Call a program from a seat."""
+    """Call a program with one thread's seat, its working memory."""
     call(*addresses, seat, *arguments)
 
 
@@ -87,7 +87,7 @@ class Program:
         self._call_each = prototype(loaded.address("advance_each"))
 
     def _better(self, code: bytes) -> None:
-        """Use better code from the next call on, and have it kept."""
+        """Switch to better code from the next call on, and have it cached."""
         # Code that cannot be loaded is not needed: the quick code goes on.
         with contextlib.suppress(UnsupportedError), refusing():
             self._load_code(code)
@@ -96,7 +96,7 @@ class Program:
                 self._keep(Binary(code, self.scratch_bytes, local_bytes=self.local_bytes))
 
     def _ran(self, seconds: float) -> None:
-        """Ask for better code once the program has run for long enough to pay for it."""
+        """Count running time [s], and request better code once the program has run long enough."""
         self._patience_s -= seconds
         if self._patience_s <= 0.0 and self._text:
             # Several threads may run a program, and one of them asks.
@@ -117,7 +117,7 @@ class Program:
         return aligned(self.scratch_bytes, np.dtype(np.uint8))
 
     def seats(self, threads: int) -> list[NumpyArray]:
-        """Return working memory for each of some threads that run a world together; the first holds what they share."""
+        """Return working memory ("seat") for each of ``threads``; the first one holds the shared part."""
         sizes = [_HEADER + self.local_bytes + (0 if thread else self.scratch_bytes) for thread in range(threads)]
         seats = [aligned(size, np.dtype(np.uint8)) for size in sizes]
         first = seats[0].ctypes.data
@@ -137,11 +137,11 @@ class Program:
 
     @staticmethod
     def give_up(seats: Sequence[NumpyArray]) -> None:
-        """Let threads leave that have not begun, because others never will; the seats must not be used again."""
+        """Make threads that wait at a seat leave, because others will not come; the seats are then unusable."""
         seats[0][_GIVEN_UP : _GIVEN_UP + 8].view(np.uint64)[:] = 1
 
     def buffers(self, which: int) -> Buffers:
-        """Return empty buffers of an input: of its floats and of its integers, for all lanes where it is own."""
+        """Return new float and integer buffers of an input, for all lanes unless all worlds share it."""
         layout = self.inputs[which].layout
         # What all share is read once and spread over the lanes.
         width = self.mode.worlds if self.inputs[which].own else 1
@@ -157,7 +157,7 @@ class Program:
             self._call(*addresses, scratch, tick + first, ticks)
 
     def together(self, run: OnSeats, addresses: Sequence[int], tick: int, count: int) -> None:
-        """Advance the state by several threads.
+        """Advance the state by ``count`` ticks with several threads.
 
         Args:
             run: calls a function with the address of each seat, each in a thread.
@@ -170,7 +170,7 @@ class Program:
             run(partial(_at_seat, self._call, addresses, (tick + first, ticks)))
 
     def keeping_together(self, run: OnSeats, addresses: Sequence[int], tick: int, rows: Buffers) -> None:
-        """Do as ``keeping`` does, by several threads; see ``together``."""
+        """Advance and record each tick like ``keeping``, with several threads like ``together``."""
         for first, ticks in self._portions(len(rows[0])):
             to = (number for part in rows for number in (part[first:].ctypes.data, part.strides[0]))
             run(partial(_at_seat, self._call_keeping, addresses, (tick + first, ticks, *to)))
@@ -189,7 +189,7 @@ class Program:
             self._call_keeping(*addresses, scratch, tick + first, ticks, *to)
 
     def _portions(self, count: int) -> Iterator[tuple[int, int]]:
-        """Yield ticks as (first, how many), which the caller runs; quick code gets few at once."""
+        """Yield (first, number) of portions of ticks for the caller to run; small ones for quick code."""
         first = 0
         while self._quick and first < count:
             # Few enough that better code is used from the middle of a long call on.
@@ -201,7 +201,7 @@ class Program:
             yield first, count - first
 
     def each(self, table: NumpyArray, scratch: int, tick: int, count: int) -> None:
-        """Do so for each row of a table of addresses, (rows, two for each input) uint64 and contiguous."""
+        """Advance the worlds in each row of a table of addresses, uint64 (rows, two per input), contiguous."""
         begin = perf_counter()
         self._call_each(table.ctypes.data, len(table), scratch, tick, count)
         if self._quick:

@@ -53,19 +53,19 @@ def vector_bytes() -> int:
 
 @lru_cache(maxsize=1)
 def machine_name() -> str:
-    """Name the processor, its features and the compiler, on which machine code depends beside its text."""
+    """Return text with the processor, its features and the compiler, on which machine code depends."""
     version = ".".join(map(str, llvm.llvm_version_info))
     return f"{llvm.get_host_cpu_name()} {_cpu_features().flatten()} llvm {version}"
 
 
 def machine_triple() -> str:
-    """Return LLVM's name of the kind of machine: processor, vendor, system."""
+    """Return LLVM's target triple of this machine."""
     found: str = _native_target().triple
     return found
 
 
 def machine_code(text: str, tier: str = "better") -> bytes:
-    """Return the object file of a module.
+    """Compile a module's text to an object file.
 
     Args:
         text: of the module.
@@ -116,7 +116,7 @@ class Loaded:
             self._engine.finalize_object()
 
     def address(self, name: str) -> int:
-        """Return where a function begins."""
+        """Return the address of a function in the loaded code."""
         found: int = self._engine.get_function_address(name)
         return found
 

@@ -20,7 +20,7 @@ class UnknownError(Exception):
 
 
 def digest(closed: object) -> str | None:
-    """Return the digest of a closed jaxpr, None where it has a part that no digest tells.
+    """Return the digest of a closed jaxpr; None if a part of it cannot be digested.
 
     Names, source lines and rules of differentiation are no part of it: they change nothing that is computed.
     """
@@ -95,7 +95,7 @@ class _Walk:
         raise UnknownError
 
     def _several(self, values: Sequence[object]) -> object:
-        """Return a type's name and the digests of its elements."""
+        """Return the type's name and the digests of its elements."""
         return type(values).__name__, [self._value(value) for value in values]
 
     _TEXTS: tuple[tuple[Any, Callable[[Any, Any], Any]], ...] = (

@@ -24,7 +24,7 @@ class Emitter(Loops):
     # Steps
 
     def steps(self, steps: list[Step], stored: set[int]) -> None:
-        """Write steps; ``stored`` are the numbers of the nodes that need memory."""
+        """Write the code of steps; ``stored`` holds the numbers of nodes that need memory."""
         for step in steps:
             if step.kind == "cond":
                 self._branching(step, stored)
@@ -49,6 +49,7 @@ class Emitter(Loops):
                 self._nest(step, stored)
 
     def _compute(self, node: Node, lanes: int) -> str:
+        """Write the computation of a node for ``lanes`` elements, and return its value."""
         if node.op == "iota":
             return self._iota(node, lanes)
         if node.op == "pick":
@@ -57,7 +58,7 @@ class Emitter(Loops):
         return self.operations.compute(node, values, lanes)
 
     def _kernel(self, node: Node, scopes: list[Scope], lanes: int) -> list[str]:
-        """Return a result of a kernel in each scope; its other results there are kept for their nodes."""
+        """Return one result of a kernel in each scope, and keep its other results for their nodes."""
         name, place = node.attributes
         keys = []
         for scope in scopes:
@@ -83,6 +84,7 @@ class Emitter(Loops):
             self.scalars[node.number] = value, lanes
 
     def _iota(self, node: Node, lanes: int) -> str:
+        """Write the values of an iota, from the loop's counter, and return them."""
         axis = node.attributes[0]
         element, counter = scalar_type(node.dtype), self.scope.variables[axis]
         if node.dtype.kind not in "iu":
@@ -109,7 +111,7 @@ class Emitter(Loops):
         self._loops(step, step.kept, Scope(step.domain, ["0"] * (last + 1), lane_axis, {}, {}), together, stored)
 
     def _rows(self, step: Step, stored: set[int]) -> None:
-        """Write one loop over the last axis of several nests, in it one nest after the other."""
+        """Write one loop over the last axis that holds several loop nests in turn."""
         vectors = self.lanes > 1 and not self.side_by_side
         # Numbers of which an element of the axis has one stay in registers for the parts that follow.
         row: dict[int, str] = {}
@@ -154,7 +156,7 @@ class Emitter(Loops):
         return accumulators
 
     def _spread_counters(self, scopes: list[Scope], axis: int | None) -> None:
-        """Let the further ones of several scopes stand beside the first along an axis."""
+        """Offset the counters of further scopes along an axis, for an unrolled loop."""
         for i, scope in enumerate(scopes[1:], 1):
             scope.variables[:] = scopes[0].variables
             assert axis is not None
@@ -165,7 +167,7 @@ class Emitter(Loops):
     def _body(
         self, step: Step, scopes: list[Scope], accumulators: dict[int, tuple[Node, str]], stored: set[int]
     ) -> None:
-        """Write one turn of a loop, or several at once: a part of one turn, then the same part of the next."""
+        """Write one or several unrolled turns of a loop: a part of one turn, then the same part of the next."""
         several = len(scopes) > 1 and bool(accumulators)
         # LLVM would begin all sums of all turns first, and move most of them to memory.
         self.topdown |= several
@@ -203,6 +205,7 @@ class Emitter(Loops):
         return 1 if self.scope.lane_axis is None else self.lanes
 
     def _accumulator(self, node: Node) -> str:
+        """Allocate a reduction's accumulator with neutral elements in it, and return its pointer."""
         lanes, pointer = self._reduced_width(node), self.name("sum")
         of = vector(stored_type(node.dtype), lanes)
         self.entry.append(f"  {pointer} = alloca {of}, align 64")
@@ -279,7 +282,7 @@ class Emitter(Loops):
     # Branches and repetition
 
     def _repeating(self, step: Step, stored: set[int]) -> None:
-        """Write a loop that each world leaves when its own condition no longer holds."""
+        """Write a while loop that each world leaves when its own condition becomes false."""
         node = step.nodes[0]
         condition, body = node.regions
         places = [self.places[output.number] for output in node.attributes[1]]
@@ -311,7 +314,7 @@ class Emitter(Loops):
         self.scalars, self.turning = outside, outer
 
     def _any(self, flags: str) -> str:
-        """Return whether any world has its flag set."""
+        """Return a flag: whether any world has its flag set."""
         mask, name = vector("i1", self.lanes), f"llvm.vector.reduce.or.v{self.lanes}i1"
         self.declarations.add(f"declare i1 @{name}({mask})")
         return self.emit(f"call i1 @{name}({mask} {flags})")
@@ -337,7 +340,7 @@ class Emitter(Loops):
         self.start_block(f"{label}.after")
 
     def _branch_by_world(self, step: Step, taken: str, label: str, stored: set[int]) -> None:
-        """Write a branching that each world takes for itself: both branches, where any world takes it."""
+        """Write a branching per world: each branch is run if any world takes it, with a mask."""
         mask = vector("i1", self.lanes)
         # A branch that no world takes is still skipped.
         others = self.emit(f"xor {mask} {taken}, {splat('true', 'i1', self.lanes)}")
@@ -357,7 +360,7 @@ class Emitter(Loops):
     def _branch(
         self, step: Step, number: int, label: str, after: str, stored: set[int], keep: str | None = None
     ) -> None:
-        """Write one branch, and where its results go; ``keep`` are the worlds whose results are there already."""
+        """Write one branch and the copies of its results; ``keep`` masks worlds whose results are already there."""
         outside = dict(self.scalars)
         self.start_block(label)
         self.steps(step.branches[number], stored)

@@ -24,7 +24,7 @@ HALVES = ("half_times", "half_lowered", "half_transformed")
 
 
 def write_half(writer: Loops, node: Node) -> None:
-    """Write an operation of a symmetric matrix of each vehicle."""
+    """Write the code of an operation on each vehicle's symmetric matrix."""
     _Half(writer, node).write()
 
 
@@ -80,7 +80,7 @@ class _Half:
     # Values
 
     def _rows(self, access: Access) -> _Rows:
-        """Return where the rows of an argument lie."""
+        """Return where the rows of an argument's numbers lie in memory."""
         place, index = self.writer.place(access.node), access.index
         by_row = bool(index) and index[0][0] == 0 and all(axis != 0 for axis, _ in index[1:])
         # From vehicle to vehicle; nothing where all have the same numbers.
@@ -97,7 +97,7 @@ class _Half:
         return _Rows(self.writer.address(self._moved(self.place), axes), self.place.strides[0], self.width)
 
     def _moved(self, place: Place) -> Place:
-        """Return a place moved to the present part of the lanes."""
+        """Return a place offset to the present part of the lanes."""
         if self.parts == 1 or not place.own:
             return place
         size = self.width * self.dtype.itemsize
@@ -105,6 +105,7 @@ class _Half:
         return replace(place, pointer=pointer)
 
     def _address(self, rows: _Rows, row: int) -> str:
+        """Return the pointer to a row of ``rows``."""
         if row == 0:
             return rows.pointer
         return self.writer.emit(f"getelementptr i8, ptr {rows.pointer}, i64 {row * rows.stride}")
@@ -121,7 +122,7 @@ class _Half:
         return self.writer.widened((found, rows.lanes), self.dtype, self.width)
 
     def _number(self, row: int, column: int) -> str:
-        """Load a number of the matrix as it was."""
+        """Load an element of the matrix before the operation."""
         return self._load(self.half, self._address(self.half, place_of(row, column, self.size)))
 
     def _store(self, address: str, value: str) -> None:
@@ -148,11 +149,13 @@ class _Half:
         return self.writer.emit(f"call {self.of} @{name}({self.of} {factor}, {self.of} {value}, {self.of} {total})")
 
     def _minus(self, value: str) -> str:
+        """Return the negated value."""
         return self.writer.emit(f"fneg {self.of} {value}")
 
     # Operations
 
     def _half_times(self) -> None:
+        """Write the product of the matrix with a sparse row of factors."""
         rows, factors = self.node.attributes[1], self.node.args[1:]
         known = ["" if _is_one(factor) else self._factor(factor) for factor in factors]
         for i in range(self.size):
@@ -162,7 +165,7 @@ class _Half:
             self._store(self._address(self.to, i), total)
 
     def _sum(self, factor: str, number: str, total: str) -> str:
-        """Return a factor times a number plus a total; "" is a factor of one, and a total of nothing."""
+        """Return factor * number + total; an empty factor is 1, an empty total is 0."""
         if factor and total:
             return self._plus(factor, number, total)
         if factor:
@@ -170,6 +173,7 @@ class _Half:
         return self.writer.emit(f"fadd {self.of} {total}, {number}") if total else number
 
     def _half_lowered(self) -> None:
+        """Write the matrix minus the outer products of columns."""
         columns = [self._rows(access) for access in self.node.args[1:]]
         for i in range(self.size):
             first = place_of(i, i, self.size)
@@ -181,6 +185,7 @@ class _Half:
                 self._store(self._at(self.to, first, counter), value)
 
     def _half_transformed(self) -> None:
+        """Write the congruence transform of the matrix, with additions to its diagonal."""
         rows, terms = self.node.attributes[1:]
         given = [self._factor(access) for access in self.node.args[1:]]
         factors, added = given[: len(given) - len(rows)], dict(zip(rows, given[len(given) - len(rows) :], strict=True))
@@ -200,7 +205,7 @@ class _Half:
                     self._store(self._address(self.to, place_of(i, j, self.size)), found.get(j) or self._number(i, j))
 
     def _row(self, i: int, into: dict[int, list[tuple[int, str]]]) -> tuple[dict[int, str], set[int]]:
-        """Return the numbers of a row from the diagonal on that were computed, by column, and which of them changed."""
+        """Compute row ``i`` from the diagonal on; return its values by column, and the changed columns."""
         found: dict[int, str] = {}
         if i in into:
             for j in range(i, self.size):
@@ -218,6 +223,7 @@ class _Half:
         return found, changed
 
     def _coefficient(self, term: Term, factors: list[str]) -> str:
+        """Return the value of a term's coefficient: its scale times its factor."""
         number = np.float32(term.scale) if self.dtype.itemsize == 4 else term.scale
         scale = splat(literal(number, self.dtype), scalar_type(self.dtype), self.width)
         if term.factor is None:
@@ -228,6 +234,6 @@ class _Half:
 
 
 def _is_one(access: Access) -> bool:
-    """Return whether a factor is known to be one."""
+    """Return whether a factor is the constant 1."""
     node = access.node
     return node.op == "constant" and bool((np.frombuffer(node.attributes[0], node.dtype) == 1.0).all())

@@ -38,7 +38,7 @@ class InState:
         self.lying: dict[Place, list[Node]] = {}
 
     def place(self, leaves: Sequence[Node], results: Sequence[Access]) -> list[Move]:
-        """Place what can be, and return which results are still to be moved to their leaves, at the end of a tick."""
+        """Place results directly in the state where possible; return the moves that remain for the tick's end."""
         for access in results:
             self.read[access.node.number].append((len(self.body), None, access))
         self.lying = {self.places[leaf.number]: [leaf] for leaf in leaves}
@@ -74,7 +74,7 @@ class InState:
         self.lying[place].append(node)
 
     def _free(self, node: Node) -> bool:
-        """Return whether a node is computed in the body, and could lie anywhere."""
+        """Return whether a node is computed in the tick's body and has no fixed place."""
         return node.number in self.made and self._is_movable(node)
 
     def _is_movable(self, node: Node) -> bool:
@@ -84,7 +84,7 @@ class InState:
         return stored and node.number not in self.places and not fixed
 
     def _agreed(self, step: Step) -> bool:
-        """Return whether all worlds take the same branch."""
+        """Return whether all worlds take the same branch of a conditional."""
         # A branching that each world takes for itself writes its results before it has read everything.
         return not self.side_by_side or step.nodes[0].args[0].node.uniform
 
@@ -93,7 +93,7 @@ class InState:
         return place.own == (self.side_by_side and not node.uniform)
 
     def _over(self, old: Node, writer: Node) -> bool:
-        """Return whether nobody reads a node any more when another one, of the body too, is written."""
+        """Return whether all readings of ``old`` come before ``writer`` is written."""
         step = self.made[writer.number]
         return all(self._reads_first(self.body, reading, step, writer) for reading in self.read[old.number])
 
@@ -109,7 +109,7 @@ class InState:
         return self._agreed(steps[step])
 
     def _hold(self, at: int, output: Node, leaves: list[Node]) -> None:
-        """Let a result of a branching at a step lie where a leaf does that a branch hands out as it is."""
+        """Place a result of a conditional in the state leaf that one of its branches returns unchanged."""
         for leaf in leaves:
             place = self.places[leaf.number]
             if not self._free(output) or not self._fits(output, place):
@@ -122,7 +122,7 @@ class InState:
                 self._assign(output, place)
 
     def _begin(self, at: int, output: Node, handed: list[Access]) -> None:
-        """Let a node that a branching at a step hands out as it is lie where the result does, in the state."""
+        """Place a node that a conditional returns unchanged where the conditional's result lies in the state."""
         place = self.places.get(output.number)
         if place not in self.lying:
             return
@@ -140,12 +140,12 @@ class InState:
                 return
 
     def _apart(self, other: Node, node: Node, last: int) -> bool:
-        """Return whether another node is read last before a node is written, or written after its last reading."""
+        """Return whether the lifetimes of two nodes, the second read last at step ``last``, do not overlap."""
         made = self.made.get(other.number, -1)
         return made > last or (made < self.made[node.number] and self._over(other, node))
 
     def _within(self, step: Step) -> None:
-        """Let branches write their results directly to the leaves of the state."""
+        """Make the branches of a conditional write their results directly into the state."""
         for number, steps in enumerate(step.branches):
             read, results = readers(steps), step.nodes[0].regions[number].results
             made = {node.number: i for i, inner in enumerate(steps) for node in inner.nodes}
@@ -174,7 +174,7 @@ class InState:
 
 
 def _turns_into(step: Step, old: Node, output: Node) -> bool:
-    """Return whether a loop begins an output with an array, and reads that array nowhere else."""
+    """Return whether a loop initialises an output with an array and reads this array nowhere else."""
     loop, place = step.nodes[0], output.attributes[0]
     begins = [access.node is old for access in loop.args]
     inside = [access for steps in step.branches for each in steps for _, access in each.accesses]
@@ -187,7 +187,7 @@ def _turns_into(step: Step, old: Node, output: Node) -> bool:
 
 
 def _outputs(step: Step) -> Iterator[tuple[Node, list[Access]]]:
-    """Yield the result nodes of a branching, each with the accesses that its branches return for it."""
+    """Yield (result node, its value in each branch) of a conditional."""
     regions = step.nodes[0].regions
     for node in step.nodes:
         if node.op == "output":

@@ -24,7 +24,7 @@ class Indexing(Nodes):
     alone: bool
 
     def dynamic_slice(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return a part that begins where the program computes, brought into range."""
+        """Return a slice whose start is computed at run time, clipped into range."""
         operand, shape = inputs[0], tuple(out.shape)
         # Where the whole extent is taken, JAX brings any start to zero.
         starts = {axis: inputs[1 + axis] for axis, extent in enumerate(operand.shape) if extent != shape[axis]}
@@ -32,7 +32,7 @@ class Indexing(Nodes):
         return self._pick(operand, starts, limits, {axis: axis for axis in range(len(shape))}, out)
 
     def dynamic_update_slice(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Put a part to where the program computes, brought into range."""
+        """Return an array with a slice replaced, at a start computed at run time and clipped."""
         operand, update, *starts = inputs
         shape, part = operand.shape, update.shape
         if 0 in part:
@@ -55,7 +55,7 @@ class Indexing(Nodes):
     def _pick(
         self, operand: View, starts: dict[int, View], limits: dict[int, int], follows: dict[int, int], out: ShapedArray
     ) -> View:
-        """Return elements of an array that lie where the program computes.
+        """Return a view of elements at starts that are computed at run time.
 
         Args:
             operand: the array.
@@ -76,7 +76,7 @@ class Indexing(Nodes):
         return View.whole(self.graph.node("pick", accesses, squeezed(shape), out.dtype, (moved,)), shape)
 
     def gather(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return single elements, each from where an array of whole numbers says."""
+        """Return single elements at the places in an integer array."""
         operand, places = inputs
         numbers, shape, mode = parameters["dimension_numbers"], tuple(out.shape), parameters["mode"].name
         single = {*numbers.collapsed_slice_dims, *numbers.operand_batching_dims} == set(range(len(operand.shape)))
@@ -101,7 +101,7 @@ class Indexing(Nodes):
         return self.apply("select_n", shape, out.dtype, inside, self.spread(self.graph.constant(fill), shape), found)
 
     def _inside(self, starts: dict[int, View], limits: dict[int, int], shape: Shape) -> View:
-        """Return whether all starts are in range."""
+        """Return a view of bools: whether all starts are in range."""
         inside = self.spread(self.graph.constant(np.bool_(True)), shape)
         for axis, start in starts.items():
             dtype = start.node.dtype
@@ -114,7 +114,7 @@ class Indexing(Nodes):
         return inside
 
     def scatter(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Put single elements, each to where an array of whole numbers says."""
+        """Return an array with single elements replaced at the places in an integer array."""
         operand, places, updates = inputs
         numbers, shape, mode = parameters["dimension_numbers"], updates.shape, parameters["mode"].name
         inserted = {*numbers.inserted_window_dims, *numbers.operand_batching_dims}
@@ -152,7 +152,7 @@ class Indexing(Nodes):
 
     @staticmethod
     def _along(places: View, axes: Sequence[int], shape: Shape) -> dict[int, View]:
-        """Return how far along each of some axes, from an array that has them in its last one."""
+        """Return axis -> start, taken from the last axis of an array of places."""
         found = {}
         for which, axis in enumerate(axes):
             one = _joined_part(places.shifted([0] * len(shape) + [which], (*shape, 1)))
@@ -170,7 +170,7 @@ class Indexing(Nodes):
         )
 
     def reshape(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return the same numbers in the order of rows, in another shape."""
+        """Return the array in another shape, in row-major order."""
         (operand, *dynamic), shape = inputs, tuple(out.shape)
         if dynamic:
             raise UnsupportedError("a shape that the program computes")
@@ -190,7 +190,7 @@ class Indexing(Nodes):
         return self._pick(operand, starts, {axis: operand.shape[axis] - 1 for axis in starts}, {}, out)
 
     def _linear(self, shape: Shape) -> View:
-        """Return the place (int32) of each element of an array in the order of its rows."""
+        """Return each element's row-major index (int32)."""
         found, stride = self._number(0, shape), 1
         for axis in reversed(range(len(shape))):
             if shape[axis] != 1:
@@ -206,7 +206,7 @@ class Indexing(Nodes):
 
 
 def _joined_part(view: View) -> View:
-    """Return a view of one array in place of a view of several that were joined, where it shows one of them.
+    """Replace a view into concatenated arrays by a view of the one array that it shows.
 
     JAX joins the numbers along each axis to one array of indices; to take that apart costs more than to read it.
     """
@@ -228,7 +228,7 @@ def _joined_part(view: View) -> View:
 
 
 def _filling(value: object, dtype: DType) -> object:
-    """Choose the value that JAX puts where an index is out of range."""
+    """Return the value that JAX uses for out-of-range indices."""
     if value is not None:
         return value
     kind = np.dtype(dtype).kind

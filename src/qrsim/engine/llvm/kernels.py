@@ -69,7 +69,7 @@ def types(names: tuple[str, ...], lanes: int) -> list[str]:
 
 
 def call(emit: Emit, name: str, arguments: list[str], lanes: int) -> list[str]:
-    """Write a call of the function of a kernel, and return its results."""
+    """Write a call of a kernel's LLVM function, and return the names of its results."""
     of = _result_type(name, lanes)
     given = ", ".join(
         f"{kind} {value}" for kind, value in zip(types(KERNELS[name].takes, lanes), arguments, strict=True)
@@ -80,7 +80,7 @@ def call(emit: Emit, name: str, arguments: list[str], lanes: int) -> list[str]:
 
 @cache
 def function(name: str, lanes: int) -> tuple[tuple[str, ...], frozenset[str]]:
-    """Return the lines of the function of a kernel, and what it declares."""
+    """Return the lines of a kernel's LLVM function, and its declarations."""
     kernel, lines, declarations = KERNELS[name], list[str](), set[str]()
 
     def emit(instruction: str) -> str:

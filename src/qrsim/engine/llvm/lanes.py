@@ -41,7 +41,7 @@ class Lanes:
 
     @classmethod
     def of_one(cls, layout: Packer, buffers: Buffers) -> Lanes:
-        """Return one world on its own, where two flat buffers lie that ``aligned`` made."""
+        """Return one world as lanes over two buffers that ``aligned`` made, without a copy."""
         found = cls.__new__(cls)
         found._set_layout(layout, 1, 1)
         found._buffers = [part.reshape(1, -1) for part in buffers]
@@ -53,7 +53,7 @@ class Lanes:
         self.tiles = -(-count // self._lanes)
 
     def addresses(self, tile: int) -> list[int]:
-        """Return where the buffers of a tile begin."""
+        """Return the addresses of a tile's buffers."""
         return [buffer.ctypes.data + tile * buffer.strides[0] for buffer in self._buffers]
 
     def places(self, worlds: Array) -> Array:
@@ -63,7 +63,7 @@ class Lanes:
         return np.stack(columns, axis=1).astype(np.uint64)
 
     def fill(self, tree: object) -> None:
-        """Take a tree, each leaf (B, ...)."""
+        """Set all worlds from a tree, each leaf (B, ...)."""
         whole = self.tiles * self._lanes
         for number, leaf in enumerate(jax.tree.leaves(tree)):
             rows = self._stored(leaf)
@@ -74,7 +74,7 @@ class Lanes:
 
     @property
     def flat(self) -> Array | None:
-        """Where all numbers of one world on its own lie, in the order of its leaves; None where it has others too."""
+        """Writable view of one world's numbers in leaf order; None if they are not all floats."""
         layout = self.layout
         if self.count != 1 or self._lanes != 1 or not layout.is_float or not all(layout.is_float):
             return None
@@ -82,13 +82,13 @@ class Lanes:
         return found
 
     def put(self, worlds: Array, tree: object) -> None:
-        """Store the states of some worlds, from the first len(worlds) rows of each leaf."""
+        """Set the states of some worlds from the first len(worlds) rows of each leaf."""
         tile, lane = np.divmod(worlds, self._lanes)
         for number, leaf in enumerate(jax.tree.leaves(tree)):
             self._part(number)[tile, :, lane] = self._stored(leaf)[: len(worlds)]
 
     def take(self, worlds: Array, other: Any) -> None:
-        """Take the first len(worlds) of other states of the same layout."""
+        """Overwrite the states of ``worlds`` with the first len(worlds) of other states of this layout."""
         if not isinstance(other, Lanes):
             self.put(worlds, other.get(lambda tree: tree))
             return
@@ -100,11 +100,11 @@ class Lanes:
             target.reshape(self.tiles, size, self._lanes)[here[0], :, here[1]] = numbers
 
     def get(self, select: Callable[[Any], Any]) -> Any:
-        """Return a part of the tree, each leaf (B, ...), copied."""
+        """Return a copy of the selected part of the states, each leaf (B, ...)."""
         return jax.tree.map(self._leaf, select(self.layout.numbers))
 
     def _part(self, number: int) -> Array:
-        """Return a leaf's place (tiles, numbers of a world, lanes)."""
+        """Return a view of a leaf's memory (tiles, numbers of a world, lanes)."""
         layout = self.layout
         buffer, part = self._buffers[0 if layout.is_float[number] else 1], layout.slices[number]
         begin, end = part.start * self._lanes, part.stop * self._lanes
@@ -176,7 +176,7 @@ class LaneProgram:
             done.result()
 
     def keep(self, state: Lanes, tick: int, rows: Buffers) -> None:
-        """Run one world for as many ticks as there are rows, and write its state after each to the next row."""
+        """Advance one world by a tick per row, and write its state after each tick to the row."""
         if self._state is not state:
             self._set_addresses(state)
         keep = self._program.keeping if self._team is None else self._team.keep

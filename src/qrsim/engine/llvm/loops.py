@@ -60,7 +60,7 @@ class Loops(Writer):
 
     @contextmanager
     def over(self, axes: Sequence[int], domain: Shape, lane_axis: int | None, together: int = 1) -> Iterator[None]:
-        """Write loops over some axes of the domain, ``together`` turns of the last but the vector's own at once."""
+        """Write nested loops over axes of the domain, unrolled by ``together`` along the last axis without vectors."""
         if not axes:
             yield
             return
@@ -74,7 +74,7 @@ class Loops(Writer):
                 yield
 
     def vectors_ahead(self, node: Node, place: Place) -> int:
-        """Return how far ahead of its use an array is fetched: of strips, which lie in many rows, all are."""
+        """Return how many vectors ahead an array is prefetched; inside strips all arrays are."""
         return super().vectors_ahead(node, place) if self.strip is None else 0 if place.local else _AHEAD
 
     def write(self, place: Place, dtype: DType, value: str, lanes: int, variables: Sequence[str]) -> None:
@@ -86,7 +86,7 @@ class Loops(Writer):
 
     @contextmanager
     def counted(self, extent: str, begin: str = "0") -> Iterator[str]:
-        """Write a loop over [begin, extent) for an extent (i32) that the program computes; gives the counter (i64)."""
+        """Write a loop over [begin, extent) for a run-time extent (i32); yield the counter's name (i64)."""
         label, number = f"some{self.count}", self.name("i")
         wide = self.emit(f"zext i32 {extent} to i64")
         before = self.block
@@ -106,7 +106,7 @@ class Loops(Writer):
         self.scope.offsets.clear()
 
     def copy(self, access: Access, shape: Shape, to: Place, keep: str | None = None) -> None:
-        """Write a loop that copies an array to a place, but for the worlds ``keep``."""
+        """Write a loop that copies an array to a place, except for worlds in the mask ``keep``."""
         if 0 in shape or (keep is None and self._copied_whole(access, shape, to)):
             return
         lane_axis = len(shape) - 1 if shape and not self.side_by_side and self.lanes > 1 else None
@@ -123,7 +123,7 @@ class Loops(Writer):
             self.write(to, access.node.dtype, value, wide, self.scope.variables)
 
     def _copied_whole(self, access: Access, shape: Shape, to: Place) -> bool:
-        """Copy rows that lie at both places in the same way as one block of bytes, and return whether they do."""
+        """Copy as one block of bytes if both places have the same layout; return whether that was done."""
         if len(shape) < 2 or self.strip or not access.identical(shape):
             return False
         source, dtype = self.place(access.node), access.node.dtype
@@ -144,14 +144,14 @@ class Loops(Writer):
         return True
 
     def _kept(self, to: Place, dtype: DType, value: str, lanes: int, keep: str) -> str:
-        """Return a value, but for the worlds in the mask ``keep`` the one that is in memory at ``to``."""
+        """Return a value, replaced by the value in memory at ``to`` for the worlds in the mask ``keep``."""
         of = vector(scalar_type(dtype), self.lanes)
         before = self.load(dtype, self.address(to, [(v, 0) for v in self.scope.variables]), self.lanes)
         value = self.widened((value, lanes), dtype, self.lanes)
         return self.emit(f"select {vector('i1', self.lanes)} {keep}, {of} {before}, {of} {value}")
 
     def move_all(self, moves: list[tuple[Access, Shape, Place]], keep: str | None = None) -> None:
-        """Write copies that all read before any of them writes; ``keep`` as of ``copy``."""
+        """Write copies that read all sources before writing any target; ``keep`` as in ``copy``."""
         # What lies there already is not moved.
         moves = [move for move in moves if not self._lies_there(*move)]
         targets = {(to.pointer, to.offset) for _, _, to in moves}
@@ -177,7 +177,7 @@ class Loops(Writer):
         return node.number in self.scalars or (node.op == "constant" and node.shape == ())
 
     def _stand_in(self, node: Node, shape: Shape, place: Place) -> Access:
-        """Return an access to a new node that reads what is at a place."""
+        """Return an access to a new node of this shape that reads the value stored at a place."""
         self.count += 1
         # Numbers below zero are of no node of the graph.
         copy = Node("input", (), shape, node.dtype, uniform=node.uniform, number=-self.count)
@@ -186,6 +186,6 @@ class Loops(Writer):
 
 
 def shared_axis(axes: Sequence[int], lane_axis: int | None) -> int | None:
-    """Return the axis along which several turns of a loop can be taken at once: the last but the vector's own."""
+    """Return the axis along which a loop can be unrolled: the last one that is not the vector's."""
     others = [axis for axis in axes if axis != lane_axis]
     return others[-1] if others else None

@@ -41,14 +41,14 @@ class Neighbours:
     # What threads share is written by SharedNeighbours: here one thread does it all.
 
     def _alone(self) -> AbstractContextManager[None]:
-        """Write what one thread does."""
+        """Context for code that a single thread runs."""
         return nullcontext()
 
     def _meet(self) -> None:
-        """Let all threads come here before any goes on."""
+        """Write a barrier of all threads."""
 
     def _parted(self, count: int) -> AbstractContextManager[tuple[str, str] | None]:
-        """Write what each thread does for its part of the points; gives the part, None: all of them."""
+        """Context for code that each thread runs for its part of the points; yields the part (None: all)."""
         return nullcontext()
 
     def write(self, node: Node) -> None:
@@ -72,7 +72,7 @@ class Neighbours:
     # Who is near anybody
 
     def _near(self, node: Node) -> tuple[str, str]:
-        """Write the list of points that may have a neighbour; return the addresses of the list and of its length."""
+        """Write the list of points that may have a neighbour; return the addresses of list and length."""
         writer, count, lanes = self.writer, node.shape[0], self.writer.lanes
         words = 1 << (_BITS_FOR_A_POINT * count // 32 - 1).bit_length()
         marks, near = self._memory(8 * words), self._memory(4 * (count + lanes))
@@ -105,7 +105,7 @@ class Neighbours:
             yield first
 
     def _column(self, hashes: list[str], words: int) -> str:
-        """Return the number of the bit of a column."""
+        """Return the number of the bit that stands for a column of cubes."""
         of = vector("i32", self.writer.lanes)
         both = self.emit(f"xor {of} {hashes[0]}, {hashes[1]}")
         # The products' upper bits depend on all bits of both numbers, the lower ones do not.
@@ -114,7 +114,7 @@ class Neighbours:
         return self.emit(f"and {of} {mixed}, {splat(str(32 * words - 1), 'i32', self.writer.lanes)}")
 
     def _mark(self, columns: str, marks: str, words: int, point: str) -> None:
-        """Set the bit of a point's column, and the second one if that was set before."""
+        """Set the bit of a point's column, or, if it is set, the bit that says "more than one"."""
         place = self.emit(f"getelementptr i32, ptr {columns}, i64 {point}")
         column = self.emit(f"load i32, ptr {place}, align 4")
         bit = self.emit(f"shl i32 1, {self.emit(f'and i32 {column}, 31')}")
@@ -127,7 +127,7 @@ class Neighbours:
         self.do(f"store i32 {self.emit(f'or i32 {twice}, {again}')}, ptr {second}, align 4")
 
     def _tell(self, node: Node, first: str, marks: str, words: int, near: str, number: str) -> None:
-        """Write infinity for a vector of points, and append those that are not alone to a list."""
+        """Write infinite distances for a vector of points, and list the points that may have neighbours."""
         writer, lanes, of = self.writer, self.writer.lanes, vector("i32", self.writer.lanes)
         choices = []
         for axis, access in enumerate(node.args[:2]):
@@ -152,7 +152,7 @@ class Neighbours:
         self._append(flags, first, near, number)
 
     def _gathered(self, marks: str, word: str, offset: int) -> str:
-        """Return words of the marks at a vector of places."""
+        """Load words of the bit set at a vector of indices."""
         lanes, of = self.writer.lanes, vector("i32", self.writer.lanes)
         wide = self.emit(f"zext {of} {word} to {vector('i64', lanes)}")
         begin = self.emit(f"getelementptr i32, ptr {marks}, i64 {offset}")
@@ -167,7 +167,7 @@ class Neighbours:
         self.do(f"store i32 {after}, ptr {number}, align 4")
 
     def _put_in_list(self, flags: str, first: str, near: str, before: str) -> None:
-        """Write the numbers of the flagged points to a list, behind those that are there before."""
+        """Write the numbers of the flagged points to a list from index ``before`` on."""
         lanes, of, mask = self.writer.lanes, vector("i32", self.writer.lanes), vector("i1", self.writer.lanes)
         place = self.emit(f"getelementptr i32, ptr {near}, i64 {self.emit(f'zext i32 {before} to i64')}")
         ramp = "<" + ", ".join(f"i32 {lane}" for lane in range(lanes)) + ">"
@@ -178,7 +178,7 @@ class Neighbours:
         self.do(f"call void @{name}({of} {points}, ptr {place}, {mask} {flags})")
 
     def _counted(self, flags: str) -> str:
-        """Return how many flags of a vector are set."""
+        """Return the number of set flags in a vector."""
         lanes = self.writer.lanes
         bits = self.emit(f"bitcast {vector('i1', lanes)} {flags} to i{lanes}")
         self.writer.declarations.add(f"declare i{lanes} @llvm.ctpop.i{lanes}(i{lanes})")
@@ -187,14 +187,14 @@ class Neighbours:
 
     @contextmanager
     def _each(self, near: str, number: str, shared: bool = False) -> Iterator[str]:
-        """Write a loop over a list of points, or a thread's part of it; gives the number of one."""
+        """Write a loop over a list of points, or a thread's part of it; yields the point's number."""
         writer = self.writer
         with writer.counted(*(self._some(number) if shared else (number,))) as counter:
             place = self.emit(f"getelementptr i32, ptr {near}, i64 {counter}")
             yield self.emit(f"zext i32 {self.emit(f'load i32, ptr {place}, align 4')} to i64")
 
     def _some(self, number: str) -> tuple[str, ...]:
-        """Return which of a list of points are a thread's: how many, and the first if not 0."""
+        """Return a thread's share of a list: its end, and its start if not 0."""
         return (number,)
 
     # Cells of space
@@ -235,7 +235,7 @@ class Neighbours:
         return cube, self.emit(f"fsub {of} {place}, {whole}")
 
     def _leant(self, cube: str, within: str, lanes: int = 1) -> str:
-        """Return the number of the next cube along an axis, on the side that a point leans to."""
+        """Return the number of the next cube along an axis, on the nearer side of a point."""
         of, number = vector(self.of, lanes), vector("i32", lanes)
         low = self.emit(f"fcmp olt {of} {within}, {splat(literal(0.5, self.dtype), self.of, lanes)}")
         below, above = (splat(text, "i32", lanes) for text in ("-1", "1"))
@@ -247,7 +247,7 @@ class Neighbours:
         return self.emit(f"mul {vector('i32', lanes)} {cube}, {splat(str(_PRIMES[axis]), 'i32', lanes)}")
 
     def _chain(self, parts: list[str]) -> str:
-        """Return where the chain of a cube begins, from the hashes of its three numbers."""
+        """Return the address of the head of a cube's chain of points."""
         both = self.emit(f"xor i32 {parts[0]}, {parts[1]}")
         whole = self.emit(f"xor i32 {both}, {parts[2]}")
         number = self.emit(f"and i32 {whole}, {self.mask}")
@@ -255,7 +255,7 @@ class Neighbours:
         return self.emit(f"getelementptr i32, ptr {self.heads}, i64 {wide}")
 
     def _put(self, node: Node, point: str) -> None:
-        """Put a point at the beginning of its cube's chain."""
+        """Write code that inserts a point at the head of its cube's chain."""
         cubes = [self._cube(self._coordinate(access, point))[0] for access in node.args[:3]]
         head = self._chain([self._hash(cube, axis) for axis, cube in enumerate(cubes)])
         before = self.emit(f"load i32, ptr {head}, align 4")
@@ -265,7 +265,7 @@ class Neighbours:
         self.do(f"store i32 {number}, ptr {head}, align 4")
 
     def _search(self, node: Node, point: str) -> None:
-        """Find the nearest other point in the eight cubes around a point."""
+        """Write the search for a point's nearest other point in the eight nearest cubes."""
         position = [self._coordinate(access, point) for access in node.args[:3]]
         choices = []
         for axis, coordinate in enumerate(position):

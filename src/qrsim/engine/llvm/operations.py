@@ -43,7 +43,7 @@ class Operations:
         self._tiny_state = False
 
     def expect(self, results: Iterable[Node]) -> None:
-        """Note whether the state of a tick, computed as ``results``, may contain subnormal numbers."""
+        """Note whether the results of a tick may contain subnormal numbers."""
         self._tiny_state = any(self._may_be_tiny(node) for node in results if node.dtype.kind == "f")
         self._flushed.clear()
 
@@ -130,6 +130,7 @@ class Operations:
         return self._call(f"llvm.{name}.{suffix(element, lanes)}", of, [of] * len(values), values)
 
     def _library(self, name: str, dtype: DType, values: list[str], lanes: int) -> str:
+        """Write calls of a C math function, lane by lane, and return the result."""
         element = scalar_type(dtype)
         if element not in ("float", "double"):
             raise UnsupportedError(f"'{name}' of {dtype}")
@@ -156,7 +157,7 @@ class Operations:
         return self.emit(f"{op} {of} {values[0]}, {values[1]}")
 
     def _whole_division(self, op: str, of: str, dtype: DType, values: list[str], lanes: int) -> str:
-        """Divide as JAX does: all bits set, or the number itself as remainder, where the divisor is zero."""
+        """Divide integers as JAX does: by 0 the quotient is all bits set, the remainder the dividend."""
         element, mask, signed = scalar_type(dtype), vector("i1", lanes), dtype.kind == "i"
         zero, one, ones = (splat(text, element, lanes) for text in ("0", "1", "-1"))
         is_zero = self.emit(f"icmp eq {of} {values[1]}, {zero}")
@@ -175,7 +176,7 @@ class Operations:
         return self.emit(f"select {mask} {is_zero}, {of} {ones}, {of} {result}")
 
     def _shift(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Shift as JAX does: nothing is left, or the sign, where a number is shifted by its width or more."""
+        """Shift as JAX does: by the width or more gives 0, or the sign."""
         how, bits = _SHIFTS[node.op], 8 * node.dtype.itemsize
         # All shifts of the noise are by constants, and must cost one instruction.
         known = _known_number(node.args[1].node)
@@ -199,7 +200,7 @@ class Operations:
         return self.emit(f"icmp {signed}{op} {of} {values[0]}, {values[1]}")
 
     def _same(self, name: str, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Emit the intrinsic function of a name, of all arguments."""
+        """Write a call of the intrinsic with this name on all arguments, and return the result."""
         return self._intrinsic(name, node.dtype, lanes, values)
 
     _fma = partialmethod(_same, "fma")
@@ -242,6 +243,7 @@ class Operations:
         return self.emit(f"xor {of} {values[0]}, {splat(ones, scalar_type(node.dtype), lanes)}")
 
     def _ordered(self, how: str, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Return the minimum or maximum of two arguments."""
         known = [_known_number(arg.node) for arg in node.args]
         if node.dtype.kind == "f":
             # A number that is known is no NaN, and where the other is equal they may only differ as zeros do.
@@ -255,7 +257,7 @@ class Operations:
     _max = partialmethod(_ordered, "max")
 
     def _limited(self, how: str, of: str, value: str, limit: str, number: float, lanes: int) -> str:
-        """Return min or max of a value and a number that is known."""
+        """Return the minimum or maximum of a value and a known number."""
         positive = math.copysign(1.0, number) > 0.0
         # Of two zeros the positive one is the larger.
         takes_equal = number == 0.0 and positive == (how == "max")
@@ -329,7 +331,7 @@ class Operations:
         return values[0] if to == of else self.emit(f"bitcast {of} {values[0]} to {to}")
 
     def whole_part(self, before: DType, after: DType, of: str, value: str, lanes: int) -> str:
-        """Return the nearest whole number towards zero that there is, zero for NaN.
+        """Convert a float to an integer, truncated and clipped to the type's range; NaN gives 0.
 
         LLVM has an intrinsic for this, which it takes apart into scalars.
         """
@@ -376,13 +378,12 @@ class Operations:
 
 
 def _has_tiny(constant: Node) -> bool:
-    """Return whether a constant has numbers below the normal ones."""
     sizes = np.abs(np.frombuffer(constant.attributes[0], constant.dtype))
     return bool(((sizes > 0.0) & (sizes < np.finfo(constant.dtype).tiny)).any())
 
 
 def _known_number(node: Node) -> float | None:
-    """Return the number that a node is in all its elements, None where that is not known."""
+    """Return the constant that all elements of a node are; None if unknown."""
     if node.op != "constant":
         return None
     numbers = np.frombuffer(node.attributes[0], node.dtype)

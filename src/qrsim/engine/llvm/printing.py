@@ -17,7 +17,7 @@ FORMS = ("graph", "steps", "llvm")
 
 
 def printed(closed: ClosedJaxpr, inputs: Sequence[Input], mode: Mode, form: str) -> str:
-    """Return a form of a program as text.
+    """Return a program as text, in a form of FORMS.
 
     Args:
         closed, inputs, mode: see ``program.build``.
@@ -45,7 +45,7 @@ def _region_lines(region: Region, indent: str) -> Iterator[str]:
 
 
 def _node(node: Node) -> str:
-    """Write a node: number, type, operation, and what it reads; invariant ones are computed before the first tick."""
+    """Return a node as text: number, type, operation and reads, with a mark if it is computed once."""
     shape = ",".join(map(str, node.shape))
     arguments = [_access(access) for access in node.args]
     if node.op == "constant":
@@ -57,7 +57,7 @@ def _node(node: Node) -> str:
 
 
 def _access(access: Access) -> str:
-    """Write the node that is read, and at which place of it: an axis of the loop plus an offset."""
+    """Return an access as text: the node, and for each axis the loop's axis plus an offset."""
     places = [("" if axis is None else f"i{axis}") + (f"+{offset}" if offset else "") for axis, offset in access.index]
     return f"%{access.node.number}" + (f"[{','.join(place or '0' for place in places)}]" if places else "")
 

@@ -63,7 +63,7 @@ class Mode:
 
     @property
     def worlds(self) -> int:
-        """Worlds that one call advances."""
+        """Number of worlds that one call advances."""
         return self.lanes if self.side_by_side else 1
 
 
@@ -98,7 +98,7 @@ def trace_tick(function: Callable[..., object], inputs: Sequence[Input]) -> Clos
 def build(
     function: Callable[..., object] | ClosedJaxpr, inputs: Sequence[Input], mode: Mode, tier: str = "quick"
 ) -> Binary:
-    """Compile a function from a state to the next one.
+    """Compile a function from a state to the next one to machine code.
 
     Args:
         function: see ``trace_tick``, or the same traced, which then may read fewer of the trees and no tick.
@@ -241,20 +241,19 @@ class Draft:
         return _padded(shape, self.lanes, self.side_by_side) * stored_bytes(node.dtype) * lanes
 
     def _spare_bytes(self, size: int) -> int:
-        """Return the offset of working memory none of which was given out before."""
+        """Return the offset of ``size`` bytes of working memory that overlap no others."""
         # Schedules do not know of this memory, so it must not be any that they have planned with.
         self.arena.free.clear()
         return self.arena.take(size)
 
     def _spare(self, node: Node, shape: Shape, group: int) -> Place:
-        """Return memory for a copy that waits, none of which was given out before."""
+        """Return a place for a temporary copy that overlaps no other place."""
         (self.local if group else self.arena).free.clear()
         return self._take(node, shape, group)
 
     def _take(self, node: Node, shape: Shape | None = None, group: int = 0) -> Place:
-        """Return memory, of a thread's own where a group is given."""
+        """Return a place in scratch memory for a node's value, in a thread's own memory if ``group`` is not 0."""
         whole = node.shape if shape is None else shape
-        """Return a place in scratch memory for a node's value."""
         shape = self._kept_shape(node, group) if shape is None else self._cut(shape, group)
         own = self.side_by_side and not node.uniform
         element = stored_bytes(node.dtype) * (self.lanes if own else 1)
@@ -266,15 +265,15 @@ class Draft:
         return Place(pointer, offset, _row_major(rows, element), own, short=short)
 
     def _kept_shape(self, node: Node, group: int) -> Shape:
-        """Return the shape of what is in memory of a node at one time."""
+        """Return the shape of a node's value that is in memory at one time."""
         return (*node.shape[:-1], 1) if node.number in self.short else self._cut(node.shape, group)
 
     def _cut(self, shape: Shape, group: int) -> Shape:
-        """Return the shape of the part of an array that a strip of a group has."""
+        """Return an array's shape within a strip of a group: its last axis cut to the strip."""
         return (*shape[:-1], self.strip) if group and shape[-1:] == (self.grouping.extents[group],) else shape
 
     def text(self, kernels_inside: bool = False) -> str:
-        """Return the module, with functions of kernels, or with kernels written out where they are used."""
+        """Return the module's text; ``kernels_inside``: kernels written in line, else as functions."""
         writer = Emitter(self.places, self.lanes, self.side_by_side, self._spare, self._spare_bytes)
         writer.kernels_inside = kernels_inside
         shared = [f"%{kind}{i}" for i in range(len(self.inputs)) for kind in ("floats", "integers")]
@@ -335,7 +334,7 @@ class Draft:
 
 
 def flushing(writer: Writer) -> tuple[list[str], list[str]]:
-    """Write the text before and after all else that makes numbers too small to be normal zero, as with XLA."""
+    """Return the lines before and after all others that make the CPU flush subnormal numbers to 0, as XLA does."""
     processor = machine_triple().split("-")[0]
     if processor in ("x86_64", "i686", "amd64"):
         writer.declarations |= {f"declare void @llvm.x86.sse.{name}(ptr)" for name in ("stmxcsr", "ldmxcsr")}
@@ -374,7 +373,7 @@ def _row_major(shape: Shape, element: int) -> tuple[int, ...]:
 
 
 def _whole(extent: int, lanes: int) -> int:
-    """Return an extent with room for a vector that begins at its last element, in whole vectors."""
+    """Return an extent rounded up so that a vector may begin at its last element."""
     return -(-extent // lanes) * lanes
 
 

@@ -19,17 +19,17 @@ class UnsupportedError(Exception):
         self.reason, self.place = reason, place
 
     def at(self, place: str) -> UnsupportedError:
-        """Return the same with a line of the program, unless it has one."""
+        """Return the error with a source line added, unless it has one."""
         return self if self.place else UnsupportedError(self.reason, place)
 
     def again(self) -> UnsupportedError:
-        """Return the same without a traceback, whose frames would keep a user's policy alive."""
+        """Return a copy without a traceback, whose frames would keep a user's policy alive."""
         return UnsupportedError(self.reason, self.place)
 
 
 @contextmanager
 def refusing() -> Iterator[None]:
-    """Let whatever goes wrong inside be a program that this code generator cannot compile.
+    """Context manager: turn any exception inside into an UnsupportedError.
 
     Raises:
         UnsupportedError: in place of any other error but a lack of memory.

@@ -20,7 +20,7 @@ def reduces_rows(node: Node) -> bool:
 
 
 def along(access: Access, reader: Node) -> bool:
-    """Return whether a node reads another's elements at its own index of the last axis only."""
+    """Return whether a node reads an access at its own index of the last axis only."""
     last = len(reader.domain) - 1
     followed = [axis for axis, _ in access.index]
     return (
@@ -34,7 +34,7 @@ def along(access: Access, reader: Node) -> bool:
 
 
 def together(waiting: dict[int, Node], loops: Callable[[Node], bool], reads: Reads) -> list[Node]:
-    """Return nodes that one loop over a last axis can compute, in order; none where no reduction has a reader there.
+    """Return nodes that one loop over a last axis can compute, in order; [] if no reduction has a reader there.
 
     Args:
         waiting: nodes that are not yet computed, in an order in which they can be.
@@ -59,7 +59,7 @@ class _Cluster:
         self.reduced: set[int] = set()
 
     def of(self, waiting: dict[int, Node]) -> list[Node]:
-        """Return the nodes that one loop over rows can compute: reductions, their users, and the inputs of both."""
+        """Return the nodes that one loop over rows can compute: reductions, their readers and inputs."""
         after: set[int] = set()
         for node in waiting.values():
             fits = self.loops(node) and self._fits(node)
@@ -104,6 +104,6 @@ class _Cluster:
         return found
 
     def _leave(self, nodes: Iterable[Node]) -> None:
-        """Let nodes be computed before, with all that they need."""
+        """Remove nodes from the cluster, with all nodes that they depend on."""
         for number in self._with_what_they_need(nodes):
             del self.inside[number]

@@ -42,7 +42,7 @@ def write_scatter(writer: Loops, node: Node) -> None:
 
 
 def _put(writer: Loops, node: Node, lane: int, parts: list[str]) -> None:
-    """Write one number of one world."""
+    """Write the update of one element of one world."""
     how, moved, single, index = node.attributes
     place, dtype = writer.places[node.number], node.dtype
     number, starts = parts[0], [(text, 1) for text in parts[1:]]
@@ -61,7 +61,7 @@ def _put(writer: Loops, node: Node, lane: int, parts: list[str]) -> None:
 
 
 def write_update(writer: Loops, node: Node) -> None:
-    """Write a copy of an array with one part replaced, at a place that the program computes.
+    """Write a copy of an array with one part replaced at a run-time start.
 
     Args:
         writer: of the program, which is of one world.

@@ -41,7 +41,7 @@ class Step:
 
     @cached_property
     def accesses(self) -> list[tuple[Node | None, Access]]:
-        """(reader, access) of all that it reads; of branchings and repetitions each node once, with reader None."""
+        """(reader, access) of everything the step reads; for conditionals and loops each node once, reader None."""
         if self.kind not in NESTED:
             return [(node, access) for node in self.nodes for access in node.args]
         inner = [access for steps in self.branches for each in steps for _, access in each.accesses]
@@ -49,7 +49,7 @@ class Step:
         return [(None, access) for access in {access.node.number: access for access in every}.values()]
 
     def reads_before(self, reader: Node, access: Access, writer: Node) -> bool:
-        """Return whether of each element that ``writer`` computes ``reader``, of this step too, has read before."""
+        """Return whether ``reader`` reads each element before ``writer``, in this step too, overwrites it."""
         if not self.parts:
             return access.identical(writer.shape)
         part = {node.number: i for i, each in enumerate(self.parts) for node in each.nodes}
@@ -68,7 +68,7 @@ class Scheduler:
         self._outside: dict[int, list[Access]] = {}
 
     def steps(self, nodes: list[Node]) -> list[Step]:
-        """Return the steps of nodes; what else they read is computed before."""
+        """Return the steps that compute nodes, in order; other inputs must be computed before."""
         nodes = [node for node in nodes if node.number in self.live and node.op not in OUTSIDE]
         # That of most nodes comes last.
         sizes = Counter(node.domain for node in nodes)
@@ -90,7 +90,7 @@ class Scheduler:
         return found
 
     def _needed(self, nodes: list[Node], waiting: Waiting) -> set[int]:
-        """Return the numbers of what must be computed before nodes."""
+        """Return the numbers of all nodes that nodes depend on."""
         own = {node.number for node in nodes}
         found: set[int] = set()
         stack = list(nodes)
@@ -124,7 +124,7 @@ class Scheduler:
         return Step("loop", first.domain, nodes, kept, reduced)
 
     def reads(self, node: Node) -> Collection[Access]:
-        """List what a node reads, and what its regions read from outside, each of those nodes once."""
+        """Return the accesses of a node, and those of its regions to outer nodes, each node once."""
         if not node.regions:
             return node.args
         if node.number not in self._outside:
@@ -147,7 +147,7 @@ class Scheduler:
 
 
 def in_place(steps: list[Step]) -> dict[int, Node]:
-    """Return, by its number, each scatter of a loop's body that may write where its carry lies: that carry's output.
+    """Return scatter's number -> output of the loop carry that the scatter may overwrite in place.
 
     It hands on what it was handed with some numbers changed, and nobody reads after it what was there before.
     """
@@ -176,7 +176,7 @@ def in_place(steps: list[Step]) -> dict[int, Node]:
 
 
 def branch_results(step: Step) -> list[Access]:
-    """List the wanted nodes that the regions of a step hand out."""
+    """Return the accesses that a step's regions return."""
     if step.kind == "while":
         return [access for region in step.nodes[0].regions for access in region.results]
     places = [output.attributes[0] for output in step.nodes if output.op == "output"]
@@ -194,7 +194,7 @@ def all_nodes(steps: Sequence[Step]) -> list[Node]:
 
 
 def materialised(steps: list[Step], results: list[Access]) -> tuple[set[int], set[int]]:
-    """Return the numbers of the nodes that need memory: all of an array, and of one element of its last axis.
+    """Return the numbers of nodes that need memory for a whole array, and of those for one row element.
 
     Whole are those that are read outside the loop that computes them.
     """
@@ -223,7 +223,7 @@ def materialised(steps: list[Step], results: list[Access]) -> tuple[set[int], se
 
 
 def _between(parts: list[Step]) -> set[int]:
-    """Return the numbers of the nodes that one part makes and another reads, but for those of one number an element."""
+    """Return the numbers of non-scalar nodes that one part computes and another part reads."""
     made = {node.number for part in parts for node in part.nodes}
     found = set()
     for part in parts:
@@ -243,7 +243,7 @@ class Arena:
         self.size = 0
 
     def take(self, size: int) -> int:
-        """Return the offset of ``size`` bytes."""
+        """Reserve ``size`` bytes and return their offset."""
         # A vector may begin at any place that is given out.
         size = -(-size // self.ALIGN) * self.ALIGN
         for i, (begin, length) in enumerate(self.free):
@@ -257,7 +257,7 @@ class Arena:
         return begin
 
     def give(self, begin: int, size: int) -> None:
-        """Take back what ``take`` gave."""
+        """Release bytes that ``take`` reserved."""
         size = -(-size // self.ALIGN) * self.ALIGN
         first = after = bisect(self.free, (begin, size))
         # Neighbours become one, so that a large array finds room where small ones were.

@@ -44,7 +44,7 @@ class Sharing:
         writer.entry.append("  %leads = icmp eq i64 %thread, 0")
 
     def steps(self, steps: Sequence[Step], stored: set[int], late: Sequence[Late] = ()) -> None:
-        """Write steps, and copies to the state behind them; at the end all threads have done their part."""
+        """Write steps and the copies to the state after them, with a barrier at the end."""
         after = {each.group: each.moves for each in late}
         for group, members in groupby(steps, key=lambda step: step.group):
             if group:
@@ -69,7 +69,7 @@ class Sharing:
         self.meet(self._alone or self._cut or self._read)
 
     def meet(self, needed: bool) -> None:
-        """Let every thread wait for the others, if needed."""
+        """Write a barrier of all threads, if needed."""
         if needed:
             self.do(self._wait)
             self._alone = self._cut = self._read = self._read_cut = False
@@ -85,13 +85,13 @@ class Sharing:
             self.writer.steps([step], stored)
 
     def _changes(self, number: int) -> bool:
-        """Return whether a node lies where the program writes."""
+        """Return whether the program writes to the memory of a node."""
         place = self.writer.places.get(number)
         return place is not None and (place.tight or place.pointer == "%scratch")
 
     @contextmanager
     def first_thread(self, wait: bool = True) -> Iterator[None]:
-        """Write what the first thread does while the others go on, by default once they have come here."""
+        """Context for code that only the first thread runs, by default after a barrier."""
         self.meet(wait and (self._cut or self._read))
         self._alone = True
         writer, label = self.writer, self.writer.name("alone")[1:]
@@ -103,7 +103,7 @@ class Sharing:
 
     @contextmanager
     def _strips(self, group: int) -> Iterator[None]:
-        """Write a loop over the strips of a thread."""
+        """Write a loop over the strips of the present thread."""
         self.meet(self._alone or self._cut or self._read_cut)
         self._cut = True
         writer, extent = self.writer, self._extents[group]
@@ -131,7 +131,7 @@ class Sharing:
 
     @contextmanager
     def part(self, extent: int) -> Iterator[tuple[str, str]]:
-        """Write what each thread does for its part of an axis, where that has any elements; gives begin and end."""
+        """Write each thread's code for its part of an axis, if not empty; yields begin and end."""
         self._cut = True
         (low, high), label = self._range(extent), self.writer.name("part")[1:]
         some = self.emit(f"icmp ult i64 {low}, {high}")
@@ -142,7 +142,7 @@ class Sharing:
         self.writer.start_block(f"{label}.after")
 
     def _range(self, extent: int) -> tuple[str, str]:
-        """Return the first element of this thread and the one behind its last."""
+        """Return the begin and end (exclusive) of this thread's elements."""
         if extent not in self._ranges:
             vectors, lines = -(-extent // _VECTOR), self.writer.entry
             low, high = f"%low{extent}", f"%high{extent}"
@@ -191,6 +191,7 @@ class SharedNeighbours(Neighbours):
         self.writer.start_block(f"{label}.after")
 
     def _some(self, number: str) -> tuple[str, ...]:
+        """Return the end (i32) and the start (i64) of the present thread's part of ``number`` points."""
         wide, bounds = self.emit(f"zext i32 {number} to i64"), []
         for turn in ("%thread", "%thread.next"):
             bounds.append(self.emit(f"udiv i64 {self.emit(f'mul i64 {wide}, {turn}')}, %threads"))
@@ -198,7 +199,7 @@ class SharedNeighbours(Neighbours):
 
 
 def _kind_of(step: Step) -> str:
-    """Return who computes a step outside groups: every thread ("scalars"), all together ("nearest"), or the first."""
+    """Return the threads that compute a step outside groups: "scalars" (each), "nearest" (all together) or "alone"."""
     if step.kind == "loop" and step.domain == ():
         return "scalars"
     return "nearest" if step.kind == "nearest" else "alone"

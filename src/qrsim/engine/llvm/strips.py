@@ -46,7 +46,7 @@ class Grouping:
         self.extents: dict[int, int] = {}
 
     def of(self, steps: Sequence[Step]) -> list[Step]:
-        """Return the steps, those of a group next to each other, with the number of their group."""
+        """Return the steps reordered so that those of a group are adjacent, with their group numbers."""
         steps = [part for step in steps for part in self._parted(step)]
         order = _Order(steps)
         found: list[Step] = []
@@ -68,7 +68,7 @@ class Grouping:
         return len(self.extents)
 
     def late(self, moves: list[Move], body: Sequence[Step], places: Mapping[int, Place]) -> list[Late]:
-        """Return copies to the state, those that can be cut in groups: the first may be that of the last step."""
+        """Return the copies to the state in groups that can be cut into strips."""
         if not self.strip:
             return [Late(0, moves)]
         sets: dict[int, list[Move]] = {}
@@ -85,7 +85,7 @@ class Grouping:
         return found if _independent(found, places) else [Late(0, moves)]
 
     def _alone(self, order: _Order) -> Step | None:
-        """Take the next step of no group: scalars first."""
+        """Return the next step outside groups, scalars first; None without one."""
         for wanted in (lambda step: step.domain == () and step.kind == "loop", lambda step: not self._fits_alone(step)):
             for i in order.ready:
                 if wanted(order.steps[i]):
@@ -97,7 +97,7 @@ class Grouping:
         return extent > 0 and self._fits(step, extent, set())
 
     def _next(self, order: _Order, extent: int, made: set[int]) -> Step | None:
-        """Take the next step of a group, and add what it makes."""
+        """Return the next step of a group and add its nodes to ``made``; None without one."""
         for i in order.ready:
             step = order.steps[i]
             if self._extent(step) == extent and self._fits(step, extent, made):
@@ -106,7 +106,7 @@ class Grouping:
         return None
 
     def _extent(self, step: Step) -> int:
-        """Return the extent that a step might be cut along; 0: it cannot be cut."""
+        """Return the extent along which a step can be cut into strips; 0: none."""
         if step.kind == "cond":
             shapes = {node.shape[-1:] for node in step.nodes[1:]}
             shape = shapes.pop() if len(shapes) == 1 else ()
@@ -115,7 +115,7 @@ class Grouping:
         return shape[0] if shape and shape[0] > self.strip else 0
 
     def _parted(self, step: Step) -> list[Step]:
-        """Return a loop that ends in sums over all elements as two."""
+        """Split a loop that ends in sums over all elements into two loops."""
         last = len(step.domain) - 1
         if step.kind != "loop" or last not in step.reduced or step.domain[-1] <= self.strip:
             return [step]
@@ -129,11 +129,12 @@ class Grouping:
     # What can be cut
 
     def _fits(self, step: Step, extent: int, made: set[int]) -> bool:
-        """Return whether a step needs no elements of others along its last axis, of all that its group changes."""
+        """Return whether a step, cut into strips, reads only its own elements of what its group changes."""
         return self._fits_inside(step, extent, made | _made(step, extent))
 
     @staticmethod
     def _cuts(step: Step) -> bool:
+        """Return whether the loop of a step can be cut along its last axis."""
         last = len(step.domain) - 1
         if step.kind == "rows":
             return True
@@ -162,7 +163,7 @@ class Grouping:
         return all(self._own(access, shape, extent, made, moved) for access, shape, moved in _reads(node))
 
     def _own(self, access: Access, shape: Shape, extent: int, made: set[int], moved: bool = False) -> bool:
-        """Return whether a loop over ``shape`` reads its own element of the last axis, or what its group keeps."""
+        """Return whether a loop over ``shape`` reads its own element of the last axis, or an unchanged array."""
         last = len(shape) - 1
         followed = [axis for axis, _ in access.index]
         along = (
@@ -174,7 +175,7 @@ class Grouping:
         return along or self._whole(access, extent, made)
 
     def _whole(self, access: Access, extent: int, made: set[int]) -> bool:
-        """Return whether any element may be read: nobody writes to them while the group runs."""
+        """Return whether any element may be read, because the group does not change the array."""
         node = access.node
         return node.number not in made and not (node.number in self.leaves and node.shape[-1:] == (extent,))
 
@@ -207,7 +208,7 @@ class _Order:
         return self.steps[self.ready[0]]
 
     def take(self, which: int) -> Step:
-        """Let a step be computed."""
+        """Remove a step from the order and return it, releasing the steps that depend on it."""
         self.ready.remove(which)
         for reader in self._readers[which]:
             self._missing[reader].discard(which)
@@ -240,7 +241,7 @@ class Lifetimes:
         self._late = [each.group for each in late]
 
     def local(self, node: Node, at: int) -> bool:
-        """Return whether only the group of the step that makes a node reads it."""
+        """Return whether only the group of step ``at`` reads the node that it makes."""
         group = self._groups[at]
         return group > 0 and all(
             self._groups[i] == group if i < len(self._groups) else self._moved_within(node, group)
@@ -253,7 +254,7 @@ class Lifetimes:
         )
 
     def end(self, node: Node, at: int, local: bool) -> int:
-        """Return the step after which the memory of a node, made by a step, may be used again."""
+        """Return the step after which the memory of a node made at step ``at`` is free again."""
         last = max(at, *(i for i, _, _ in self._read.get(node.number, ())), at)
         if node.number in self._kept or last >= len(self._until):
             return len(self._until)
@@ -273,18 +274,18 @@ def _independent(late: Sequence[Late], places: Mapping[int, Place]) -> bool:
 
 
 def strip_pointer(group: int, element: int) -> str:
-    """Return the name of the pointer to a thread's memory of a strip, moved back to where element 0 would be."""
+    """Return the name of a pointer to a thread's strip, offset so that element 0 of the array is addressed."""
     return f"%local{group}.{element}"
 
 
 def _made(step: Step, extent: int) -> set[int]:
-    """Return the numbers of the nodes of an extent that a step makes, in branches too."""
+    """Return the numbers of the nodes of an extent that a step computes, in branches too."""
     found = {node.number for node in step.nodes if node.shape[-1:] == (extent,)}
     return found.union(*(_made(inner, extent) for branch in step.branches for inner in branch))
 
 
 def _reads(node: Node) -> Iterator[tuple[Access, Shape, bool]]:
-    """Yield what a node reads, the shape of the loop that reads it, and whether elsewhere along the last axis."""
+    """Yield each access of a node, the shape of the reading loop, and whether it picks along the last axis."""
     if node.op == "concatenate":
         for access, shape in zip(node.args, node.attributes[2], strict=True):
             yield access, shape, False

@@ -21,7 +21,7 @@ _BUSY = threading.Lock()
 
 
 def _forget_threads() -> None:
-    """Start again without the threads of a parent process."""
+    """Drop the threads of the parent process, after a fork."""
     global _BUSY
     _POOLS.clear()
     _BUSY = threading.Lock()
@@ -47,7 +47,7 @@ class Pace:
         self._turn = 0
 
     def together(self) -> bool:
-        """Return the way of the next ticks."""
+        """Return whether to run the next ticks with several threads: the faster way, the other one now and then."""
         for way in (True, False):
             if way not in self._seconds:
                 return way
@@ -56,11 +56,11 @@ class Pace:
         return faster == (self._turn % _TRIED_AGAIN != 0)
 
     def took(self, together: bool, seconds: float) -> None:
-        """Note the seconds of a tick."""
+        """Record how long [s] a tick took, with or without several threads."""
         self._seconds[together] = 0.5 * (self._seconds.get(together, seconds) + seconds)
 
     def ticks(self, least: int) -> int:
-        """Return how many ticks are run before it is asked again."""
+        """Return how many ticks, at least ``least``, to run before measuring again."""
         return max(least, round(_STRETCH_S / min(self._seconds.values(), default=_STRETCH_S)))
 
 
@@ -92,7 +92,7 @@ class Team:
         self._run(run, count)
 
     def keep(self, addresses: Sequence[int], scratch: int, tick: int, rows: Buffers) -> None:
-        """Advance a state by as many ticks as there are rows, and write it after each to the next row."""
+        """Advance a state by a tick per row, and write it after each tick to the row."""
 
         def run(together: bool, first: int, ticks: int) -> None:
             some = rows[0][first : first + ticks], rows[1][first : first + ticks]
@@ -104,7 +104,7 @@ class Team:
         self._run(run, len(rows[0]))
 
     def _run(self, run: Callable[[bool, int, int], None], count: int) -> None:
-        """Run ticks, some at a time, in the way that is faster."""
+        """Run ``count`` ticks in portions, each in the faster of the two ways."""
         first = 0
         while first < count:
             ticks = min(count - first, self._pace.ticks(self._least))

@@ -16,7 +16,7 @@ _SCALAR = {"float32": "float", "float64": "double", "int32": "i32", "uint32": "i
 
 @cache
 def scalar_type(dtype: DType) -> str:
-    """Return LLVM's name of one element in a register.
+    """Return the LLVM type of one element in a register.
 
     Raises:
         UnsupportedError: there are no such numbers here.
@@ -29,7 +29,7 @@ def scalar_type(dtype: DType) -> str:
 
 
 def stored_type(dtype: DType) -> str:
-    """Return LLVM's name of one element in memory: a bool takes as much as an int32."""
+    """Return the LLVM type of one element in memory: i32 for a bool."""
     # A vector of i1 has no place of its own for each lane in memory.
     return "i32" if dtype.kind == "b" else scalar_type(dtype)
 
@@ -45,7 +45,7 @@ def vector(element: str, lanes: int) -> str:
 
 
 def literal(value: float | np.float32, dtype: DType) -> str:
-    """Return a number as LLVM writes it."""
+    """Return a number as an LLVM literal."""
     if dtype.kind == "b":
         return "true" if value else "false"
     if dtype.kind == "f":
@@ -55,19 +55,19 @@ def literal(value: float | np.float32, dtype: DType) -> str:
 
 
 def splat(text: str, element: str, lanes: int) -> str:
-    """Return a constant of all lanes."""
+    """Return a constant repeated in all lanes."""
     # LLVM writes constants of vectors so; a list of sixteen would make texts several times as long.
     return text if lanes == 1 else f"splat ({element} {text})"
 
 
 def suffix(element: str, lanes: int) -> str:
-    """Return the end of an intrinsic's name that says its type."""
+    """Return the type suffix of an intrinsic's name."""
     letter = {"float": "f32", "double": "f64"}.get(element, element)
     return letter if lanes == 1 else f"v{lanes}{letter}"
 
 
 def neutral(how: str, dtype: DType) -> str:
-    """Choose the number that a reduction begins with."""
+    """Return the initial value of a reduction, as an LLVM literal."""
     if how in ("add", "or"):
         return literal(0, dtype)
     if how == "mul":

@@ -73,7 +73,7 @@ class Tracer(Indexing):
         return [read(atom) for atom in jaxpr.outvars]
 
     def _used_once(self, jaxpr: jex.Jaxpr) -> set[jex.Var]:
-        """Return the variables of a function that one equation or result uses, once.
+        """Return the variables that are used exactly once in a jaxpr, by an equation or as a result.
 
         A product among them may be fused with its sum (see ``_contracted``). The sets are kept, because a function may
         be called many times.
@@ -99,7 +99,7 @@ class Tracer(Indexing):
     def _contracted(
         self, op: str, equation: jex.JaxprEqn, inputs: list[View], out: ShapedArray, products: _Products
     ) -> View:
-        """Return a sum, a difference or a product; a sum is fused with a product that is used nowhere else.
+        """Return a sum, difference or product; a sum is fused with a product that is used only there.
 
         Compilers fuse a product and a sum if they see both together, so the last bit depends on the surrounding
         program. Here it depends only on the function that contains both. A product that is used elsewhere too is
@@ -124,7 +124,7 @@ class Tracer(Indexing):
         return self.apply(name, shape, out.dtype, *factors, rest)
 
     def elementwise(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return an operation of one element from one element of each argument."""
+        """Return the result of an elementwise primitive."""
         shape: Shape = tuple(out.shape)
         before = inputs[0].node.dtype
         if op == "convert_element_type" and before == out.dtype:
@@ -141,24 +141,24 @@ class Tracer(Indexing):
         return self.apply(op, shape, out.dtype, *inputs, attributes=attributes)
 
     def kernel(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Return the results of an elementwise function whose body is compiled as a function."""
+        """Return the results of an elementwise function that is compiled as a kernel."""
         return [
             self.apply("kernel", tuple(out.shape), np.dtype(dtype), *inputs, attributes=(op, i))
             for i, dtype in enumerate(KERNELS[op].gives)
         ]
 
     def transparent(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Return the arguments as results, for primitives that change nothing."""
+        """Return the arguments unchanged, for primitives that have no effect."""
         return inputs
 
     def call(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Trace an inner function."""
+        """Return the results of an inner function."""
         closed = parameters[op]
         inner = closed.jaxpr if hasattr(closed, "jaxpr") else closed
         return self.run(inner, getattr(closed, "consts", ()), inputs)
 
     def reduction(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Reduce over some axes."""
+        """Return the reduction over some axes."""
         return self._reduced(op, inputs[0], out, parameters["axes"])
 
     def _reduced(self, op: str, operand: View, out: ShapedArray | Like, axes: Sequence[int]) -> View:
@@ -177,7 +177,7 @@ class Tracer(Indexing):
         return View.whole(node, tuple(out.shape))
 
     def running(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Reduce the elements up to each one along an axis."""
+        """Return the cumulative reduction along an axis."""
         shape = tuple(out.shape)
         if shape[parameters["axis"]] == 1 or 0 in shape:
             return inputs[0]
@@ -196,7 +196,7 @@ class Tracer(Indexing):
         return View.whole(self.graph.node("nearest", accesses, squeezed(shape), out.dtype), shape)
 
     def place_of(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return the first place of the least or largest element, or of the first NaN."""
+        """Return the index of the first minimum, maximum or NaN."""
         operand, axes = inputs[0], parameters["axes"]
         (axis,), shape = axes, operand.shape
         if shape[axis] == 1:
@@ -217,7 +217,7 @@ class Tracer(Indexing):
         return self._reduced("min", chosen, out, axes)
 
     def broadcast_in_dim(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return an array along more axes."""
+        """Return the array broadcast to more axes."""
         if len(inputs) != 1:
             raise UnsupportedError("a shape that the program computes")
         operand, to = inputs[0], parameters["broadcast_dimensions"]
@@ -225,11 +225,11 @@ class Tracer(Indexing):
         return operand.moved({axis: grows.get(axis) for axis in range(len(operand.shape))}, tuple(out.shape))
 
     def squeeze(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return an array without some axes of one element."""
+        """Return the array without some axes of length 1."""
         return self.without_unit_axes(inputs[0], tuple(out.shape))
 
     def transpose(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return an array with its axes in another order."""
+        """Return the array with permuted axes."""
         moves: dict[int, int | None] = {axis: i for i, axis in enumerate(parameters["permutation"])}
         return inputs[0].moved(moves, tuple(out.shape))
 
@@ -240,7 +240,7 @@ class Tracer(Indexing):
         return inputs[0].shifted(parameters["start_indices"], tuple(out.shape))
 
     def split(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Return parts side by side along an axis."""
+        """Return consecutive parts of an array along an axis."""
         axis, begin, parts = parameters["axis"], 0, []
         for size in map(int, parameters["sizes"]):
             shape = tuple(size if i == axis else extent for i, extent in enumerate(inputs[0].shape))
@@ -249,7 +249,7 @@ class Tracer(Indexing):
         return parts
 
     def unstack(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Return the parts of one element along an axis, without it."""
+        """Return the slices along an axis, without this axis."""
         (view,), axis = inputs, parameters["axis"] % len(inputs[0].shape)
         parts = []
         for begin in range(view.shape[axis]):
@@ -259,7 +259,7 @@ class Tracer(Indexing):
         return parts
 
     def tile(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return an array several times, side by side along each axis."""
+        """Return an array repeated along each axis."""
         view = inputs[0]
         for axis, count in enumerate(parameters["reps"]):
             shape = tuple(extent * (count if i == axis else 1) for i, extent in enumerate(view.shape))
@@ -321,7 +321,7 @@ class Tracer(Indexing):
         return View.whole(node, first.shape)
 
     def while_(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Trace a loop; its result is the carry at which its condition no longer holds."""
+        """Return the final carry of a while loop."""
         conditions, bodies = parameters["cond_nconsts"], parameters["body_nconsts"]
         first = inputs[conditions + bodies :]
         if any(0 in view.shape for view in first):
@@ -343,7 +343,7 @@ class Tracer(Indexing):
         return [View.whole(output, view.shape) for output, view in zip(outputs, first, strict=True)]
 
     def scan(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Trace a loop of a fixed number of turns, which goes through no arrays."""
+        """Return the final carry of a loop with a fixed number of turns and no scanned arrays."""
         constants, length = parameters["num_consts"], parameters["length"]
         carries = len(inputs) - constants
         if parameters["num_carry"] != carries or len(parameters["jaxpr"].out_avals) != carries:
@@ -366,11 +366,12 @@ class Tracer(Indexing):
         return self.run(counted.jaxpr, counted.consts, inputs)
 
     def _unknown(self, op: str, args: tuple[Access, ...], like: View, *attributes: object) -> Node:
+        """Return a new node that may differ by tick and by world."""
         dtype = like.node.dtype
         return self.graph.node(op, args, squeezed(like.shape), dtype, attributes, invariant=False, uniform=False)
 
     def _region(self, closed: jex.ClosedJaxpr, inputs: list[View]) -> tuple[Region, list[View]]:
-        """Return the nodes of an inner program, and its results."""
+        """Trace an inner program; return its nodes, and its results."""
         region = self.graph.region = Region(parent=self.graph.region)
         views = self.run(closed.jaxpr, closed.consts, inputs)
         region.results = [view.access() for view in views]
@@ -387,11 +388,10 @@ class _Products:
         self._used_once = used_once
 
     def of(self, atom: object) -> list[View] | None:
-        """Return the factors, if it is a product."""
+        """Return the factors of a variable that is a product; None otherwise."""
         return None if isinstance(atom, jex.Literal) else self.made.get(atom)
 
     def only_here(self, atom: object) -> bool:
-        """Return whether a variable is used once."""
         return atom in self._used_once
 
 

@@ -1,4 +1,4 @@
-"""Several turns of a loop written at once: how many, and in which order their operations come."""
+"""Unrolled loops: by how many turns, and the order of their operations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from qrsim.engine.llvm.schedule import Step
 
 
 def turns_of(step: Step, axis: int | None) -> int:
-    """Return how many turns of a loop along an axis are written as one.
+    """Return by how many turns to unroll a loop along an axis.
 
     One turn of a body of some hundred operations that wait for each other fills what the processor looks ahead, and
     few of them run at once. A shorter body needs no help, and a longer one no more of it than its registers hold.

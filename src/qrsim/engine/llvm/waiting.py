@@ -49,13 +49,13 @@ class Waiting:
                 self._ready[self._rank(node)].add(node.number)
 
     def _rank(self, node: Node) -> _Rank:
-        """Return the key by which waiting nodes are chosen: small domains first, changes of a carry last."""
+        """Return the sort key of a waiting node: small domains first, changes of a loop's carry last."""
         # Small domains first: what they make lets the large one run further in one loop. What changes a carry last, so
         # that it may do so in its place.
         return node.op in NESTED, changes_carry(node), self._sizes[node.domain] if node.domain else -1
 
     def first(self, wanted: set[int] | None = None) -> Node:
-        """Return the node to be computed next, of those whose numbers are wanted."""
+        """Return the node to compute next, among ``wanted`` numbers if given."""
         for rank in sorted(self._ready):
             numbers = self._ready[rank] if wanted is None else self._ready[rank] & wanted
             if numbers:
@@ -64,7 +64,7 @@ class Waiting:
         raise UnsupportedError("a graph with a cycle")
 
     def take(self, nodes: list[Node]) -> None:
-        """Remove nodes that a step computes, and release those that only waited for them."""
+        """Remove the nodes that a step computes, and release outputs that waited only for them."""
         for node in nodes:
             del self.nodes[node.number]
             self._ready[self._rank(node)].discard(node.number)
@@ -72,7 +72,7 @@ class Waiting:
                 self._release(node)
 
     def _release(self, node: Node) -> list[Node]:
-        """Let a node be computed for those that read it, and return those that can be computed now."""
+        """Mark a node as available to its readers, and return the readers that are now ready."""
         self._released.add(node.number)
         found = []
         for reader in self.readers[node.number]:
@@ -84,7 +84,7 @@ class Waiting:
         return found
 
     def loop(self, first: Node, left_out: Collection[int]) -> tuple[list[Node], tuple[int, ...]]:
-        """Return the nodes that a loop over the domain of one of them can compute, in order, and its reduced axes.
+        """Return the nodes that one loop over ``first``'s domain can compute, in order, and the reduced axes.
 
         Args:
             first: one that could be computed.
@@ -123,5 +123,5 @@ class Waiting:
 
 
 def changes_carry(node: Node) -> bool:
-    """Return whether a node changes numbers of what a loop hands from turn to turn."""
+    """Return whether a node updates elements of a loop's carry."""
     return node.op in ("scatter", "update") and node.args[0].node.op == "carry"

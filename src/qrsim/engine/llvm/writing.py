@@ -44,7 +44,7 @@ class Place:
 
     @property
     def local(self) -> bool:
-        """Whether it lies in a thread's own memory."""
+        """Whether the place is in a thread's own memory."""
         return self.pointer.startswith("%local")
 
 
@@ -104,7 +104,7 @@ class Writer:
         return name
 
     def once(self, text: str) -> str:
-        """Return the result of an instruction that depends on nothing but its text, written once a block."""
+        """Return the result of an instruction without side effects, written at most once per block."""
         if text not in self._written:
             self._written[text] = self.emit(text)
         return self._written[text]
@@ -121,7 +121,7 @@ class Writer:
 
     @contextmanager
     def loop(self, extent: int, step: int = 1, part: tuple[str, str] | None = None) -> Iterator[str]:
-        """Write a loop over [0, extent), or a part of it, around what is written inside; gives its counter's name."""
+        """Write a loop over [0, extent), or a part of it, around the code in the context; yield its counter's name."""
         if extent <= step and part is None:
             yield "0"
             return
@@ -143,7 +143,7 @@ class Writer:
     # Memory
 
     def _lanes_of(self, node: Node) -> int:
-        """Return the lanes of a value of a node where it stands for itself, outside of any vector of elements."""
+        """Return the number of lanes of a node's scalar value: one per world, or 1."""
         return self.lanes if self.side_by_side and not node.uniform else 1
 
     def address(self, place: Place, index: Sequence[tuple[str | None, int]]) -> str:
@@ -158,6 +158,7 @@ class Writer:
         return pointer if fixed == 0 else self.once(f"getelementptr i8, ptr {pointer}, i64 {fixed}")
 
     def _moved(self, pointer: str, variable: str, stride: int) -> str:
+        """Return a pointer moved by ``variable`` times ``stride`` bytes, computed once."""
         key = (pointer, variable, stride)
         # What lies in one row is read from one address, which is computed once.
         if key not in self.scope.offsets:
@@ -173,7 +174,7 @@ class Writer:
         return self.emit(f"icmp ne {vector('i32', lanes)} {value}, {splat('0', 'i32', lanes)}")
 
     def store(self, dtype: DType, address: str, value: str, lanes: int, mask: str | None = None) -> None:
-        """Write to an address, where there is a mask only its lanes."""
+        """Write a store of a value, of only the lanes in ``mask`` if given."""
         of, align = vector(stored_type(dtype), lanes), stored_bytes(dtype)
         if dtype.kind == "b":
             value = self.emit(f"zext {vector('i1', lanes)} {value} to {of}")
@@ -202,7 +203,7 @@ class Writer:
     # Values
 
     def value(self, access: Access) -> tuple[str, int]:
-        """Return the value of an access in the present loop, and its lanes."""
+        """Return the name and the lanes of the value at an access in the present loop."""
         node, scope = access.node, self.scope
         if node.number in self.scalars:
             return self.scalars[node.number]
@@ -221,11 +222,11 @@ class Writer:
         return found
 
     def open_scope(self, domain: Shape, lane_axis: int | None = None) -> None:
-        """Begin a loop nest that is written element by element, or in vectors along an axis."""
+        """Begin a loop nest over a domain, scalar or in vectors along ``lane_axis``."""
         self.scope = Scope(domain, ["0"] * len(domain), lane_axis, {}, {})
 
     def read(self, access: Access) -> tuple[str, int]:
-        """Load the value at an access of the present loop anew."""
+        """Load the value at an access of the present loop again."""
         return self._read(access, self.place(access.node))
 
     def _read(self, access: Access, place: Place) -> tuple[str, int]:
@@ -245,18 +246,18 @@ class Writer:
         return self._gathered(node, place, index, across), self.lanes
 
     def vectors_ahead(self, node: Node, place: Place) -> int:
-        """Return how far ahead of its use an array is fetched; 0: the processor does so by itself."""
+        """Return how many vectors ahead an array is prefetched; 0: not by this code."""
         return 2 if self.far and len(node.shape) > 1 and not place.short else 0
 
     def fetch(self, address: str, distance: int, written: bool = False) -> None:
-        """Let the processor bring what lies a distance [B] after an address, while it works on what lies there."""
+        """Write a prefetch of the memory ``distance`` [bytes] behind an address."""
         self.declarations.add("declare void @llvm.prefetch.p0(ptr, i32, i32, i32)")
         ahead = self.emit(f"getelementptr i8, ptr {address}, i64 {distance}")
         # To be read or written, and kept close; data, not code.
         self.do(f"call void @llvm.prefetch.p0(ptr {ahead}, i32 {int(written)}, i32 3, i32 1)")
 
     def _pick(self, node: Node, lanes: int) -> str:
-        """Return elements of an array that lie where the program computes."""
+        """Return the elements of an array at starts computed at run time."""
         access, place, (moved,) = node.args[0], self.place(node.args[0].node), node.attributes
         starts = [self.value(start) for start in node.args[1:]]
         dtypes = [start.node.dtype for start in node.args[1:]]
@@ -267,7 +268,7 @@ class Writer:
         return self._picked(node, place, wide, lanes)
 
     def begun(self, place: Place, moved: Moves, starts: list[tuple[str, int]], dtypes: Sequence[DType]) -> Place:
-        """Return a place moved by starts, each brought into its range."""
+        """Return a place offset by run-time starts, each clipped to its range."""
         pointer = place.pointer
         for axis, move in enumerate(moved):
             if move is not None:
@@ -276,7 +277,7 @@ class Writer:
         return Place(pointer, place.offset, place.strides, place.own)
 
     def _distance(self, start: str, dtype: DType, largest: int, stride: int, lanes: int) -> str:
-        """Return the bytes to a start that is brought into its range."""
+        """Return the offset [bytes] of a start, clipped to its range."""
         of, sign = vector(scalar_type(dtype), lanes), "s" if dtype.kind == "i" else "u"
         for how, limit in (("max", 0), ("min", largest)):
             name = f"llvm.{sign}{how}.{suffix(scalar_type(dtype), lanes)}"
@@ -289,7 +290,7 @@ class Writer:
         return self.emit(f"mul {wide} {start}, {splat(str(stride), 'i64', lanes)}")
 
     def _picked(self, node: Node, place: Place, starts: list[str], lanes: int) -> str:
-        """Return a vector of elements, each from its own start."""
+        """Return a vector of elements, each at its own run-time start."""
         access, (moved,), wide = node.args[0], node.attributes, vector("i64", lanes)
         # From lane to lane: to the next world, or to the next element along the vector's axis.
         step = stored_bytes(node.dtype) if self._lanes_of(access.node) > 1 else 0
@@ -318,12 +319,13 @@ class Writer:
         return self.emit(f"call {of} @{name}({places} {pointers}, i32 {align}, {mask} {every}, {of} poison)")
 
     def _width(self, node: Node) -> int:
+        """Return the number of lanes in which the present loop computes a node."""
         if self.side_by_side:
             return self._lanes_of(node)
         return 1 if self.scope.lane_axis is None else self.lanes
 
     def _gathered(self, node: Node, place: Place, index: list[tuple[str | None, int]], across: list[int]) -> str:
-        """Return elements that do not lie side by side as a vector; behind the last one it is read again."""
+        """Load elements that are not adjacent as a vector; lanes past the end repeat the last element."""
         element = scalar_type(node.dtype)
         of, result = vector(element, self.lanes), "poison"
         axis = self.scope.lane_axis
@@ -340,7 +342,7 @@ class Writer:
         return result
 
     def widened(self, found: tuple[str, int], dtype: DType, lanes: int) -> str:
-        """Return a value in all lanes."""
+        """Return a value repeated in all lanes."""
         text, have = found
         if have == lanes or (have == 0 and lanes == 1):
             return text
@@ -355,7 +357,7 @@ class Writer:
         return self.once(f"shufflevector {of} {first}, {of} poison, <{lanes} x i32> zeroinitializer")
 
     def place(self, node: Node) -> Place:
-        """Return where a node lies; a constant array is put into the program."""
+        """Return the place of a node; a constant array is added to the program."""
         if node.op != "constant":
             return self.places[node.number]
         if node.number not in self._constant_places:
@@ -379,7 +381,7 @@ class Writer:
         self.store(dtype, address, value, wanted, mask)
 
     def inside(self, counter: str, extent: int) -> str:
-        """Return which lanes are elements of an axis."""
+        """Return a mask of the lanes that are within an axis."""
         if counter == "0":
             return "<" + ", ".join(f"i1 {'true' if lane < extent else 'false'}" for lane in range(self.lanes)) + ">"
         ramp = "<" + ", ".join(f"i64 {lane}" for lane in range(self.lanes)) + ">"

@@ -155,7 +155,7 @@ class Process:
         return f"{self._who} has ended with code {code}" + (f"; its last words: {lines[-1]}" if lines else "")
 
     def wait(self, seconds: float) -> bool:
-        """Return whether the process ends by itself within a time [s]."""
+        """Wait at most ``seconds`` [s] of real time for the process to end; return whether it has ended."""
         try:
             self._process.wait(seconds)
         except subprocess.TimeoutExpired:
@@ -163,7 +163,7 @@ class Process:
         return True
 
     def close(self) -> None:
-        """End the process."""
+        """Close the socket and kill the process."""
         self.socket.close()
         self._process.kill()
         self._process.wait()
@@ -273,7 +273,7 @@ class Firmware:
             raise
 
     def tell(self, time_s: float, sensed: Sensed, channels: Sequence[int]) -> None:
-        """Let the firmware run to a time [s], which never goes back, with the sensor values of that time."""
+        """Send sensor values and channels, which lets the firmware run to a time [s]; the time must not decrease."""
         self.process.send(state_packet(time_s, sensed) + sticks_packet(time_s, channels))
 
     def motors(self) -> tuple[float, ...]:
@@ -281,7 +281,7 @@ class Firmware:
         return MOTORS.unpack(self.process.received(MOTORS.size))
 
     def arm(self, dt: float, sensed: Sensed) -> float:
-        """Start the firmware at rest and arm it in angle mode; return the time [s] that it has then reached.
+        """Start the firmware at rest and arm it in angle mode; return its time [s] when it is armed.
 
         Args:
             dt: between packets [s].
@@ -302,7 +302,7 @@ class Firmware:
         return (count - 1) * dt
 
     def _arming_reasons(self, tick: int, dt: float, sensed: Sensed) -> list[str]:
-        """Return why the firmware does not arm, as it reports while running."""
+        """Step the firmware and ask it over MSP why it does not arm; return its reasons, empty without an answer."""
         received, until = b"", time.monotonic() + ANSWER_S
         try:
             with _connected(self.process.port) as asked:

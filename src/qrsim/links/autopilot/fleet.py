@@ -30,7 +30,7 @@ def prepared(
     on_ground: bool = False,
     inertial_rate: float | None = None,
 ) -> tuple[Scenario, tuple[str, ...]]:
-    """Return a scenario whose fleets an autopilot can fly, and the names of these fleets.
+    """Return a scenario adapted to an autopilot (models, controllers, periods), and the names of the fleets it flies.
 
     Identified quadrotors, which have an autopilot in them, become multirotors of a model with a ``cascade``. Sensors of
     rates and forces read at every tick; periods of others become multiples of a tick.

@@ -43,7 +43,7 @@ class BetaflightFleet(FlownFleet):
         self._armed = 0.0
 
     def arm(self) -> None:
-        """Arm all vehicles at rest."""
+        """Start and arm the firmware of all vehicles, with the sensors of a vehicle at rest."""
         _, sensed = self.sight.look()
         for firmware, first in zip(self._firmware, sensed, strict=True):
             rates = first.rates_body if math.hypot(*first.rates_body) < STILL_RAD_S else (0.0, 0.0, 0.0)
@@ -52,7 +52,7 @@ class BetaflightFleet(FlownFleet):
             self._armed = firmware.arm(self.simulation.world.time_step, rest)
 
     def tell(self) -> None:
-        """Let all firmware processes run by a tick."""
+        """Send every firmware process its readings and stick channels, which advances it by one tick."""
         asked, sensed = self.sight.look()
         wanted = asked if self._override is None else self._override(self.simulation.time, asked)
         time = self._armed + (self.simulation.tick + 1) * self.simulation.world.time_step

@@ -37,7 +37,7 @@ def motor_order(flown: Fleet) -> tuple[int, ...]:
 
 
 def last_port(option: str, first: int, step: int, count: int, kind: str) -> None:
-    """Raise a UsageError if the port of the last vehicle is beyond the largest."""
+    """Raise a UsageError if the last vehicle's port, ``first + step * (count - 1)``, exceeds the largest port."""
     last = first + step * (count - 1)
     if last > LARGEST_PORT:
         raise UsageError(f"{option}: the last vehicle would have {kind} {last}, at most {LARGEST_PORT} is allowed")
@@ -53,7 +53,7 @@ class JsonFleet(FlownFleet):
         self._start = self.sight.positions()
 
     def speeds(self, number: int) -> Sequence[float]:
-        """Return the speeds of a vehicle's motors, as fractions of the maximum, once its autopilot has sent them."""
+        """Wait for the autopilot's servo packet; return the motor speeds of a vehicle as fractions of the maximum."""
         return ardupilot.speeds(self._links[number].wait().pulses, len(self.order))
 
     def answer(self) -> None:

@@ -21,7 +21,7 @@ LONGEST_S = 60.0
 
 
 def compiled(folder: Path | None = None) -> Path:
-    """Return the path of the compiled library of the firmware.
+    """Compile the C library that steps the firmware, unless the cache has it, and return its path.
 
     Args:
         folder: where it is kept; None: the cache folder of this user.

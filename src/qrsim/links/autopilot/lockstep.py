@@ -21,7 +21,7 @@ from qrsim.world.state import Fleet, Piloted
 
 
 def chosen(simulation: Simulation, names: Sequence[str]) -> list[Fleet]:
-    """Return the fleets with some names."""
+    """Return the fleets with the given names, in the order of the names."""
     return [next(fleet for fleet in simulation.world.fleets if fleet.name == name) for name in names]
 
 
@@ -48,7 +48,7 @@ class FlownFleet:
         self._command = MotorCommand.of_count(len(self.order))
 
     def tell(self) -> None:
-        """Send readings to the autopilots before a tick."""
+        """Send readings to the autopilots before a tick; does nothing unless a subclass overrides it."""
 
     def speeds(self, number: int) -> Sequence[float]:
         """Return the motor speeds of a vehicle in a tick as fractions of the maximum; raises RunError if its autopilot
@@ -57,7 +57,7 @@ class FlownFleet:
         raise NotImplementedError
 
     def answer(self) -> None:
-        """Send readings to the autopilots after a tick."""
+        """Send readings to the autopilots after a tick; does nothing unless a subclass overrides it."""
 
     def piloted(self) -> Piloted:
         """Return the motor command of a tick; the motors of a vehicle without its autopilot stop."""
@@ -116,7 +116,7 @@ class LockstepFlight:
         return History(numbers, simulation.world.time_step, layout, stacked)
 
     def close(self) -> None:
-        """End or leave the autopilots."""
+        """Close all sockets, and end the processes that were started here."""
         self.closing.close()
 
     def __enter__(self) -> Self:

@@ -21,7 +21,7 @@ class Losses:
 
     @contextmanager
     def watched(self, number: int) -> Iterator[None]:
-        """Record a RunError of a vehicle's autopilot as its end; raises it if all flights are to end."""
+        """Record a RunError in the ``with`` block as the loss of an autopilot, or re-raise it if one loss ends all."""
         try:
             yield
         except RunError as error:
@@ -31,5 +31,5 @@ class Losses:
             self._say(f"{error}; its motors stop, and the others fly on")
 
     def left(self, count: int) -> list[int]:
-        """Return which of ``count`` vehicles still have their autopilot, by number."""
+        """Return the numbers of the vehicles, of 0 to ``count - 1``, whose autopilot is still running."""
         return [number for number in range(count) if number not in self._numbers]

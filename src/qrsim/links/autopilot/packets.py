@@ -49,7 +49,7 @@ def pressure_at(height: float) -> float:
 
 
 def state_packet(time: float, sensed: Sensed) -> bytes:
-    """Return the packet of a state at a time [s].
+    """Return the state packet that Betaflight's simulator build reads, for readings at a time [s].
 
     The firmware changes the signs of q and r, and of all of the acceleration. It computes roll, pitch and yaw from the
     quaternion as from one of FRD to NED, and turns the sign of pitch (imuComputeRotationMatrix of its simulator).

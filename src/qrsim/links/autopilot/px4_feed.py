@@ -103,7 +103,7 @@ class Px4Feed:
         return frame(number, payload, self._sequence[i], SYSTEM, COMPONENT)
 
     def _new_readings(self, column: int) -> list[bool]:
-        """Return column -> which vehicles (n,) have a reading that was not sent yet."""
+        """Return which vehicles (n,) have a new reading in a column, and mark these readings as sent."""
         sensor = self._sight.sensors[column]
         if sensor is None:
             return [True] * self._fleet.size
@@ -113,7 +113,7 @@ class Px4Feed:
         return [True] * len(times) if before is None else [now != old for now, old in zip(times, before, strict=True)]
 
     def _vector(self, i: int, row: list[float], column: int, news: dict[int, list[bool]]) -> list[float] | None:
-        """Return the three numbers of a new reading, from a column on; None without a new reading."""
+        """Return the three numbers from a column on if the reading is new and free of NaN; otherwise None."""
         if column not in news or not (news[column][i] or self._sight.stopped[i]):
             return None
         axes = row[column : column + 3]
@@ -175,7 +175,7 @@ class Px4Feed:
         return payloads
 
     def _sensor_of(self, column: int) -> Any:
-        """Return the sensor of the fleet that fills a column."""
+        """Return the sensor whose readings fill a column."""
         number = self._sight.sensors[column]
         assert number is not None
         return self._fleet.sensors[number]
@@ -193,14 +193,17 @@ def _type_name(sensor: object) -> str:
 
 
 def fix_of(row: Sequence[float], place: tuple[float, float, float]) -> messages.Fix:
-    """Return the fix of a vehicle's numbers by column, at a latitude, longitude [deg] and altitude [m]."""
+    """Return the GNSS fix of a row of readings at ``place`` (latitude, longitude [deg], altitude [m])."""
     horizontal, vertical = row[s.HORIZONTAL], row[s.VERTICAL]
     if horizontal != horizontal:
         horizontal, vertical = (max(row[at], LEAST_ACCURACY) for at in (s.HDOP, s.VDOP))
     kind, satellites = row[s.FIX_TYPE], row[s.SATELLITES]
     velocity = [axis if axis == axis else 0.0 for axis in row[s.FIX_VELOCITY : s.FIX_VELOCITY + 3]]
     return messages.Fix(
-        int(kind) if kind == kind else 3, *place, horizontal if horizontal == horizontal else LEAST_ACCURACY,
-        vertical if vertical == vertical else LEAST_ACCURACY, velocity,
+        int(kind) if kind == kind else 3,
+        *place,
+        horizontal if horizontal == horizontal else LEAST_ACCURACY,
+        vertical if vertical == vertical else LEAST_ACCURACY,
+        velocity,
         int(satellites) if satellites == satellites else 12,
-    )  # fmt: skip
+    )

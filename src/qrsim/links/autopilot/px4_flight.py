@@ -77,7 +77,7 @@ class Px4Fleet(FlownFleet):
         return [parameters(self.fleet, self.order, self.sight, number) for number in range(self.fleet.size)]
 
     def connect(self, until: float | None) -> None:
-        """Wait for PX4s that are not connected.
+        """Wait for all PX4s that are not connected, until a time of ``time.perf_counter`` [s].
 
         Args:
             until: time of ``time.perf_counter`` [s]; None: as long as a restart may take.
@@ -201,7 +201,7 @@ class Px4Flight(LockstepFlight):
         return [found for fleet in self.fleets for found in fleet.parameters()]
 
     def _begin(self) -> None:
-        """Wait for all PX4s to connect; print a single line if none does."""
+        """Wait for all PX4s to connect; raises RunError if none does in time."""
         self._begun, until = True, time.perf_counter() + self._wait
         while not any(link.comes() for link in self.links):
             if time.perf_counter() > until:
@@ -213,7 +213,7 @@ class Px4Flight(LockstepFlight):
 
     @property
     def lost(self) -> list[str]:
-        """The vehicles whose PX4 has ended."""
+        """Return the names of the vehicles whose PX4 has ended."""
         return [
             name
             for fleet in self.fleets

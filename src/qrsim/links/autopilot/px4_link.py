@@ -97,7 +97,7 @@ class Px4Link:
         return self.connected or self._accept_peer() or bool(self.ended())
 
     def connect(self, until: float) -> None:
-        """Wait for a PX4 where none is connected.
+        """Wait for a PX4 to connect, if none is connected.
 
         Args:
             until: time of ``time.perf_counter`` [s].
@@ -182,7 +182,7 @@ class Px4Link:
     # Frames
 
     def send(self, data: bytes, stamp: int) -> None:
-        """Send the messages of a frame.
+        """Send the messages of a frame to the connected PX4; closes the connection if that fails.
 
         Args:
             data: HIL_SENSOR is the last.
@@ -200,7 +200,7 @@ class Px4Link:
             self._hang_up("PX4 has ended or closed the connection")
 
     def settle(self, begin: float, answers: bool) -> None:
-        """Read the answer to the frame that was sent last.
+        """Read until PX4 has answered the last frame, at most its waiting time; also accept new connections.
 
         Args:
             begin: when it was sent, by ``time.perf_counter`` [s].
@@ -241,7 +241,7 @@ class Px4Link:
             raise RunError(f"{self.name}: its PX4 has not answered for {SILENCE_S:g} s")
 
     def _check_boot(self) -> None:
-        """Check that the connected program behaves like a PX4 within the waiting time; raises RunError."""
+        """Raise a RunError if the connected program has sent no motor command within the waiting time."""
         waited = time.perf_counter() - self._since
         if self._peer is None or self.booted or waited <= self._wait:
             return

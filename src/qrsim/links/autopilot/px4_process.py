@@ -106,13 +106,13 @@ class Process:
             return log.read(LAST_BYTES).decode("utf-8", "replace").splitlines()
 
     def ask(self) -> None:
-        """Request the process to end, without waiting."""
+        """Send the process SIGTERM once, without waiting for it to end."""
         if self._until is None:
             self._until = time.monotonic() + END_S
             self._signal_group(signal.SIGTERM)
 
     def close(self) -> None:
-        """End the process."""
+        """Ask the process to end, wait, and kill it with its children."""
         self.ask()
         assert self._until is not None
         with suppress(subprocess.TimeoutExpired):

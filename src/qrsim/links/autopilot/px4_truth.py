@@ -32,7 +32,7 @@ def geodetic(point: tuple[float, float, float]) -> tuple[float, float, float]:
 
 
 def above(place: tuple[float, float, float], undulation: float) -> tuple[float, float, float]:
-    """Return a geodetic position with its altitude [m] above a sea that is ``undulation`` [m] above the ellipsoid."""
+    """Return latitude and longitude unchanged, and the height [m] reduced by the geoid's ``undulation`` [m]."""
     return place[0], place[1], place[2] - undulation
 
 
@@ -84,7 +84,12 @@ class TrueStates:
         return [
             messages.true_state(usec, row[QUATERNION:VELOCITY], row[RATES:FORCE], above(geodetic(point), sea), *moving)
             for row, point, sea, *moving in zip(
-                rows.tolist(), earth.tolist(), undulations.tolist(), velocity.tolist(),
-                np.sqrt((air * air).sum(axis=1)).tolist(), acceleration.tolist(), strict=True,
+                rows.tolist(),
+                earth.tolist(),
+                undulations.tolist(),
+                velocity.tolist(),
+                np.sqrt((air * air).sum(axis=1)).tolist(),
+                acceleration.tolist(),
+                strict=True,
             )
-        ]  # fmt: skip
+        ]

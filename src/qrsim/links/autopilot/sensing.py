@@ -65,7 +65,7 @@ class FleetSight:
         self._last[:, s.PRESSURE] = math.nan
 
     def read(self) -> list[list[float]]:
-        """Return the known values of each vehicle at this tick by column; NaN where unknown."""
+        """Return the commands and readings of each vehicle at this tick, a row of columns each; NaN where unknown."""
         floats, integers = (np.asarray(part) for part in self._simulation.packed[1])
         now = self._now
         now[:, self._columns] = floats[self._places].T
@@ -93,7 +93,7 @@ class FleetSight:
         return self._last[:, s.POSITION : s.POSITION + 3].tolist()
 
     def _sensed_row(self, row: list[float]) -> Sensed:
-        """Convert a row of known values to the readings that the firmware takes."""
+        """Return a row of ``read`` as ``Sensed``, with the place [deg, deg, m above the geoid] and pressure [Pa]."""
         latitude, longitude = self._site.latitude_rad, self._site.longitude_rad
         north, east, down = row[s.POSITION : s.POSITION + 3]
         # The firmware takes the place to no more than a number to show: a sphere is enough.

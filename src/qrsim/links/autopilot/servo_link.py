@@ -57,7 +57,7 @@ class ServoLink:
         self.lost = self.repeated = self.foreign = self.restarts = 0
 
     def wait(self) -> Servos:
-        """Return the next step; a repeated step is answered again.
+        """Wait for the autopilot's next servo packet and return it; a repeated packet gets the last reply again.
 
         Raises:
             RunError: no autopilot has come, or come back, in time.
@@ -76,7 +76,7 @@ class ServoLink:
                 self._say(f"{self.name}: its ArduPilot is silent; waiting {self._wait:g} s for it to start again")
 
     def _next_step(self) -> Servos | None:
-        """Return the step of one received packet; None after a time-out, and for foreign and repeated packets."""
+        """Receive one packet; return it decoded, or None after a time-out and for foreign and repeated packets."""
         try:
             packet, peer = self._socket.recvfrom(LONGEST)
         except TimeoutError:
@@ -111,7 +111,7 @@ class ServoLink:
         return self._peer in (None, peer) or found.frame < FIRST_FRAMES or silent
 
     def answer(self, reply: bytes) -> None:
-        """Send the answer to the last step."""
+        """Send a reply to the autopilot, and keep it for repeated packets."""
         self._reply = reply
         self._send_reply(reply)
 

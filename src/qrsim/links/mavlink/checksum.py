@@ -11,10 +11,10 @@ _SENT = tuple(bytes((_TURNED[word >> 8], _TURNED[word & 0xFF])) for word in rang
 
 
 def check_of(data: bytes) -> bytes:
-    """Return the check of some bytes as it is sent, the low byte first."""
+    """Return the CRC-16/MCRF4XX of bytes as MAVLink sends it: two bytes, low byte first."""
     return _SENT[crc_hqx(data.translate(_TURNED), 0xFFFF)]
 
 
 def x25(data: bytes) -> int:
-    """Return the check of some bytes, 0 to 65535; that of b"123456789" is 0x6F91."""
+    """Return the CRC-16/MCRF4XX of bytes as an integer from 0 to 65535; that of b"123456789" is 0x6F91."""
     return int.from_bytes(check_of(data), "little")

@@ -157,13 +157,13 @@ class Field:
 
     @staticmethod
     def of(text: str) -> Field:
-        """Parse "name:4f"."""
+        """Parse a field "name:type" or, for an array, "name:4f"."""
         name, _, kind = text.partition(":")
         return Field(name, kind[-1], int(kind[:-1] or 0))
 
     @property
     def format(self) -> str:
-        """Its part of a format of ``struct``."""
+        """Return the ``struct`` format of this field, such as "4f"."""
         if self.type == "c":
             return f"{self.count}s"
         return f"{self.count or ''}{self.type}"
@@ -202,7 +202,7 @@ class Layout:
 
     @staticmethod
     def of(line: str) -> Layout:
-        """Parse a line of the table."""
+        """Parse a line of the message table: name, number, fields, and extensions after "|"."""
         head, _, extensions = line.partition("|")
         name, number, *fields = head.split()
         own = sorted(map(Field.of, fields), key=lambda field: -_SIZES[field.type])
@@ -210,17 +210,17 @@ class Layout:
 
     @cached_property
     def struct(self) -> struct.Struct:
-        """Packs all its numbers in the order of ``fields``, arrays written out."""
+        """Return the ``struct.Struct`` that packs all fields in wire order, arrays element by element."""
         return struct.Struct("<" + "".join(field.format for field in self.fields))
 
     @cached_property
     def least(self) -> int:
-        """Bytes without extensions, which is what version 1 of the protocol sends."""
+        """Return the payload's size in bytes without extension fields, as in MAVLink 1."""
         return struct.calcsize("<" + "".join(field.format for field in self.fields[: self.own]))
 
     @cached_property
     def extra(self) -> int:
-        """CRC_EXTRA: differs where two ends do not mean the same by a message."""
+        """Return CRC_EXTRA, a checksum of the message's definition, by which two ends notice different definitions."""
         text = f"{self.name} ".encode()
         for field in self.fields[: self.own]:
             text += f"{_TYPES[field.type]} {field.name} ".encode()
@@ -230,7 +230,7 @@ class Layout:
         return (check & 0xFF) ^ (check >> 8)
 
     def payload(self, **values: Any) -> bytes:
-        """Return the payload of some fields by name; those that are left out are 0.
+        """Return the payload with the given field values; omitted fields are 0.
 
         Raises:
             ValueError: there is no such field, or an array has another length.
@@ -250,7 +250,7 @@ class Layout:
         return self.struct.pack(*numbers)
 
     def message(self, payload: bytes) -> Message:
-        """Return the message of a payload, in which zeros at the end may be missing, or more may follow."""
+        """Decode a payload; missing bytes at its end count as 0, and surplus bytes are ignored."""
         size = self.struct.size
         numbers = self.struct.unpack(payload[:size].ljust(size, b"\0"))
         values: dict[str, object] = {}

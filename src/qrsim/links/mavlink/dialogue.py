@@ -38,7 +38,7 @@ Handler = Callable[[System, Link, Frame], None]
 
 
 def handle(system: System, link: Link, frame: Frame) -> None:
-    """Answer a frame, if it is for this vehicle; what nobody here knows is passed over.
+    """Answer a frame if it is addressed to this vehicle and its message is known; ignore all others.
 
     Args:
         system: the vehicle.
@@ -53,7 +53,7 @@ def handle(system: System, link: Link, frame: Frame) -> None:
 
 
 def _is_for(system: System, frame: Frame) -> bool:
-    """Return whether a frame is for everybody, or for this vehicle and its autopilot."""
+    """Return whether a frame is addressed to all systems or this one, and to all components or the autopilot."""
     places = _TARGETS.get(frame.layout.number)
     if places is None:
         return True
@@ -64,7 +64,7 @@ def _is_for(system: System, frame: Frame) -> bool:
 
 
 def _targets() -> dict[int, tuple[int, int]]:
-    """Return where in a payload target_system and target_component are, by number of the message; -1: nowhere."""
+    """Return message number -> byte offsets of target_system and target_component in the payload; -1: no component."""
     found = {}
     for number, layout in BY_NUMBER.items():
         places, at = {}, 0
@@ -98,7 +98,7 @@ def _command_int(system: System, link: Link, frame: Frame) -> None:
 
 
 def _obey(system: System, link: Link, frame: Frame, command: Command) -> None:
-    """Carry out a command, acknowledge it and send what it requests."""
+    """Carry out a command, send COMMAND_ACK, and send the messages that the command requests."""
     answer = requests.answer(system, link, command)
     ack, payloads = (system.stack.command(command), ()) if answer is None else answer
     acknowledge(link, frame, command.id, ack)
@@ -111,7 +111,7 @@ def _obey(system: System, link: Link, frame: Frame, command: Command) -> None:
 
 
 def acknowledge(link: Link, frame: Frame, command: int, ack: Ack) -> None:
-    """Send COMMAND_ACK to whoever sent a frame."""
+    """Send COMMAND_ACK with a result, addressed to the sender of ``frame``."""
     link.say(
         "COMMAND_ACK",
         command=command,
@@ -132,12 +132,12 @@ def _set_mode(system: System, link: Link, frame: Frame) -> None:
 
 
 def _axes(m: Message, *names: str) -> Any:
-    """Return the values of some fields of a message."""
+    """Return the values of the named fields of a message as a tuple."""
     return tuple(getattr(m, name) for name in names)
 
 
 def _take(system: System, link: Link, target: Target) -> None:
-    """Pass a target to the stack; from now on the link flies the vehicle, if the mode takes set-points."""
+    """Pass a set-point to the stack; the link then counts as flying the vehicle if the mode takes set-points."""
     system.stack.setpoint(target)
     link.flies, link.owes = system.stack.takes_setpoints, False
 
@@ -182,7 +182,7 @@ def _attitude_target(system: System, link: Link, frame: Frame) -> None:
 
 
 def _takes_sticks(system: System, by: tuple[int, ...]) -> bool:
-    """Return whether COM_RC_IN_MODE is one of some numbers; ArduPilot has no such choice."""
+    """Return whether COM_RC_IN_MODE is one of ``by``; always true for ArduPilot, which has no such parameter."""
     parameters = system.stack.parameters
     return system.stack.heartbeat().autopilot == ARDUPILOT or int(parameters["COM_RC_IN_MODE"]) in by
 
@@ -205,7 +205,7 @@ def _override(system: System, link: Link, frame: Frame) -> None:
 
 
 def _follow(system: System, link: Link, frame: Frame) -> None:
-    """Take FOLLOW_TARGET: the place that a vehicle in follow mode flies behind."""
+    """Pass the position of FOLLOW_TARGET to the stack, for its follow-me mode."""
     m = frame.message()
     system.stack.follow_target(FollowTarget(m.lat * 1e-7, m.lon * 1e-7, m.alt, m.vel))
 
@@ -219,13 +219,13 @@ def _actuators(system: System, link: Link, frame: Frame) -> None:
 
 
 def _heartbeat(system: System, link: Link, frame: Frame) -> None:
-    """Note that a ground station is there, for the failsafe of the data link."""
+    """Pass a ground station's HEARTBEAT to the stack, for the data-link failsafe."""
     if frame.message().type == GROUND_STATION:
         system.stack.heard_ground()
 
 
 def _ping(system: System, link: Link, frame: Frame) -> None:
-    """Answer a PING that is addressed to everybody."""
+    """Answer a PING that is addressed to all systems."""
     message = frame.message()
     if message.target_system == 0:
         link.say(
@@ -245,7 +245,7 @@ def _timesync(system: System, link: Link, frame: Frame) -> None:
 
 
 def _file(system: System, link: Link, frame: Frame) -> None:
-    """Refuse files, so that clients do not wait for them."""
+    """Refuse a FILE_TRANSFER_PROTOCOL request with a NAK, so that clients do not wait."""
     message = frame.message()
     request = bytes(message.payload)
     sequence = (int.from_bytes(request[:2], "little") + 1) & 0xFFFF
@@ -260,7 +260,7 @@ def _file(system: System, link: Link, frame: Frame) -> None:
 
 
 def _logs(system: System, link: Link, frame: Frame) -> None:
-    """Answer that there are no logs."""
+    """Send an empty LOG_ENTRY: the vehicle has no logs."""
     link.say("LOG_ENTRY")
 
 
@@ -270,7 +270,7 @@ def _partner(frame: Frame) -> tuple[int, int]:
 
 
 def _set_current(system: System, link: Link, frame: Frame) -> None:
-    """Take MISSION_SET_CURRENT and answer with MISSION_CURRENT."""
+    """Make an item the current one (MISSION_SET_CURRENT) and send MISSION_CURRENT."""
     system.stack.set_current(frame.message().seq)
     payload = ENCODERS[LAYOUTS["MISSION_CURRENT"].number](system.view)
     assert payload is not None

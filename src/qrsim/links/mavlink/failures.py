@@ -92,7 +92,7 @@ class Failures:
     def _inject(
         self, targets: list[str], what: str, instances: Sequence[int], word: str, asked: tuple[str, dict[str, Any]]
     ) -> tuple[Result, str]:
-        """Inject a fault into the named instances, counted from 1, or all; return result and words for the client."""
+        """Inject a fault into the given instances (from 1; none: all); return the result and a text for the client."""
         if not targets:
             return Result.DENIED, f"Not injectable: {what}; start qrsim mavlink with --injectable all"
         if any(not 0 < number <= len(targets) for number in instances):
@@ -109,7 +109,7 @@ class Failures:
         return Result.ACCEPTED, f"Cleared: {what}" if word == "ok" else f"Injected: {what} {word}, instance {which}"
 
     def _speed(self, target: str) -> float:
-        """Return the part of its largest speed at which a rotor of the vehicle turns now."""
+        """Return a rotor's present speed as a fraction, 0 to 1, of its maximum."""
         fleets = [fleet.name for fleet in self._simulation.world.fleets]
         speeds: Any = self._simulation.state.fleets[fleets.index(self._fleet.name)].vehicle
         row, rotor = self._fleet.vehicle_names.index(self._name), int(target.split()[1])
@@ -119,29 +119,29 @@ class Failures:
 
 
 def slots_of(fleet: Fleet, field: str) -> Iterator[FaultSlot]:
-    """Yield the slots of the sensors that report a field."""
+    """Yield the fault slots of the sensors that report a field, such as ``position_ned``."""
     for slot in fleet.fault_slots:
         if any(name == field or name.startswith(f"{field}.") for name in slot.fields):
             yield slot
 
 
 def _numbers(word: str, unit: _Unit) -> tuple[str, dict[str, Any]]:
-    """Return a kind and its numbers, which MAVLink leaves to the simulator."""
+    """Return the fault kind of a FAILURE_TYPE word and the fault's parameters, which MAVLink does not define."""
     wrong = unit.wrong
     of_field = {"wrong": ("bias", wrong), "drift": ("rate", 0.1 * wrong), "garbage": ("range", 10.0 * wrong)}
     if word in of_field:
         name, value = of_field[word]
         return word, {"field": unit.field, name: value}
     others: dict[str, dict[str, Any]] = {
-        "slow": {"every": EVERY}, "delayed": {"by": DELAY_S}, "intermittent": {"share": SHARE}
-    }  # fmt: skip
+        "slow": {"every": EVERY},
+        "delayed": {"by": DELAY_S},
+        "intermittent": {"share": SHARE},
+    }
     return word, others.get(word, {})
 
 
 def _motors(fleet: Fleet) -> list[str]:
-    """Return the rotors that may fail in the order of PX4's motors: of four in an X front right, rear left, front left,
-    rear right; of others as the vehicle has them.
-    """
+    """Return the names "rotor N" of the rotors that can fail, in PX4's motor order; an X quadrotor is reordered."""
     rotors = [slot.rotor for slot in fleet.rotor_slots]
     if len(rotors) == 4 and isinstance(fleet.vehicle, Multirotor) and len(fleet.vehicle.rotors) == 4:
         corners = {(True, True): 0, (False, False): 1, (True, False): 2, (False, True): 3}

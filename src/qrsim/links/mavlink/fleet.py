@@ -167,7 +167,7 @@ def _rally_items(places: Iterable[tuple[float, float, float]]) -> tuple[Item, ..
 
 
 def systems_of(world: World, first: int) -> list[tuple[int, Facts]]:
-    """Return row in the world and facts of each vehicle that can be flown or shown; system ids from ``first``.
+    """Return (row in the world, facts) of each vehicle that a stack can fly or show; system ids count from ``first``.
 
     Raises:
         UsageError: there is none, or there are more than system ids.
@@ -242,12 +242,12 @@ def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
 
 
 def _at_zero(ground: Ground) -> bool:
-    """Return whether the ground is the plane z = 0."""
+    """Return whether the ground is flat at z = 0."""
     return isinstance(ground, FlatGround) and bool(ground.at_zero)
 
 
 def _wing_facts(common: Facts, fleet: Fleet, number: int) -> Facts:
-    """Return the facts with airspeed and circles as guidance and controller have them."""
+    """Return the facts of a fixed wing: ``common`` with its airspeeds [m/s] and loiter radius [m]."""
     controller: Any = fleet.controller
     vehicle: Any = fleet.vehicle
     guidance: Any = fleet.guidance
@@ -267,7 +267,7 @@ def _wing_facts(common: Facts, fleet: Fleet, number: int) -> Facts:
 
 
 def _zones(area: Any) -> tuple[Zone, ...]:
-    """Return the zones of the area; the sides of a box or a polygon are one to stay in."""
+    """Return the geofence zones of the flight area; a box or a polygon becomes one inclusion zone."""
     if isinstance(area, ZonesArea):
         return area.zones
     if area.is_box:

@@ -56,7 +56,7 @@ class Frame:
     version: int
 
     def message(self) -> Message:
-        """Return its message."""
+        """Return the decoded message of this frame."""
         return self.layout.message(self.payload)
 
 
@@ -73,13 +73,13 @@ class Reader:
         self.damaged = self.skipped = 0
 
     def datagram(self, data: bytes) -> Iterator[Frame]:
-        """Return the frames of a datagram; what is incomplete at its end is left out."""
+        """Yield the whole frames of a datagram; an incomplete frame at its end is dropped."""
         self._kept = b""
         yield from self.feed(data)
         self._kept = b""
 
     def feed(self, data: bytes) -> Iterator[Frame]:
-        """Return the frames that are complete with some more bytes of a stream."""
+        """Yield the frames that are complete once ``data`` is appended to the stream; the rest is kept."""
         data = self._kept + data
         at, end = 0, len(data)
         while at < end:
@@ -109,7 +109,7 @@ class Reader:
         self._kept = data[at:]
 
     def inside(self) -> Iterator[Frame]:
-        """Return whole frames inside an incomplete one, which may be none and wait for bytes that never come."""
+        """Yield whole frames found inside the incomplete frame that is kept, in case its start was no frame start."""
         kept = self._kept
         at = _whole(kept, 1, len(kept))
         if at is not None:
@@ -119,7 +119,7 @@ class Reader:
 
 
 def _whole(data: bytes, begin: int, end: int) -> int | None:
-    """Return where the first whole and unharmed frame begins, from ``begin`` to ``end``; None without any."""
+    """Return the offset of the first valid frame that starts from ``begin`` up to ``end``; None without one."""
     for at in range(begin, min(end, len(data) - 2)):
         if data[at] in (VERSION_1, VERSION_2):
             size = _size(data, at)

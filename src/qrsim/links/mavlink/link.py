@@ -42,7 +42,7 @@ class Link:
         self.flies = self.owes = self.muted = False
 
     def put(self, number: int, payload: bytes) -> None:
-        """Send a message with the next ``flush``."""
+        """Queue a message for the next ``flush``, which happens at once when a datagram is full."""
         sequence = self._sequence
         part = frame(number, payload, sequence, self.system, COMPONENT)
         self._sequence = (sequence + 1) & 0xFF
@@ -53,12 +53,12 @@ class Link:
         self._size += size
 
     def say(self, name: str, **values: object) -> None:
-        """Send a message by its name and fields at once."""
+        """Send a message by its name and fields at once, after the queued ones."""
         self.put(NUMBERS[name], LAYOUTS[name].payload(**values))
         self.flush()
 
     def flush(self) -> None:
-        """Send the waiting messages."""
+        """Send the queued messages in one datagram."""
         if self._parts:
             data = self._parts[0] if len(self._parts) == 1 else b"".join(self._parts)
             self._parts, self._size = [], 0

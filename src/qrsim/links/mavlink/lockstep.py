@@ -29,11 +29,11 @@ class Lockstep:
         self._news = asyncio.Event()
 
     def heard(self) -> None:
-        """Look again: a frame has come."""
+        """Wake the waiting coroutine, since a frame has arrived."""
         self._news.set()
 
     async def begun(self) -> None:
-        """Wait until every vehicle has had a set-point."""
+        """Wait until every vehicle that takes set-points is flown by a link."""
         self._say("lock-step: the world stands until every vehicle has a set-point")
         flown = [system for system in self._systems if system.stack.takes_setpoints]
         while not all(any(link.flies for link in system.links) for system in flown):
@@ -42,7 +42,7 @@ class Lockstep:
             await self._heard(PATIENCE_S)
 
     async def answered(self) -> None:
-        """Wait until nobody owes a set-point."""
+        """Wait until no link owes a set-point for this step, or give up the late links after PATIENCE_S."""
         loop = asyncio.get_running_loop()
         until = loop.time() + PATIENCE_S
         while owing := self._owing():
@@ -66,7 +66,7 @@ class Lockstep:
             )
 
     async def _heard(self, seconds: float) -> None:
-        """Wait until anything arrives, at most some seconds."""
+        """Wait until a frame arrives, at most ``seconds`` [s]."""
         self._news.clear()
         with suppress(TimeoutError):
             async with asyncio.timeout(seconds):

@@ -37,14 +37,14 @@ class Ports:
     sockets: tuple[socket.socket, ...]
 
     def close(self) -> None:
-        """Close all."""
+        """Close all sockets."""
         for each in self.sockets:
             with suppress(OSError):
                 each.close()
 
 
 def opened(count: int, host: str, tcp: bool, own_ports: bool) -> Ports:
-    """Bind the sockets of so many vehicles, in the first block of ports that is free.
+    """Bind the sockets of ``count`` vehicles, in the first free block of ports.
 
     Args:
         count: vehicles.

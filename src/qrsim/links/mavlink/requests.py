@@ -31,13 +31,13 @@ Answer = tuple[Ack, Sequence[tuple[int, bytes]]]
 
 
 def answer(system: System, link: Link, command: Command) -> Answer | None:
-    """Return the answer to a command that asks for messages, None for another command."""
+    """Return the answer to a command that requests messages or intervals; None for other commands."""
     own = COMMANDS.get(command.id)
     return None if own is None else own(system, link, command)
 
 
 def data_stream(system: System, link: Link, frame: Frame) -> None:
-    """Obey REQUEST_DATA_STREAM as ArduPilot does; PX4 does not read it."""
+    """Set message rates as REQUEST_DATA_STREAM asks, as ArduPilot does; PX4 ignores it."""
     request = frame.message()
     if system.stack.heartbeat().autopilot != ARDUPILOT or request.start_stop not in (0, 1):
         return
@@ -63,7 +63,7 @@ def _set_interval(system: System, link: Link, command: Command) -> Answer:
 
 
 def _get_interval(system: System, link: Link, command: Command) -> Answer:
-    """Return the answer to GET_MESSAGE_INTERVAL: an acknowledgement and a MESSAGE_INTERVAL."""
+    """Answer GET_MESSAGE_INTERVAL with an acknowledgement and a MESSAGE_INTERVAL."""
     number = _number(command.params[0])
     interval = link.streams.interval_us(number) if number in ENCODERS else 0
     payload = LAYOUTS["MESSAGE_INTERVAL"].payload(message_id=max(number, 0) & 0xFFFF, interval_us=interval)
@@ -82,7 +82,7 @@ def _request(system: System, link: Link, command: Command) -> Answer:
 
 
 def _send(system: System, number: int) -> Answer:
-    """Return the answer that is one message."""
+    """Return ACCEPTED and the message with this number; UNSUPPORTED if the vehicle cannot send it."""
     payload = ENCODERS[number](system.view) if number in ENCODERS else None
     return (Ack(Result.UNSUPPORTED), ()) if payload is None else (Ack(Result.ACCEPTED), ((number, payload),))
 

@@ -43,7 +43,7 @@ class Restarts:
         self._due: dict[int, float] = {}
 
     def look(self) -> None:
-        """Restart the vehicles that are due; to be called between two ticks."""
+        """Restart the vehicles that asked for a reboot or whose restart is due; call it between two ticks."""
         requests = self._simulation.requests
         if requests and requests[-1].tick == self._simulation.tick:
             # A recording repeats restarts before the requests of their tick.
@@ -74,7 +74,7 @@ class Restarts:
         return True
 
     def _put_back(self, row: int, system: System) -> str:
-        """Put a wreck back to its start, with a new battery; return why not, "" where it is done."""
+        """Put a wreck back to its start with a new battery; return "", or the reason it could not be done."""
         try:
             put_back(self._simulation, self._begins, row)
         except UsageError as error:

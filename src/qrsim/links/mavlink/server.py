@@ -68,7 +68,7 @@ class Server:
         self._lockstep: Lockstep | None = None
 
     async def serve(self) -> None:
-        """Run until it is cancelled."""
+        """Open the sockets and fly ticks at the pace, until the coroutine is cancelled."""
         loop = asyncio.get_running_loop()
         if self._wire.lockstep:
             self._lockstep = Lockstep(self._world.systems, self._say)
@@ -92,7 +92,7 @@ class Server:
             self._pacer.ended(self._world.simulation.time)
 
     def report(self) -> PaceReport:
-        """Return how the pace was kept."""
+        """Return statistics of the real-time pace."""
         return self._pacer.report()
 
     async def _open(self, sock: Any, system: System, rates: dict[str, float], peer: Address, phase: float) -> None:
@@ -101,14 +101,14 @@ class Server:
         await loop.create_datagram_endpoint(lambda: _Datagrams(self, system, rates, peer, phase), sock=sock)
 
     def streams(self, rates: dict[str, float], phase: float) -> Streams:
-        """Return the streams of a link."""
+        """Return new message streams for a link, with the given default rates [Hz] and phase (0 to 1)."""
         step = self._world.simulation.world.time_step
         # Who waits for clients is as fast as they are, and they are to hear of every tick.
         by_simulated_time = self._wire.by_simulated_time or self._wire.lockstep
         return Streams(rates, step, self._wire.factor, by_simulated_time, phase)
 
     def heard(self, links: Iterable[tuple[System, Link]], frame: Frame) -> None:
-        """Answer a frame; a bug of ours must not end the flight of others."""
+        """Let each system answer a frame; an exception in an answer is logged and does not end the flight."""
         for system, link in links:
             try:
                 handle(system, link, frame)
@@ -121,7 +121,7 @@ class Server:
             self._lockstep.heard()
 
     def say(self, line: str) -> None:
-        """Tell the operator."""
+        """Print a line for the operator."""
         self._say(line)
 
 
@@ -145,10 +145,10 @@ class _Datagrams(asyncio.DatagramProtocol):
             self._server.heard([(self._system, self._link)], frame)
 
     def error_received(self, error: Exception) -> None:
-        """Nobody listens there yet."""
+        """Ignore socket errors: no client is listening at the peer's port yet."""
 
     def _send(self, data: bytes) -> None:
-        """Send bytes to the peer that was heard last."""
+        """Send bytes to the address of the last datagram that was received."""
         if self._transport is not None:
             self._transport.sendto(data, self._peer)
 
@@ -190,7 +190,7 @@ class _Connection(asyncio.Protocol):
             system.transfers.forget(link)
 
     def data_received(self, data: bytes) -> None:
-        """Handle the frames in received bytes; give up a client that sends something else."""
+        """Handle the frames in received bytes; close a client that sends too many bytes outside frames."""
         systems = self._server.systems
         self._nonsense += len(data)
         for frame in self._reader.feed(data):
@@ -205,7 +205,7 @@ class _Connection(asyncio.Protocol):
         return self._transport is not None and self._transport.get_write_buffer_size() < MOST_STALE
 
     def _send(self, data: bytes) -> None:
-        """Send bytes to the client; one that does not read is given up."""
+        """Send bytes to the client; close a client that reads too slowly."""
         if self._transport is None or self._transport.is_closing():
             return
         if self._transport.get_write_buffer_size() > MOST_WAITING:

@@ -67,7 +67,7 @@ class SimWind:
         return round(float(found.speed_20ft), 6), round(math.degrees(float(found.wind_from_rad)), 4)
 
     def ask(self, speed: float, bearing: float, constant: float, asked_by: str) -> None:
-        """Let the wind approach a speed [m/s] and bearing [deg]; raise UsageError, without a change, if too fast."""
+        """Let the mean wind approach a speed [m/s] and bearing [deg]; raises UsageError if it is too fast."""
         most = wind_limit(self._simulation.world)
         if speed > most:
             raise UsageError(f"{speed:g} m/s; allowed: 0 to {most:g} m/s")
@@ -89,7 +89,7 @@ class SimWind:
             self.ask(table["SIM_WIND_SPD"], table["SIM_WIND_DIR"], table["SIM_WIND_TC"], self._by)
 
     def tick(self) -> None:
-        """Let it follow, and end shoves; to be called before every tick."""
+        """Move the wind towards its target, and end shoves that are over; call it before every tick."""
         time, now = self._simulation.time, self.now
         for name, (end, values) in [*self.shoves.items()]:
             if time >= end - 1e-9:
@@ -160,7 +160,7 @@ class SimParameters:
             self._drop(self._values["SIM_BATT_VOLTAGE"])
 
     def _set(self, what: str, faults: Callable[[Values, Fleet, Geodesy], dict[str, Fault | None]]) -> None:
-        """Put the faults of a part, by target, in place of those that it has."""
+        """Replace the injected faults of a part (``what``) by those that ``faults`` computes from the parameters."""
         wanted = faults(self._values, self._fleet, self._craft.geodesy)
         for target, fault in wanted.items():
             if fault is not None and target not in targets_of(self._fleet):
@@ -195,13 +195,13 @@ class SimParameters:
 
 
 def _volts(fleet: Fleet, number: int) -> NumpyArray | None:
-    """Return the voltages [V] of a vehicle's battery without a load at ``CHARGES``; None: it does not drain."""
+    """Return the open-circuit voltages [V] of a vehicle's battery at ``CHARGES``; None if it does not drain."""
     battery: Any = fleet.battery
     if not battery.drains:
         return None
 
     def own(value: object) -> Any:
-        """Return a vehicle's number of a parameter that is one for all or one for each."""
+        """Return this vehicle's value of a parameter that is either one for all vehicles or one per vehicle."""
         return np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number]
 
     if isinstance(battery, LithiumCells):
@@ -220,7 +220,7 @@ def _target(fleet: Fleet, unit: int) -> str:
 
 
 def _nonzero(values: Values, name: str, field: str, factor: float = 1.0) -> dict[str, float]:
-    """Return numbers of the axes of a field, where one of them is not 0."""
+    """Return "field.axis" -> value of the SIM_NAME_X, _Y, _Z parameters times ``factor``; empty if all are 0."""
     found = {f"{field}.{axis.lower()}": factor * values[f"SIM_{name}_{axis}"] for axis in AXES}
     return found if any(found.values()) else {}
 
@@ -290,7 +290,7 @@ def _inertial(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault
 
 
 def _pitot(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
-    """Return the fault of the airspeed sensor that SIM_ARSPD_FAIL asks for, by target."""
+    """Return {target: fault of the airspeed sensor} by SIM_ARSPD_FAIL [m/s]; the fault is None at 0."""
     speed = values["SIM_ARSPD_FAIL"]
     numbers = {"field": UNITS[AIRSPEED].field, "scale": 0.0, "bias": speed}
     return {_target(fleet, AIRSPEED): ("wrong", numbers) if speed else None}
@@ -314,7 +314,7 @@ def _engines(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault 
 
 
 def motor_order(fleet: Fleet) -> list[int]:
-    """Return the rotors in the order of ArduPilot's motors, in their own where it has no such frame."""
+    """Return the rotor numbers in the order of ArduPilot's motors; unchanged for frames that ArduPilot lacks."""
     rotors = fleet.vehicle.rotors if isinstance(fleet.vehicle, Multirotor) else ()
     found = []
     for angle, _ in FRAMES.get(len(rotors), ()):
@@ -324,8 +324,14 @@ def motor_order(fleet: Fleet) -> list[int]:
 
 
 PARTS: dict[str, tuple[str, Callable[[Values, Fleet, Geodesy], dict[str, Fault | None]]]] = {
-    "GPS": ("gps", _receiver), "GPS1": ("gps", _receiver), "BARO": ("baro", _barometer),
-    "MAG1": ("mag", _magnetometer), "GYR1": ("gyro or accel", _inertial), "ACC1": ("gyro or accel", _inertial),
-    "ACCEL1": ("gyro or accel", _inertial), "ARSPD": ("airspeed", _pitot), "SONAR": ("distance sensor", _sonar),
+    "GPS": ("gps", _receiver),
+    "GPS1": ("gps", _receiver),
+    "BARO": ("baro", _barometer),
+    "MAG1": ("mag", _magnetometer),
+    "GYR1": ("gyro or accel", _inertial),
+    "ACC1": ("gyro or accel", _inertial),
+    "ACCEL1": ("gyro or accel", _inertial),
+    "ARSPD": ("airspeed", _pitot),
+    "SONAR": ("distance sensor", _sonar),
     "ENGINE": ("motor", _engines),
-}  # fmt: skip
+}

@@ -57,7 +57,7 @@ class Streams:
         self.restart()
 
     def restart(self) -> None:
-        """Begin with the rates of the link, at tick 0."""
+        """Reset all messages to the link's default rates, from tick 0."""
         self.changed = False
         # Intervals by number [ticks], and when each is due next, the earliest first.
         self._intervals: dict[int, float] = {}
@@ -69,18 +69,18 @@ class Streams:
                 self._begin(number, 1.0 / rate)
 
     def begin_at(self, tick: int) -> None:
-        """Begin to count at a tick, with the intervals of now."""
+        """Restart the schedule at a tick, with the present intervals."""
         self._due = [(tick + self._phase * interval, number) for number, interval in self._intervals.items()]
         heapify(self._due)
 
     def _begin(self, number: int, interval: float, tick: int | None = None) -> None:
-        """Send a message every ``interval`` [s]: first in the tick after ``tick``, or by the phase of the link."""
+        """Schedule a message every ``interval`` [s], first in the tick after ``tick``, or by the phase of the link."""
         ticks = max(interval, self._least) / self._dt
         self._intervals[number] = ticks
         heappush(self._due, (self._phase * ticks if tick is None else tick + 1.0, number))
 
     def set(self, number: int, interval_us: float, tick: int) -> None:
-        """Send a message every so many microseconds of simulated time; 0: as by default, below 0: not at all."""
+        """Schedule a message every ``interval_us`` [us] of simulated time; 0: default rate, below 0: never."""
         self.changed = True
         if self._intervals.pop(number, None) is not None:
             self._due = [each for each in self._due if each[1] != number]
@@ -94,7 +94,7 @@ class Streams:
             self._begin(number, 1.0 / own, tick)
 
     def interval_us(self, number: int) -> int:
-        """Return the interval of a message [us]; -1 if it is not sent, 0 if it is sent when there is news."""
+        """Return the interval of a message [us]; -1 if it is not sent, 0 if it is sent at every change."""
         if number == _FIX and self._each_fix:
             return 0
         interval = self._intervals.get(number)

@@ -19,7 +19,7 @@ _GEOMETRIC, _LONGEST_NAME = 1, 8
 
 
 def obstacle_distance(v: View) -> bytes | None:
-    """OBSTACLE_DISTANCE, of a lidar: up to 72 sectors in the axes of the vehicle, from left to right."""
+    """Return the payload of OBSTACLE_DISTANCE from a lidar, up to 72 sectors in body axes; None without one."""
     found = None if v.around is None or v.seen.stopped else v.around.scan(v.number)
     if found is None:
         return None
@@ -51,7 +51,7 @@ def obstacle_distance(v: View) -> bytes | None:
 
 
 def optical_flow_rad(v: View) -> bytes | None:
-    """OPTICAL_FLOW_RAD, of an optical flow sensor; its quality is 0 where there is no flow."""
+    """Return the payload of OPTICAL_FLOW_RAD, with quality 0 if there is no flow; None without a sensor."""
     row, period = v.row, 0.0 if v.around is None else v.around.flow_period(v.number)
     if not period or row[s.FLOW_TURN] != row[s.FLOW_TURN]:
         return None
@@ -72,7 +72,7 @@ def optical_flow_rad(v: View) -> bytes | None:
 
 
 def adsb_vehicle(v: View) -> bytes | None:
-    """ADSB_VEHICLE, of one of the other vehicles that it sees, each in turn."""
+    """Return the payload of ADSB_VEHICLE of one visible vehicle, the next at each call; None if none is visible."""
     found = None if v.around is None or not v.seen.valid or v.seen.stopped else v.around.neighbours(v.number)
     if found is None or not len(found.position):
         return None
@@ -104,7 +104,7 @@ def adsb_vehicle(v: View) -> bytes | None:
 
 
 def _ned(v: View, frd: np.ndarray) -> tuple[float, float, float]:
-    """Return a vector of the vehicle's axes in NED, by its estimated attitude."""
+    """Rotate a vector from body axes (FRD) to NED by the estimated attitude."""
     w, x, y, z = v.row[s.QUATERNION : s.QUATERNION + 4]
     north, east, down = turned(np.array([x, y, z, w]), np.asarray(frd, np.float64)).tolist()
     return north, east, down

@@ -62,14 +62,14 @@ class System:
         self.booted: Callable[[], None] = lambda: None
 
     def restart(self) -> None:
-        """Begin again as after a boot; an upload that is on its way is broken off."""
+        """Restart as after a boot; an unfinished plan upload is dropped."""
         self.stack.reset()
         self.transfers.cancel()
         self.told.clear()
         self.text(Text(Severity.INFO, "Started again"))
 
     def publish(self, tick: int, wall: float) -> None:
-        """Send what is due at a tick: streams, news and texts."""
+        """Send the messages, events and texts that are due at a tick on all links."""
         self.tick = tick
         for event in self.stack.events():
             self._tell(event)
@@ -98,7 +98,7 @@ class System:
             self.transfers.ask_again(wall)
 
     def _tell(self, event: Event) -> None:
-        """Send what an event of the stack makes due at once: mode, home, landed, item reached."""
+        """Send the messages that an event of the stack triggers: mode, home, landed, item reached."""
         if event.kind == "item_reached":
             self._broadcast("MISSION_ITEM_REACHED", LAYOUTS["MISSION_ITEM_REACHED"].payload(seq=event.number))
         self.reboots |= event.kind == "reboot"
@@ -108,7 +108,7 @@ class System:
                 self._broadcast(name, payload)
 
     def text(self, text: Text) -> None:
-        """Tell all clients a text, in pieces where it is long."""
+        """Send a STATUSTEXT on all links, split into chunks if it is long, and log it."""
         self._note(text.text)
         whole = text.text.encode("ascii", "replace")
         pieces = [whole[at : at + _CHUNK] for at in range(0, len(whole), _CHUNK)] or [b""]
@@ -139,15 +139,15 @@ class System:
         self._log(f"t = {self.view.seen.time:.10g} s, '{self.name}': {line}")
 
     def note_once(self, line: str) -> None:
-        """Tell the operator, and no client, a line that is said once."""
+        """Log a line for the operator, not for clients, unless the same line was logged before."""
         if line not in self.told and len(self.told) < _MOST_TOLD:
             self.told.add(line)
             self._note(line)
 
-    def tell_once(self, what: str, text: Text) -> None:
-        """Tell all clients something that is said once."""
-        if what not in self.told:
-            self.told.add(what)
+    def tell_once(self, key: str, text: Text) -> None:
+        """Send a text on all links unless one with the same ``key`` was sent since the last restart."""
+        if key not in self.told:
+            self.told.add(key)
             self.text(text)
 
     def _broadcast(self, name: str, payload: bytes) -> None:

@@ -50,7 +50,7 @@ def send_one(system: System, link: Link, frame: Frame) -> None:
 
 
 def set_one(system: System, link: Link, frame: Frame) -> None:
-    """Answer PARAM_SET: the value that holds now is told on all links."""
+    """Answer PARAM_SET; the resulting value is sent on all links."""
     request, table = frame.message(), system.stack.parameters
     name = request.param_id.decode("ascii", "replace")
     parameter = table.parameter(name)
@@ -73,7 +73,7 @@ def set_one(system: System, link: Link, frame: Frame) -> None:
 
 
 def _has_hash(system: System) -> bool:
-    """Return whether a vehicle has PX4's parameter of the hash of all others."""
+    """Return whether a vehicle has PX4's parameter ``_HASH_CHECK``."""
     return system.stack.heartbeat().autopilot != ARDUPILOT
 
 
@@ -89,7 +89,7 @@ def _hash(system: System) -> bytes:
 
 
 def _format(system: System, type: int) -> struct.Struct:
-    """Return what the four bytes of a value are: of an integer itself, but with ArduPilot's flavour always a float."""
+    """Return the struct of a value in PARAM_VALUE: an integer's own bytes with PX4, always a float with ArduPilot."""
     return _INTEGER if type == INT32 and system.stack.heartbeat().autopilot != ARDUPILOT else _REAL
 
 
@@ -103,7 +103,7 @@ def _payload(system: System, parameter: Parameter) -> bytes:
 
 
 def _refuse(link: Link, frame: Frame, name: bytes, index: int, error: int) -> None:
-    """Answer with PARAM_ERROR."""
+    """Answer with PARAM_ERROR, addressed to the sender of ``frame``."""
     link.say(
         "PARAM_ERROR",
         target_system=frame.system,

@@ -27,7 +27,7 @@ Payload = bytes | None
 
 
 def _motion(v: View) -> tuple[int, tuple[float, ...]] | None:
-    """Return the mask and position, velocity, acceleration NED and heading that are flown; None for other orders."""
+    """Return the order's type mask, and position, velocity, acceleration NED and heading; None for other orders."""
     order = v.order
     if order is None or order.kind not in ("path", "velocity"):
         return None
@@ -38,7 +38,7 @@ def _motion(v: View) -> tuple[int, tuple[float, ...]] | None:
 
 
 def position_target_local_ned(v: View) -> Payload:
-    """POSITION_TARGET_LOCAL_NED: the path or the velocity that is flown."""
+    """Return the payload of POSITION_TARGET_LOCAL_NED with the path or velocity that is flown."""
     found = _motion(v)
     if found is None:
         return None
@@ -48,7 +48,7 @@ def position_target_local_ned(v: View) -> Payload:
 
 
 def position_target_global_int(v: View) -> Payload:
-    """POSITION_TARGET_GLOBAL_INT: the same, with the place in latitude, longitude and altitude; 0 for a velocity."""
+    """Return the payload of POSITION_TARGET_GLOBAL_INT with the path that is flown; place 0 for a velocity."""
     found = _motion(v)
     if found is None:
         return None
@@ -61,7 +61,7 @@ def position_target_global_int(v: View) -> Payload:
 
 
 def attitude_target(v: View) -> Payload:
-    """ATTITUDE_TARGET: the attitude and thrust that are flown."""
+    """Return the payload of ATTITUDE_TARGET with the attitude and thrust that are flown."""
     order = v.order
     if order is None or order.kind != "attitude":
         return None
@@ -79,7 +79,7 @@ def attitude_target(v: View) -> Payload:
 
 
 def current_mode(v: View) -> Payload:
-    """CURRENT_MODE, of PX4: the mode that is flown, and the one that was asked for."""
+    """Return the payload of PX4's CURRENT_MODE with the mode that is flown and the requested mode."""
     if v.stack.heartbeat().autopilot != PX4:
         return None
     flown, intended = v.stack.current_modes()
@@ -89,12 +89,12 @@ def current_mode(v: View) -> Payload:
 
 
 def available_modes_monitor(v: View) -> Payload:
-    """AVAILABLE_MODES_MONITOR: the modes never change."""
+    """Return the payload of AVAILABLE_MODES_MONITOR, whose counter never changes."""
     return LAYOUTS["AVAILABLE_MODES_MONITOR"].payload(seq=0)
 
 
 def available_modes(v: View, index: int) -> list[bytes]:
-    """Return AVAILABLE_MODES of the mode of a number from 1 on, of all for 0, of none for another number."""
+    """Return the AVAILABLE_MODES payloads: of all modes for index 0, else of the mode with this index, from 1."""
     modes = v.stack.modes()
     return [
         LAYOUTS["AVAILABLE_MODES"].payload(
@@ -111,7 +111,7 @@ def available_modes(v: View, index: int) -> list[bytes]:
 
 
 def orbit_execution_status(v: View) -> Payload:
-    """ORBIT_EXECUTION_STATUS, while an orbit is flown."""
+    """Return the payload of ORBIT_EXECUTION_STATUS; None unless an orbit is flown."""
     orbit = v.stack.orbiting()
     if orbit is None:
         return None
@@ -127,7 +127,7 @@ def orbit_execution_status(v: View) -> Payload:
 
 
 def gps_global_origin(v: View) -> Payload:
-    """GPS_GLOBAL_ORIGIN: the origin of the vehicle's local frame."""
+    """Return the payload of GPS_GLOBAL_ORIGIN with the origin of the vehicle's local frame."""
     latitude, longitude, altitude = v.stack.place(v.stack.origin)
     return LAYOUTS["GPS_GLOBAL_ORIGIN"].payload(
         latitude=round(latitude * 1e7),
@@ -138,7 +138,7 @@ def gps_global_origin(v: View) -> Payload:
 
 
 def autopilot_version(v: View) -> Payload:
-    """AUTOPILOT_VERSION; the uid is the system id."""
+    """Return the payload of AUTOPILOT_VERSION; its uid is the system id."""
     cast = v.stack.heartbeat().autopilot == ARDUPILOT
     return LAYOUTS["AUTOPILOT_VERSION"].payload(
         capabilities=CAPABILITIES & ~BYTEWISE | CAST if cast else CAPABILITIES,
@@ -148,5 +148,5 @@ def autopilot_version(v: View) -> Payload:
 
 
 def protocol_version(v: View) -> Payload:
-    """PROTOCOL_VERSION: MAVLink 2, and version 1 is read too."""
+    """Return the payload of PROTOCOL_VERSION: version 2 is sent, and 1 is read too."""
     return LAYOUTS["PROTOCOL_VERSION"].payload(version=_VERSION, min_version=_OLDEST, max_version=_NEWEST)

@@ -40,7 +40,7 @@ Payload = bytes | None
 
 
 def bounded(value: float, scale: float, low: int, high: int) -> int:
-    """Return a number in another unit, rounded, within the range of an integer field; 0 for NaN."""
+    """Return ``value * scale`` rounded and clipped to [low, high]; 0 for NaN."""
     if value != value:
         return 0
     return int(min(max(round(value * scale), low), high))
@@ -51,12 +51,12 @@ def _short(value: float, scale: float) -> int:
 
 
 def _unsigned(value: float, scale: float, unknown: int = _UINT16, most: int = 65534) -> int:
-    """Return an unsigned number, ``unknown`` for NaN."""
+    """Return ``value * scale`` rounded and clipped to [0, most]; ``unknown`` for NaN."""
     return unknown if value != value else int(min(max(round(value * scale), 0), most))
 
 
 def heartbeat(v: View) -> Payload:
-    """HEARTBEAT."""
+    """Return the payload of HEARTBEAT."""
     beat = v.stack.heartbeat()
     return _STRUCT["HEARTBEAT"](
         beat.custom_mode, beat.mav_type, beat.autopilot, beat.base_mode, beat.system_status, PROTOCOL
@@ -64,7 +64,7 @@ def heartbeat(v: View) -> Payload:
 
 
 def sys_status(v: View) -> Payload:
-    """SYS_STATUS."""
+    """Return the payload of SYS_STATUS."""
     health, seen = v.stack.health(), v.seen
     voltage = _unsigned(seen.voltage, 1e3)
     remaining = -1 if seen.charge != seen.charge else bounded(seen.charge, 100.0, 0, 100)
@@ -74,12 +74,12 @@ def sys_status(v: View) -> Payload:
 
 
 def system_time(v: View) -> Payload:
-    """SYSTEM_TIME: that of the scenario."""
+    """Return the payload of SYSTEM_TIME, with the date and time of the scenario."""
     return _STRUCT["SYSTEM_TIME"](int((v.unix + v.seen.time) * 1e6), v.boot_ms)
 
 
 def gps_raw_int(v: View) -> Payload:
-    """GPS_RAW_INT, with the accuracies that the receiver states."""
+    """Return the payload of GPS_RAW_INT, with the receiver's reported accuracies."""
     row = v.row
     if not v.seen.present & Sensor.GPS:
         return None
@@ -101,19 +101,19 @@ def gps_raw_int(v: View) -> Payload:
 
 
 def _accuracy(value: float) -> int:
-    """Return an accuracy [m or m/s] in thousandths, 0 if it is unknown."""
+    """Return an accuracy [m or m/s] in thousandths, 0 for NaN."""
     return 0 if value != value else int(min(round(value * 1e3), 0xFFFFFFFF))
 
 
 def attitude(v: View) -> Payload:
-    """ATTITUDE."""
+    """Return the payload of ATTITUDE."""
     if not v.seen.valid:
         return None
     return _STRUCT["ATTITUDE"](v.boot_ms, *v.seen.attitude, *v.seen.rates)
 
 
 def attitude_quaternion(v: View) -> Payload:
-    """ATTITUDE_QUATERNION."""
+    """Return the payload of ATTITUDE_QUATERNION."""
     if not v.seen.valid:
         return None
     return _STRUCT["ATTITUDE_QUATERNION"](
@@ -122,14 +122,14 @@ def attitude_quaternion(v: View) -> Payload:
 
 
 def local_position_ned(v: View) -> Payload:
-    """LOCAL_POSITION_NED, from the origin of the vehicle's local frame."""
+    """Return the payload of LOCAL_POSITION_NED, from the origin of the vehicle's local frame."""
     if not v.seen.valid:
         return None
     return _STRUCT["LOCAL_POSITION_NED"](v.boot_ms, *v.local(v.seen.position_ned), *v.seen.velocity_ned)
 
 
 def global_position_int(v: View) -> Payload:
-    """GLOBAL_POSITION_INT."""
+    """Return the payload of GLOBAL_POSITION_INT."""
     seen = v.seen
     if not seen.valid:
         return None
@@ -149,7 +149,7 @@ def global_position_int(v: View) -> Payload:
 
 
 def vfr_hud(v: View) -> Payload:
-    """VFR_HUD; without an airspeed sensor its airspeed is the speed over ground."""
+    """Return the payload of VFR_HUD; without an airspeed sensor its airspeed is the ground speed."""
     seen = v.seen
     if not seen.valid:
         return None
@@ -163,7 +163,7 @@ def vfr_hud(v: View) -> Payload:
 
 
 def _throttle(v: View) -> int:
-    """Return the thrust [%] that is asked for, that of hover where a path or a velocity is flown."""
+    """Return the commanded thrust [%]; the hover thrust while a path or velocity is flown."""
     if v.order is None or not v.stack.armed:
         return 0
     if v.order.kind == "track":
@@ -175,7 +175,7 @@ def _throttle(v: View) -> int:
 
 
 def altitude(v: View) -> Payload:
-    """ALTITUDE, with the height over home as the one over terrain."""
+    """Return the payload of ALTITUDE, with the height above home as height above terrain."""
     seen = v.seen
     if not seen.valid:
         return None
@@ -186,7 +186,7 @@ def altitude(v: View) -> Payload:
 
 
 def highres_imu(v: View) -> Payload:
-    """HIGHRES_IMU; ``fields_updated`` has the sensors that there are."""
+    """Return the payload of HIGHRES_IMU; ``fields_updated`` marks the sensors that the vehicle has."""
     row = v.row
     updated = 0
     for bits, column in ((0x7, s.FORCE), (0x38, s.RATES), (0x1C0, s.FIELD)):
@@ -211,7 +211,7 @@ def highres_imu(v: View) -> Payload:
 
 
 def _imu_numbers(row: list[float]) -> tuple[int, ...] | None:
-    """Return milli-g, mrad/s and mgauss, as SCALED_IMU and RAW_IMU have them; None without inertial sensors."""
+    """Return acceleration [milli-g], rates [mrad/s] and field [mgauss] as SCALED_IMU has them; None without an IMU."""
     force, rates, field = (row[at : at + 3] for at in (s.FORCE, s.RATES, s.FIELD))
     if force[0] != force[0] and rates[0] != rates[0]:
         return None
@@ -223,19 +223,19 @@ def _imu_numbers(row: list[float]) -> tuple[int, ...] | None:
 
 
 def scaled_imu(v: View) -> Payload:
-    """SCALED_IMU."""
+    """Return the payload of SCALED_IMU; None without an IMU."""
     numbers = _imu_numbers(v.row)
     return None if numbers is None else _STRUCT["SCALED_IMU"](v.boot_ms, *numbers, 0)
 
 
 def raw_imu(v: View) -> Payload:
-    """RAW_IMU, in the units of SCALED_IMU."""
+    """Return the payload of RAW_IMU, in the units of SCALED_IMU; None without an IMU."""
     numbers = _imu_numbers(v.row)
     return None if numbers is None else _STRUCT["RAW_IMU"](v.boot_us, *numbers, 0, 0)
 
 
 def scaled_pressure(v: View) -> Payload:
-    """SCALED_PRESSURE, of a barometer that reads a pressure."""
+    """Return the payload of SCALED_PRESSURE; None without a barometer that reads a pressure."""
     pressure, differential, temperature = (v.row[at] for at in (s.PRESSURE, s.DIFFERENTIAL, s.TEMPERATURE))
     if pressure != pressure:
         return None
@@ -249,7 +249,7 @@ def scaled_pressure(v: View) -> Payload:
 
 
 def distance_sensor(v: View) -> Payload:
-    """DISTANCE_SENSOR, of a rangefinder that looks down."""
+    """Return the payload of DISTANCE_SENSOR; None without a rangefinder that points down."""
     distance = v.row[s.RANGE]
     if distance != distance:
         return None
@@ -259,7 +259,7 @@ def distance_sensor(v: View) -> Payload:
 
 
 def odometry(v: View) -> Payload:
-    """ODOMETRY: position in NED, velocity in body axes; variances where the estimator states any."""
+    """Return the payload of ODOMETRY: position NED, velocity in body axes, and the estimator's variances if known."""
     seen, row = v.seen, v.row
     if not seen.valid:
         return None
@@ -283,7 +283,7 @@ _DIAGONAL = (0, 6, 11, 15, 18, 20)
 
 
 def _variances(first: list[float], second: list[float]) -> list[float]:
-    """Return the upper triangle of a covariance; NaN in its first number where it is not known."""
+    """Return the upper triangle (21,) of a diagonal covariance from two lists of standard deviations."""
     found = [0.0] * 21
     for at, std in zip(_DIAGONAL, (*first, *second), strict=True):
         found[at] = std * std
@@ -291,7 +291,7 @@ def _variances(first: list[float], second: list[float]) -> list[float]:
 
 
 def battery_status(v: View) -> Payload:
-    """BATTERY_STATUS, of a battery that drains."""
+    """Return the payload of BATTERY_STATUS; None for a battery that does not drain."""
     seen = v.seen
     if seen.charge != seen.charge:
         return None
@@ -306,7 +306,7 @@ def battery_status(v: View) -> Payload:
 
 
 def estimator_status(v: View) -> Payload:
-    """ESTIMATOR_STATUS: flags, and accuracies where the estimator states any."""
+    """Return the payload of ESTIMATOR_STATUS: flags, and the estimator's accuracies if known."""
     row = v.row
     north, east, down = row[s.STD_POSITION : s.STD_POSITION + 3]
     flags = _ESTIMATES if v.seen.valid else 0
@@ -314,14 +314,14 @@ def estimator_status(v: View) -> Payload:
 
 
 def ekf_status_report(v: View) -> Payload:
-    """EKF_STATUS_REPORT, of ArduPilot's flavour: its flags are those of ESTIMATOR_STATUS; no variance is known, 0."""
+    """Return the payload of ArduPilot's EKF_STATUS_REPORT, with the flags of ESTIMATOR_STATUS; variances are 0."""
     if v.stack.heartbeat().autopilot != ARDUPILOT:
         return None
     return LAYOUTS["EKF_STATUS_REPORT"].payload(flags=_ESTIMATES if v.seen.valid else _NO_ESTIMATE)
 
 
 def wind_cov(v: View) -> Payload:
-    """WIND_COV, of an estimator that estimates the wind."""
+    """Return the payload of WIND_COV; None for an estimator that does not estimate the wind."""
     north, east = v.row[s.WIND_NORTH], v.row[s.WIND_EAST]
     if north != north:
         return None
@@ -329,7 +329,7 @@ def wind_cov(v: View) -> Payload:
 
 
 def home_position(v: View) -> Payload:
-    """HOME_POSITION."""
+    """Return the payload of HOME_POSITION; None before there is a home."""
     home = v.stack.home
     if home is None:
         return None
@@ -341,25 +341,25 @@ def home_position(v: View) -> Payload:
 
 
 def extended_sys_state(v: View) -> Payload:
-    """EXTENDED_SYS_STATE."""
+    """Return the payload of EXTENDED_SYS_STATE."""
     return _STRUCT["EXTENDED_SYS_STATE"](0, int(v.stack.heartbeat().landed))
 
 
 def fence_status(v: View) -> Payload:
-    """FENCE_STATUS; how a breach is prevented is not said."""
+    """Return the payload of FENCE_STATUS, without its breach mitigation."""
     status = v.stack.fence()
     milliseconds = int(status.time * 1e3 + 0.5) & 0xFFFFFFFF
     return _STRUCT["FENCE_STATUS"](milliseconds, min(status.count, _UINT16), status.breached, status.breach, 0)
 
 
 def mission_current(v: View) -> Payload:
-    """MISSION_CURRENT."""
+    """Return the payload of MISSION_CURRENT."""
     status = v.stack.mission()
     return _STRUCT["MISSION_CURRENT"](status.seq, status.total, int(status.state), 1 if status.in_mode else 2)
 
 
 def hil_state_quaternion(v: View) -> Payload:
-    """HIL_STATE_QUATERNION: the truth, where the server was asked to send it."""
+    """Return the payload of HIL_STATE_QUATERNION with the true state; None unless the server sends truth."""
     if v.truth is None:
         return None
     quaternion, rates, (latitude, longitude, above) = v.truth[:4], v.truth[4:7], v.truth[7:10]
@@ -386,7 +386,7 @@ ENCODERS: dict[int, Encoder] = {
 
 
 def sendable(number: int, view: View) -> bool:
-    """Return whether a vehicle can send a message with this number, now or at some later time."""
+    """Return whether the vehicle can send the message with this number, now or later in the flight."""
     if number not in ENCODERS:
         return False
     later: tuple[object, ...] = (

@@ -65,7 +65,7 @@ class Transfers:
     # ---- upload ----
 
     def begin(self, link: Link, partner: Partner, message: Message) -> None:
-        """Answer MISSION_COUNT: ask for the first item, or take a plan without any."""
+        """Answer MISSION_COUNT: request the first item, or accept an empty plan at once."""
         kind = _kind(message.mission_type)
         if kind is None:
             self._ack(link, partner, PlanResult.UNSUPPORTED, message.mission_type)
@@ -81,7 +81,7 @@ class Transfers:
         self._go_on()
 
     def item(self, link: Link, partner: Partner, message: Message) -> None:
-        """Take MISSION_ITEM or MISSION_ITEM_INT; what was not asked for is asked for again."""
+        """Take MISSION_ITEM or MISSION_ITEM_INT of an upload; after an item out of order, request the due one again."""
         upload, kind = self.upload, message.mission_type
         if self._ardupilot and kind == PlanKind.MISSION and message.current in (GO_THERE, ALTITUDE_ONLY):
             self._ack(link, partner, self._guided(message), kind)
@@ -100,7 +100,7 @@ class Transfers:
             self._go_on()
 
     def _guided(self, message: Message) -> PlanResult:
-        """Take a mission item as ArduPilot's GUIDED does: fly there, or change the altitude only."""
+        """Obey an ArduPilot guided item (fly there, or change the altitude only); return the result."""
         if message.current == ALTITUDE_ONLY:
             # As GCS_MAVLINK::handle_mission_item, whatever the vehicle does about it.
             self._stack.change_altitude(item_of(message))
@@ -125,7 +125,7 @@ class Transfers:
         upload.link.say(name, **_to(upload.partner), seq=len(upload.items), mission_type=upload.kind)
 
     def ask_again(self, wall: float) -> None:
-        """Ask for an item that has not come, or give up; the plan of before stays."""
+        """Request an item that has not arrived again, or give up the upload; the old plan remains."""
         upload = self.upload
         if upload is None or wall - upload.asked < ASK_AGAIN_S:
             return
@@ -135,13 +135,13 @@ class Transfers:
         self._go_on()
 
     def cancel(self) -> None:
-        """Break off an upload, and tell its client; the plan of before stays."""
+        """Abort the upload and tell its client; the old plan remains."""
         if self.upload is not None:
             upload, self.upload = self.upload, None
             self._ack(upload.link, upload.partner, PlanResult.CANCELLED, upload.kind)
 
     def _give_up(self, upload: Upload) -> None:
-        """End an upload that has timed out; the plan of before stays."""
+        """Abort an upload that has timed out and warn clients; the old plan remains."""
         self.cancel()
         what = f"{upload.kind.name.capitalize()} upload timed out at item {len(upload.items)} of {upload.count}"
         self._say(Text(Severity.WARNING, f"{what}; the one of before stays"))
@@ -157,7 +157,7 @@ class Transfers:
         self._ack(link, partner, result, message.mission_type)
 
     def heard_ack(self, partner: Partner, message: Message) -> None:
-        """Take MISSION_ACK: by it a client breaks an upload off, or wants to be asked in the other dialect."""
+        """Take MISSION_ACK: abort the client's upload, or, if it is UNSUPPORTED, request items in the other dialect."""
         upload = self.upload
         if upload is None or upload.partner != partner or message.type == PlanResult.ACCEPTED:
             return
@@ -170,14 +170,14 @@ class Transfers:
             self._go_on()
 
     def forget(self, link: Link) -> None:
-        """Break off what comes over a link that has gone; the plan of before stays."""
+        """Abort the plan upload that runs over a closed link, if any; the stored plan stays."""
         if self.upload is not None and self.upload.link is link:
             self.upload = None
 
     # ---- download ----
 
     def count(self, link: Link, partner: Partner, message: Message) -> None:
-        """Answer MISSION_REQUEST_LIST."""
+        """Answer MISSION_REQUEST_LIST with the number of items."""
         kind = _kind(message.mission_type)
         if kind is None:
             self._ack(link, partner, PlanResult.UNSUPPORTED, message.mission_type)
@@ -212,12 +212,12 @@ class Transfers:
         )
 
     def refuse(self, link: Link, partner: Partner, message: Message) -> None:
-        """Answer requests for a part of a list."""
+        """Answer requests for part of a list with UNSUPPORTED."""
         self._ack(link, partner, PlanResult.UNSUPPORTED, message.mission_type)
 
     @staticmethod
     def _ack(link: Link, partner: Partner, result: PlanResult, kind: int) -> None:
-        """Send MISSION_ACK."""
+        """Send MISSION_ACK with a result."""
         link.say("MISSION_ACK", **_to(partner), type=int(result), mission_type=int(kind))
 
 
@@ -227,7 +227,7 @@ def _kind(number: int) -> PlanKind | None:
 
 
 def _to(partner: Partner) -> dict[str, int]:
-    """Return the fields of a message that address a partner."""
+    """Return the target_system and target_component fields that address a partner."""
     return {"target_system": partner[0], "target_component": partner[1]}
 
 
@@ -241,7 +241,7 @@ def item_of(message: Message) -> Item:
 
 
 def _scale(frame: int) -> float:
-    """Return how many units of a mission item's integer x and y are one metre or degree."""
+    """Return the number of integer units per degree or metre in x and y of a mission item, by its frame."""
     return 1.0 if frame == _MISSION_FRAME else 1e4 if frame in _LOCAL_FRAMES else 1e7
 
 

@@ -47,24 +47,24 @@ class View:
         self.number = self.turn = 0
 
     def look(self, numbers: object) -> None:
-        """Take the numbers of another tick (WIDTH,)."""
+        """Set the vehicle's readings (WIDTH,) of the present tick."""
         self.numbers, self._row = numbers, None
 
     @property
     def row(self) -> list[float]:
-        """Numbers of the vehicle as a list of floats."""
+        """Readings of the vehicle as a list of floats, cached for the tick."""
         if self._row is None:
             self._row = self.numbers.tolist()
         return self._row
 
     def local(self, position_ned: Triple) -> Triple:
-        """Return a position of the site's frame NED [m] in the vehicle's local frame."""
+        """Convert a position from the site's frame NED [m] to the vehicle's local frame."""
         (north, east, down), origin = position_ned, self.stack.origin
         return north - origin[0], east - origin[1], down - origin[2]
 
     @property
     def height(self) -> float:
-        """Height of the estimate above the ellipsoid [m]."""
+        """Estimated height above the ellipsoid [m]."""
         return self.seen.altitude + self.geoid.undulation(*self.seen.position_ned[:2])
 
     @property
@@ -84,6 +84,6 @@ class View:
 
     @property
     def home_altitude(self) -> float:
-        """Altitude of home above mean sea level [m], else the vehicle's own."""
+        """Altitude of home above mean sea level [m]; the vehicle's own altitude before there is a home."""
         home = self.stack.home
         return self.seen.altitude if home is None else home.altitude

@@ -123,23 +123,23 @@ class FlownWorld:
                     stack.parameters.set(name, value)
 
     def _warm(self) -> None:
-        """Compile the programs of flight and of restarts before the first tick."""
+        """Compile the programs of flight and restarts before the first tick."""
         self.simulation.advance(self._latches.actions())
         self.simulation.set_state(np.full_like(self.simulation.truth.state, np.nan))
         self.simulation.reset()
 
     def _fresh_restarts(self) -> Restarts:
-        """Return a new object that restarts vehicles, with none waiting."""
+        """Return a new ``Restarts`` object, with no restart pending."""
         systems = list(zip(self._rows, self.systems, strict=True))
         return Restarts(self.simulation, self._latches, systems, self._respawn, self._put_back)
 
     def _put_back(self, row: int) -> None:
-        """Note in the recording that a vehicle has been restarted."""
+        """Record that a vehicle has been restarted."""
         if self.recording is not None:
             self.recording.restarted(row)
 
     def tick(self, wall: float) -> None:
-        """Advance by one tick, let the stacks see it, and send what is due.
+        """Advance by one tick, run the flight stacks, and send the messages that are due.
 
         Args:
             wall: time of the wall clock [s], of ``time.monotonic``.
@@ -159,7 +159,7 @@ class FlownWorld:
         self._busy += 0.02 * (busy - self._busy)
 
     def reset(self, seed: int) -> None:
-        """Begin with another episode: vehicles stand at their starts, disarmed, with their parameters and plans."""
+        """Start another episode: vehicles at their starts, disarmed, with their parameters and plans kept."""
         if self.recording is not None:
             self.recording.end()
         self.simulation.reset(seed)
@@ -175,7 +175,7 @@ class FlownWorld:
         self._command()
 
     def _command(self) -> None:
-        """Let each stack see what its vehicle sees now, and latch what it orders."""
+        """Run each flight stack on its vehicle's present readings, and latch its order."""
         sight = self._sight
         seen = sight.see()
         load = int(min(1000.0, 1e3 * self._busy))
@@ -195,7 +195,7 @@ class FlownWorld:
                 self._fly(system, order)
 
     def _fly(self, system: System, order: Order) -> None:
-        """Give a system's order to the latches; one that cannot be flown is told and the last one holds."""
+        """Latch a system's order; an order that cannot be flown is reported to clients, and the last one holds."""
         try:
             # A set-point has no range of its own; the whole check, with its words, is for what cannot be flown.
             if not (order.kind in NEEDED and math.isfinite(sum(order.numbers))):
@@ -208,7 +208,7 @@ class FlownWorld:
         system.view.order = order
 
     def _true_states(self) -> Sequence[Sequence[float]]:
-        """Return for each vehicle quaternion, rates, latitude, longitude, altitude, velocity, airspeed, force."""
+        """Return for each vehicle its true quaternion, rates, geodetic position, velocity, airspeed and force."""
         truth, site = self.simulation.truth, self.simulation.site
         latitude, longitude, height = site.ned_to_geodetic(truth.position_ned)
         altitude = height - self._geoid.undulation(truth.position_ned[:, 0], truth.position_ned[:, 1])

@@ -23,7 +23,7 @@ HEAD_SIZE = 4
 
 
 def rows_of(given: Sequence[Arrayd], widths: Sequence[int], what: str, names: Sequence[str]) -> list[list[float]]:
-    """Return the vectors of a message, one row per vehicle.
+    """Return the vectors of a message as one list of numbers per vehicle; raises UsageError for wrong counts.
 
     Args:
         given: the vectors.
@@ -95,7 +95,7 @@ class Commands:
         return command
 
     def samples(self, start_ned: NumpyArray) -> list[object]:
-        """Return a command of each kind of the reference, for vehicles at positions (n, 3) [m]."""
+        """Return a waypoint, a velocity and a control command, to compile them, for vehicles at (n, 3) NED [m]."""
         hover = np.tile([0.0, 0.0, 0.5, 0.0, 12.0], (len(start_ned), 1))
         return [WaypointSetpoint.of(start_ned), VelocitySetpoint.of(np.zeros_like(start_ned)), hover]
 
@@ -167,7 +167,7 @@ class MixedCommands(Commands):
         return found
 
     def samples(self, start_ned: NumpyArray) -> list[Any]:
-        """Return commands of each kind of the reference, for vehicles at positions (n, 3) [m]."""
+        """Return commands of each kind by fleet, to compile them, for vehicles at (n, 3) NED [m]."""
         found: list[dict[str, Any]] = [{}, {}, {}]
         first = 0
         for fleet in self._fleets:
@@ -186,7 +186,7 @@ class MixedCommands(Commands):
 
 
 def commands_of(fleets: Sequence[Fleet], dtype: np.dtype[Any]) -> Commands:
-    """Return the converter of STEPs for the vehicles of fleets."""
+    """Return the converter from STEP messages to commands for these fleets, mixed if their command types differ."""
     if all(fleet.vehicle.command_type is Command for fleet in fleets):
         return Commands([name for fleet in fleets for name in fleet.vehicle_names], dtype)
     return MixedCommands(fleets, dtype)

@@ -74,7 +74,7 @@ class Connection(asyncio.Protocol):
         self.finished = asyncio.get_running_loop().create_task(self._serve(refused))
 
     def data_received(self, data: bytes) -> None:
-        """Receive bytes; after one whole request, further ones wait in the network."""
+        """Append received bytes; reading pauses while a whole request waits."""
         if self._discard:
             return
         self._deframer.feed(data)
@@ -87,7 +87,7 @@ class Connection(asyncio.Protocol):
             self._ask_for_the_rest()
 
     def _ask_for_the_rest(self) -> None:
-        """Acknowledge a part of a request at once.
+        """Have the system acknowledge a partly received request at once (TCP_QUICKACK).
 
         The reference client writes length and message apart, and its system holds the second back until the first is
         acknowledged (Nagle's algorithm), which ours would do some 40 ms later: there is no reply to say it with.
@@ -97,7 +97,7 @@ class Connection(asyncio.Protocol):
                 self._socket.setsockopt(socket.IPPROTO_TCP, QUICKACK, 1)
 
     def eof_received(self) -> bool:
-        """Answer pending requests, without long steps and pauses."""
+        """Handle the client's end of stream: answer pending requests, without long steps and pauses."""
         self.leaving.set()
         self._wake()
         return True
@@ -111,11 +111,11 @@ class Connection(asyncio.Protocol):
         self._can_write.set()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Drop the client."""
+        """Mark the client as gone when the transport reports the end of the connection."""
         self.gone_soon()
 
     def gone_soon(self) -> None:
-        """Close after the present request."""
+        """Mark the client as leaving: the connection closes after the present request."""
         self.leaving.set()
         self.gone.set()
         self._can_write.set()
@@ -196,7 +196,7 @@ class Connection(asyncio.Protocol):
         return self.session
 
     def idle_s(self) -> float:
-        """Return the time [s] since the client last sent a request or read a reply."""
+        """Return the time [s] for which the server has waited for the client's next request; 0 while it answers."""
         since = self._waits_since
         return 0.0 if since is None else asyncio.get_running_loop().time() - since
 
@@ -289,7 +289,7 @@ class Connection(asyncio.Protocol):
         return message.type != Message.INIT
 
     async def _close(self) -> None:
-        """Close when the client has read the last message: to close before would take it away from it."""
+        """Close the connection once the client has read the last message, or after LINGER_S."""
         if not self.gone.is_set():
             self._discard = True
             if self._full:

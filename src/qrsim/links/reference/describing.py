@@ -72,7 +72,7 @@ def _add_fleet(found: pb.World, spec: Mapping[str, Any], fleet: Fleet, world: Wo
 
 
 def _limits_message(fleet: Fleet) -> Part:
-    """Return the limits of a fleet as a message."""
+    """Return a fleet's state limits as a protobuf message."""
     limits = fleet.limits
     message = Part(type=type(limits).__name__)
     for field in dataclasses.fields(limits):
@@ -84,7 +84,7 @@ def _limits_message(fleet: Fleet) -> Part:
 
 
 def _part(spec: Any, known: Mapping[str, object]) -> Part:
-    """Return the message of a component of a scenario: its type, numbers and units."""
+    """Return a component's description as a protobuf message: its type, parameters and units."""
     content = {"type": spec} if isinstance(spec, str) else dict(spec)
     kind = str(content.pop("type"))
     units = _units_by_field(known.get(kind))
@@ -106,8 +106,10 @@ def _units_by_field(kind: object) -> dict[str, str]:
 
 
 def _values(content: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
-    """Yield (dotted name, text or numbers) of the content of a part of a scenario; a list of points is flattened, and
-    several such lists, such as the courtyards of a building, are numbered, and so are parts, as the zones of an area.
+    """Yield (dotted name, text or flat list of numbers) of all entries of a part of a scenario.
+
+    Lists of points are flattened. Several such lists, such as the courtyards of a building, are numbered, and so are
+    parts, such as the zones of an area.
     """
     for key, value in content.items():
         name = f"{prefix}{key}"

@@ -17,12 +17,12 @@ from qrsim.world.state import World
 
 
 async def inject(client: Client, message: Message) -> None:
-    """Apply the fault or the change of the wind that an INJECT message requests."""
+    """Apply a fault or a change of the weather that an INJECT message requests, and acknowledge it."""
     await _apply_request(client, "INJECT", request_of(message.inject))
 
 
 async def clear(client: Client, message: Message) -> None:
-    """End injected faults."""
+    """End the injected faults that a CLEAR message names, and acknowledge it."""
     asked = message.clear
     target = asked.target if asked.HasField("target") else None
     _check_texts([*asked.vehicle, target or ""])
@@ -62,7 +62,7 @@ async def _apply_request(client: Client, what: str, request: Request) -> None:
 
 
 def _claimed_request(client: Client, sharing: Sharing, what: str, request: Request) -> Request:
-    """Return a request limited to a client's claimed vehicles; by default all of these that have the target.
+    """Return a request limited to the client's claimed vehicles, by default to those that have the target.
 
     Raises:
         UsageError: one is not claimed by it, or the request is for the whole world and the operator does not allow it.

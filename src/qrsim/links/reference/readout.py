@@ -151,7 +151,7 @@ class Readout:
         )
 
     def frame(self) -> bytes:
-        """Write the present STATE with its length message."""
+        """Return the bytes of the present STATE, with its length message."""
         floats = np.asarray(self._simulation.packed[1][0])
         self._time[0] = self._simulation.time
         self.vectors()
@@ -161,7 +161,7 @@ class Readout:
         return bytes(self._buffer)
 
     def vectors(self) -> NumpyArray:
-        """Write the present state vectors (n, 13) and return them."""
+        """Return the present state vectors (n, 13), in a buffer that the next call overwrites."""
         floats = np.asarray(self._simulation.packed[1][0])
         self._x[...] = floats.take(self._x_places)
         if self._unknown is not None:
@@ -173,7 +173,7 @@ class Readout:
         return self._x
 
     def _explained(self) -> bytes:
-        """Return the STATE with a reason for each invalid vehicle; its numbers are written already."""
+        """Return the framed STATE with a reason for each invalid vehicle."""
         floats, integers = self._simulation.packed[1]
         codes, values = np.asarray(integers).take(self._codes), np.asarray(floats).take(self._values)
         body = bytes(self._buffer[self._body_at : self._body_at + self._body_size])
@@ -183,7 +183,7 @@ class Readout:
         return frame(_STATE_HEAD + varint(len(body)) + body)
 
     def message(self) -> State:
-        """Return the present message State."""
+        """Return the present state as a protobuf ``State``."""
         return Message.FromString(self.frame()[HEAD_SIZE:]).state
 
     def all_valid(self) -> bool:
@@ -200,7 +200,7 @@ class States:
         self._explaining: Readout | None = None
 
     def frame(self, reasons: bool = False) -> bytes:
-        """Write the present STATE with its length message."""
+        """Return the bytes of the present STATE, with its length message."""
         return (self._with_reasons() if reasons else self._plain).frame()
 
     def vectors(self) -> NumpyArray:
@@ -208,7 +208,7 @@ class States:
         return self._plain.vectors()
 
     def message(self) -> State:
-        """Return the present message State, with reasons for invalid vehicles."""
+        """Return the present state as a protobuf ``State``, with reasons for invalid vehicles."""
         return self._with_reasons().message()
 
     def all_valid(self) -> bool:

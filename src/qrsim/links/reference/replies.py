@@ -256,7 +256,7 @@ class Status:
 
 
 def state_of(found: Any) -> State:
-    """Convert a STATE message."""
+    """Convert a STATE message to a ``State``."""
     return State(
         found.t,
         np.array([row.value for row in found.X]).reshape(len(found.X), -1),
@@ -266,7 +266,7 @@ def state_of(found: Any) -> State:
 
 
 def heard_of(found: Iterable[Any]) -> tuple[Heard, ...]:
-    """Convert the radio messages that a vehicle has received."""
+    """Convert the radio messages that a vehicle has received to ``Heard`` records."""
     return tuple(Heard(each.sender, each.sent, each.received, each.rssi, np.array(each.value)) for each in found)
 
 

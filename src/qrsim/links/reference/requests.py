@@ -65,7 +65,7 @@ def _task_info(session: Session) -> pb.TaskInfo:
 
 
 async def reset(connection: Client, message: Message) -> None:
-    """Start the next episode of the task."""
+    """Start the next episode of the task, and acknowledge it."""
     session = connection.required_session()
     await connection.server.run(session, session.restart)
     _print_episode(connection, session)
@@ -93,7 +93,7 @@ async def disconnect(connection: Client, message: Message) -> None:
 
 
 async def set_state(connection: Client, message: Message) -> None:
-    """Set the vehicles' states."""
+    """Set the vehicles' states, and acknowledge it."""
     session = connection.required_session()
     await connection.server.run(session, lambda: session.set_state(message.setsState.X))
     connection.acknowledge()
@@ -123,7 +123,7 @@ def parsed_step(connection: Client, message: Message, payload: bytes) -> tuple[A
 
 
 async def step(connection: Client, command: object, ticks: int) -> None:
-    """Advance the session; in real time, reply no earlier than the wall clock.
+    """Advance the session by ``ticks`` and send its state; in real time, not before its wall-clock time.
 
     Raises:
         UsageError: the command cannot be flown, and nothing has changed; or its client leaves meanwhile.
@@ -174,7 +174,7 @@ async def open_session(connection: Client, message: Message) -> None:
 
 
 def _chosen(connection: Client, request: pb.Open | pb.Play) -> dict[str, Any]:
-    """Return task, scenario and seed of a request as ``_session_options`` takes them."""
+    """Return task, scenario and seeds of a request as keyword arguments of ``_session_options``."""
     if request.HasField("task") and request.HasField("scenario"):
         raise UsageError("give either a task or a scenario")
     seed = _seed(request)
@@ -204,7 +204,7 @@ async def restart(connection: Client, message: Message) -> None:
 
 
 def _still(connection: Client, what: str = "") -> contextlib.AbstractAsyncContextManager[Any]:
-    """Return a context in which a shared world does not advance.
+    """Return a context in which a shared world does not advance; ``what``: a change, which needs the world alone.
 
     Args:
         connection: whose request it is.
@@ -249,7 +249,7 @@ async def get_readings(connection: Client, message: Message) -> None:
 
 
 async def watch(connection: Client, message: Message) -> None:
-    """Begin sending the states of a session."""
+    """Start or stop sending the states of a session to this client."""
     request = message.watch
     if connection.session is not None:
         raise UsageError("WATCH: this connection has a session of its own; watch from another connection")
@@ -291,7 +291,7 @@ async def describe(connection: Client, message: Message) -> None:
 
 
 async def play(connection: Client, message: Message) -> None:
-    """Start an episode of a task, or the next one."""
+    """Start an episode of a task, or the next one, and send its first observation."""
     server, request = connection.server, message.play
     if request.HasField("task") or request.HasField("scenario") or not isinstance(connection.session, EpisodeSession):
         chosen = _chosen(connection, request)
@@ -340,7 +340,7 @@ def _episode_options(connection: Client, chosen: dict[str, Any]) -> SessionOptio
 
 
 async def act(connection: Client, message: Message) -> None:
-    """Advance an episode by a step."""
+    """Advance an episode by a step, and send its outcome."""
     session = connection.required_episodes()
     found = await connection.server.run(session, lambda: session.act(message.act))
     wait = session.pacer.wait_s(session.time)
@@ -351,7 +351,7 @@ async def act(connection: Client, message: Message) -> None:
 
 
 async def say(connection: Client, message: Message) -> None:
-    """Pass messages to the radios of vehicles."""
+    """Queue messages for the radios of vehicles, and acknowledge it."""
     session, words = connection.required_session(), words_of(message.say)
     if isinstance(session, SharedSession):
         session.plant.say(connection.number, words)
@@ -390,5 +390,8 @@ SHARED = {Message.CLAIM, Message.RELEASE, Message.COMMAND, Message.SUBSCRIBE, Me
 OWNED = {Message.INIT, Message.RESET, Message.SETSTATE, Message.OPEN, Message.PLAY, Message.ACT}
 # The part of a message that a request needs.
 NEEDED = {
-    Message.INIT: "init", Message.RESET: "reset", Message.DISCONNECT: "disconnect", Message.INJECT: "inject",
-}  # fmt: skip
+    Message.INIT: "init",
+    Message.RESET: "reset",
+    Message.DISCONNECT: "disconnect",
+    Message.INJECT: "inject",
+}

@@ -56,7 +56,7 @@ class Host(Protocol):
 
     @property
     def say(self) -> Callable[[str], None]:
-        """Print a line for the operator."""
+        """Function that prints a line for the operator."""
 
     @property
     def sharing(self) -> Any:
@@ -72,13 +72,13 @@ class Host(Protocol):
         """Print an internal error for the operator."""
 
     def forget(self, connection: Any) -> Awaitable[None]:
-        """End the session and the watching of a closed connection."""
+        """End the session of a closed connection, and stop sending states to it."""
 
     def answer(self, connection: Any, message: Message) -> Awaitable[None]:
-        """Answer a request."""
+        """Answer a request of a connection."""
 
     def open(self, connection: Any, make: Callable[[int], S]) -> Awaitable[S]:
-        """Begin a session, in place of the one that the connection had."""
+        """Start a session by ``make(id)`` for a connection, in place of its old one, and return it."""
 
     def close_session(self, connection: Any) -> Awaitable[None]:
         """End the session of a connection."""
@@ -90,7 +90,7 @@ class Host(Protocol):
         """Run slow work in the thread of a session."""
 
     def advance(self, connection: Any, session: Session, command: Any, ticks: int) -> Awaitable[None]:
-        """Fly some ticks."""
+        """Advance a session by ``ticks`` with a command."""
 
     def watch(self, connection: Any, session: int | None, period: float, stop: bool) -> None:
         """Start or stop sending a session's states to a connection."""
@@ -119,19 +119,19 @@ class Client(Protocol):
         """Send bytes of whole messages."""
 
     def hold_frame(self, content: bytes) -> None:
-        """Send bytes of whole messages with the next ones."""
+        """Hold bytes of whole messages until the next send."""
 
     def acknowledge(self, error: str | None = None, note: str = "") -> None:
-        """Send an ACK."""
+        """Send an ACK, or an error if a text is given."""
 
     def any_session(self) -> Session | EpisodeSession:
         """Return the client's session of either kind."""
 
     def required_session(self) -> Session:
-        """Return the session, a simulation."""
+        """Return the client's session of a simulation; raises UsageError without one."""
 
     def required_episodes(self) -> EpisodeSession:
-        """Return the session, episodes of a task."""
+        """Return the client's session of a task's episodes; raises UsageError without one."""
 
     def pause(self, seconds: float) -> Awaitable[None]:
         """Wait for a time [s]; end early if the client leaves."""

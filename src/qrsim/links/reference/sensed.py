@@ -52,7 +52,7 @@ class Sensed:
         self._heard: list[list[Readings.Heard]] = []
 
     def frame(self, kind: Message.Type, rows: Sequence[int], truth: bool, missed: int = 0) -> bytes:
-        """Return a framed message with the stamped readings of some vehicles, selected by index.
+        """Return a framed message with the stamped readings of the vehicles with indices ``rows``.
 
         Args:
             kind: READINGS or SENSED.
@@ -121,7 +121,7 @@ class _FleetSensed:
         self._values = self._reading = None
 
     def _measured(self) -> tuple[NumpyArray, NumpyArray]:
-        """Return the readings (n, W), their times (n, S) [s], and whether each is fresh (n, S) bool."""
+        """Return the readings (n, V), their times (n, S) [s], and whether each is fresh (n, S) bool."""
         if self._values is None:
             simulation = self._simulation
             floats = np.asarray(simulation.packed[1][0])

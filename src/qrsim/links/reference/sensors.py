@@ -63,7 +63,7 @@ class SensorPart:
     sources: list[tuple[NumpyArray, Derive | None]]
 
     def values(self, floats: NumpyArray) -> NumpyArray:
-        """Return the numbers (n, W) of all fields."""
+        """Return the numbers (n, V) of all fields."""
         found = []
         for places, derive in self.sources:
             numbers = floats.take(places)

@@ -87,7 +87,7 @@ class Server:
     # ---- life ----
 
     async def serve(self, ready: Callable[[str, int], None] = lambda host, port: None) -> None:
-        """Listen until ``stop``.
+        """Listen and answer clients until ``stop``; ``ready`` is called with host and port.
 
         Args:
             ready: called with the address as soon as clients can connect.
@@ -285,7 +285,7 @@ class Server:
             ending.add_done_callback(self._endings.discard)
 
     def _owner_leaves(self) -> bool:
-        """Return whether a session is ending or its owner is disconnecting."""
+        """Return whether a session is ending or the connection that owns it is closing."""
         return self._ending > 0 or any(
             other.session is not None and other.leaving.is_set() for other in self._connections
         )

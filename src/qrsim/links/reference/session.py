@@ -203,7 +203,7 @@ class Session:
     # ---- steps ----
 
     def ticks(self, dt: float) -> int:
-        """Convert a simulated time to a number of time steps.
+        """Return the number of time steps in ``dt`` [s]; raises UsageError unless it is a whole number above 0.
 
         Raises:
             UsageError: it is not a positive multiple.
@@ -223,14 +223,14 @@ class Session:
         return seconds * max(1.0, ticks / measured)
 
     def piece(self, command: object, ticks: int) -> int:
-        """Return how many of the ticks to advance in one call."""
+        """Return how many of ``ticks`` to advance in one call, so that it takes about PIECE_S."""
         if _command_kind(command) not in self._seconds:
             return min(ticks, PIECE_TICKS)
         seconds, measured = self._seconds[_command_kind(command)]
         return min(ticks, max(PIECE_TICKS, int(PIECE_S * measured / seconds)))
 
     def advance(self, command: object, ticks: int) -> None:
-        """Advance by some ticks.
+        """Advance by a number of ticks with a command.
 
         Raises:
             UsageError: the command cannot be flown; nothing has changed.
@@ -257,7 +257,7 @@ class Session:
             self.simulation.advance(command, ticks)
 
     def set_state(self, given: Sequence[Arrayd]) -> None:
-        """Set the vehicles' states.
+        """Set the vehicles' states from rows of 3, 6, 12 or 13 numbers; raises UsageError for invalid ones.
 
         Raises:
             UsageError: wrong numbers, or a state beyond area and limits or in collision.
@@ -276,11 +276,11 @@ class Session:
     # ---- what is kept ----
 
     def more_columns(self) -> dict[str, list[Column]]:
-        """Return the additional columns that this kind of session records."""
+        """Return the extra columns that a subclass records; none here."""
         return {}
 
     def more_values(self) -> dict[str, Values]:
-        """Return the values (T, n) of the additional columns for the last ticks flown."""
+        """Return the values (T, n) of a subclass's extra columns for the last ticks; none here."""
         return {}
 
     def _record_history(self, history: History) -> None:

@@ -26,7 +26,7 @@ def _shared_world(client: Client) -> Sharing:
 
 
 def has_no_owner(server: Host, name: str) -> UsageError:
-    """Return the reason for refusing a request that only the owner of a world can make."""
+    """Return the error for a request (``name``) that only the owner of a world can make."""
     return UsageError(
         f"{name}: this server's world is shared by its clients (--pace {server.options.pace}); CLAIM vehicles of it, "
         "and send COMMANDs"
@@ -41,7 +41,7 @@ def _checked_names(names: Sequence[object]) -> list[str]:
 
 
 async def claim(client: Client, message: Message) -> None:
-    """Claim vehicles."""
+    """Claim vehicles for the client, and send all that it has."""
     sharing, request = _shared_world(client), message.claim
     session, default = sharing.session, client.server.options.silence
     silence = None
@@ -67,7 +67,7 @@ async def claim(client: Client, message: Message) -> None:
 
 
 async def release(client: Client, message: Message) -> None:
-    """Give vehicles back to the guidance of their scenario."""
+    """Return vehicles to their scenario's guidance, and acknowledge it."""
     _shared_world(client).release(client, _checked_names(message.release.vehicle))
     client.acknowledge()
 

@@ -92,7 +92,7 @@ class Sharing:
         return plant.claims.of(client.number)
 
     def release(self, client: Client, names: Sequence[str] = ()) -> None:
-        """Give a client's vehicles back to the guidance of their scenario; raises UsageError."""
+        """Return a client's vehicles to their scenario's guidance; raises UsageError."""
         found = self.session.plant.release(client.number, names)
         if found:
             self._server.say(f"client {client.number} releases {_quoted_names(found)}")
@@ -108,7 +108,7 @@ class Sharing:
         self._advance_if_ready()
 
     def check_alone(self, client: Client, what: str) -> None:
-        """Check that no other client flies in this world; raises UsageError."""
+        """Raise UsageError if another client has claimed vehicles in this world."""
         claims = self.session.plant.claims
         for other in claims.holders:
             if other != client.number:
@@ -120,7 +120,7 @@ class Sharing:
     # ---- orders ----
 
     def order(self, client: Client, orders: Sequence[Order], source_tick: int | None) -> int:
-        """Take orders, and return the tick from which they are flown; raises UsageError."""
+        """Take orders, and return the tick at which they take effect; raises UsageError."""
         plant = self.session.plant
         plant.check(client.number, orders)
         plant.order(orders, source_tick)

@@ -48,7 +48,7 @@ _GAINS = [field.name for field in dataclasses.fields(OffboardController)]
 
 
 def offboard(scenario: Scenario) -> Scenario:
-    """Return a scenario whose fleets accept every kind of set-point; gains are kept by name.
+    """Return a scenario with controllers that accept every kind of set-point, keeping gains of the same name.
 
     Fleets whose controller takes them all keep it, as do vehicles that this one does not fly.
     """
@@ -91,7 +91,7 @@ class Tasks:
         return [*own, *(name for name in built_in_names() if name not in own), *REFERENCE_TASKS]
 
     def offboard(self, name: str) -> Scenario:
-        """Return the scenario of a task, accepting commands of every kind.
+        """Return the scenario of a task, changed to accept every kind of command; raises UsageError if unknown.
 
         Raises:
             UsageError: no task is called so.
@@ -102,7 +102,7 @@ class Tasks:
         return self._loaded[known]
 
     def flown(self, scenario: Scenario) -> Scenario:
-        """Return the scenario of a task that accepts commands of every kind and has injectable parts."""
+        """Return a scenario changed to accept commands of every kind, with injectable parts."""
         return offboard(with_injectable(scenario, of_those(scenario, self._injectable)))
 
     def scenario(self, name: str) -> Scenario:
@@ -119,7 +119,7 @@ class Tasks:
         raise UsageError(f"no task is called '{_shortened(name)}'{did_you_mean(name[:100], self.names)}")
 
     def _known_name(self, name: str) -> str:
-        """Return our name of a task; "" for the operator's scenario, by whichever of its names."""
+        """Return our name of a task; "" for any name of the operator's scenario."""
         return "" if self.own and {name, ours(name)} & self._own_names else ours(name)
 
 

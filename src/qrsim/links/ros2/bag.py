@@ -108,7 +108,7 @@ def _write_messages(types: Types, recorded: Recorded, folder: Path, version: Lit
 
 
 def _bag_qos(quality: t.Quality) -> Qos:
-    """Return the QoS of a topic as rosbags stores it."""
+    """Return the QoS of a topic in the form that rosbags stores."""
     profile = PROFILES[quality]
     return Qos(
         QosHistory.KEEP_LAST,

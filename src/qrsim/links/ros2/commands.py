@@ -70,12 +70,12 @@ Wish = Motion | Place | Tilt | Thrust
 
 
 def topics_of(namespace: str, kinds: Any) -> list[tuple[str, Topic]]:
-    """Return (what it commands, topic) for every topic that a vehicle with some kinds of orders subscribes to."""
+    """Return (kind of command, topic) for every topic that a vehicle with these kinds of orders subscribes to."""
     return [(own, Topic(f"/{namespace}/{own}", kind, "command")) for own, kind, order in TAKEN if order in kinds]
 
 
 def wish_of(own: str, message: Message) -> Wish:
-    """Convert a message to the command that it requests.
+    """Convert a message on topic ``own`` to the command that it requests; raises UsageError for an invalid one.
 
     Args:
         own: name of its topic after the namespace.
@@ -127,7 +127,7 @@ def _vector(own: str, name: str, vector: object) -> tuple[float, float, float]:
 
 
 def _axes(record: object, names: str) -> list[tuple[str, float]]:
-    """Return (name, value) of some fields of a message."""
+    """Return (name, value) for each one-letter field of a message in ``names``."""
     return [(axis, float(getattr(record, axis))) for axis in names]
 
 

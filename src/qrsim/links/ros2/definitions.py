@@ -42,7 +42,7 @@ def _parsed_fields(text: str, name: str) -> tuple[list[Any], Fields]:
 
 
 def service_types(name: str, info: Fields) -> dict[str, tuple[list[Any], Fields]]:
-    """Return the types of which the hash of a service is made: the service, its event, and what the event has.
+    """Return the types from which a service's hash is computed: the service, its event, and ServiceEventInfo.
 
     Args:
         name: of the service, such as "std_srvs/srv/Trigger".

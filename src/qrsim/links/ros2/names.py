@@ -9,7 +9,7 @@ EARTH, MAP = "earth", "map"
 
 
 def namespaces(names: Sequence[str]) -> list[str]:
-    """Return a namespace for each vehicle: its name, with _ for what ROS does not allow, and none twice."""
+    """Return a unique ROS namespace for each vehicle: its name, with _ for characters that ROS does not allow."""
     found: list[str] = []
     for name in names:
         own = re.sub(r"__+", "_", re.sub(r"[^A-Za-z0-9_]", "_", name)) or "vehicle"
@@ -23,30 +23,30 @@ def namespaces(names: Sequence[str]) -> list[str]:
 
 
 def base_link(namespace: str) -> str:
-    """Return the frame of a vehicle: forward, left, up."""
+    """Return the name of the vehicle's body frame: forward, left, up."""
     return f"{namespace}/base_link"
 
 
 def gnss_link(namespace: str) -> str:
-    """Return the frame of its GNSS receiver."""
+    """Return the name of the frame of the vehicle's GNSS receiver."""
     return f"{namespace}/gnss"
 
 
 def range_link(namespace: str) -> str:
-    """Return the frame of its rangefinder, whose x axis is the beam."""
+    """Return the name of the frame of the vehicle's rangefinder, with the beam along x."""
     return f"{namespace}/range"
 
 
 def scan_link(namespace: str) -> str:
-    """Return the frame of its lidar: the rays are in the plane of x and y."""
+    """Return the name of the frame of the vehicle's lidar, with the rays in the plane of x and y."""
     return f"{namespace}/scan"
 
 
 def neighbours_link(namespace: str) -> str:
-    """Return the frame of its sensor of neighbours."""
+    """Return the name of the frame of the vehicle's neighbour sensor."""
     return f"{namespace}/neighbours"
 
 
 def beacon(number: int) -> str:
-    """Return the frame of a beacon, by its number in the scenario."""
+    """Return the name of the frame of a beacon, by its number in the scenario."""
     return f"beacon_{number}"

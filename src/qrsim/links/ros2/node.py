@@ -52,4 +52,4 @@ class Node(Protocol):
         """Announce the topics of this node, once all are created."""
 
     def remarks(self) -> list[str]:
-        """Return lines about other nodes that have begun to use a topic of this node in a way that cannot work."""
+        """Return a warning for each topic of this node that another node has begun to use incompatibly."""

@@ -36,7 +36,7 @@ _MOST_AT_ONCE = 32
 
 
 def checked_domain(domain: int) -> int:
-    """Check the number of a domain and return it; raises UsageError."""
+    """Return a DDS domain number unchanged; raises UsageError if it is out of range."""
     if not 0 <= domain <= LAST_DOMAIN:
         raise UsageError(f"domain {domain}: expected 0 to {LAST_DOMAIN}, as ROS_DOMAIN_ID")
     return domain
@@ -111,7 +111,7 @@ class Participant:
         return Service(self._types, kind, self._rtps, raw)
 
     def announce(self) -> None:
-        """Tell other nodes which readers and writers are this node's."""
+        """Publish which readers and writers belong to this node (ros_discovery_info)."""
         if self._info is None:
             kind = self._types.sample(_INFO)
             topic = DdsTopic(self._participant, _DISCOVERY, kind)
@@ -125,7 +125,7 @@ class Participant:
         self._info.write(self._types.encode(info))
 
     def remarks(self) -> list[str]:
-        """Return a line for every topic of this node that another node has begun to use in a way that cannot work.
+        """Return a warning for each topic of this node that another node has begun to use incompatibly.
 
         The reason is another type, or a quality of service that does not match; the words are those of rclcpp.
         """

@@ -50,7 +50,7 @@ class Perceived:
             first += fleet.size
 
     def new(self) -> Iterator[tuple[int, bytes]]:
-        """Yield number of the topic and message of the readings that have been delivered at the present tick."""
+        """Yield (topic number, message) of the readings that were delivered at the present tick."""
         for fleet, number, part in self._parts:
             fresh, times = delivery(self._simulation, fleet, number)
             if any(fresh):
@@ -70,20 +70,20 @@ class _Part:
         self.begin()
 
     def begin(self) -> None:
-        """Add the topics of a fleet."""
+        """Add the topics of a fleet; does nothing unless a subclass overrides it."""
 
     def messages(self, reading: object, row: int, time: float) -> Iterator[tuple[int, bytes]]:
-        """Yield topics and messages of the reading of a vehicle, by its row in the fleet."""
+        """Yield (topic number, message) of a vehicle's reading, selected by its row in the fleet."""
         raise NotImplementedError
 
 
 class _Scans(_Part):
     def begin(self) -> None:
-        """Add a topic for each vehicle."""
+        """Add a scan topic for each vehicle."""
         self._topics = [self.add(Topic(f"/{space}/scan", SCAN, "sensor")) for space in self.spaces]
 
     def messages(self, reading: Any, row: int, time: float) -> Iterator[tuple[int, bytes]]:
-        """Yield the scan, from right to left; infinite where nothing came back (REP-117)."""
+        """Yield (topic number, LaserScan), from right to left; infinite where nothing was hit (REP-117)."""
         sensor, message = self.sensor, stamped(self.types, SCAN, time, scan_link(self.spaces[row]))
         angles = ray_angles(sensor.rays, sensor.field_of_view_rad)
         message.angle_min, message.angle_max = -float(angles[-1]), -float(angles[0])
@@ -99,7 +99,7 @@ class _Scans(_Part):
 
 class _Ranges(_Part):
     def begin(self) -> None:
-        """Add a topic for each vehicle and each beacon or vehicle that it ranges to."""
+        """Add a topic for each vehicle and each beacon or vehicle to which it measures a range."""
         sensor = self.sensor
         beacons = 0 if sensor.beacon_ned is None else sensor.beacon_ned.x.shape[0]
         others = {"none": [], "fleet": self.spaces, "all": list(self.everybody)}[sensor.vehicles]
@@ -129,11 +129,11 @@ class _Ranges(_Part):
 
 class _Neighbours(_Part):
     def begin(self) -> None:
-        """Add a topic for each vehicle."""
+        """Add a topic of neighbours for each vehicle."""
         self._topics = [self.add(Topic(f"/{space}/neighbours", POSES, "sensor")) for space in self.spaces]
 
     def messages(self, reading: Any, row: int, time: float) -> Iterator[tuple[int, bytes]]:
-        """Yield the positions of the neighbours that a vehicle sees, the nearest first."""
+        """Yield (topic number, message) with the positions of the visible neighbours, the nearest first."""
         places = flu_of(np.asarray(reading.position, np.float64)[row])
         message = stamped(self.types, POSES, time, neighbours_link(self.spaces[row]))
         point, turn, pose = (self.types[f"geometry_msgs/msg/{name}"] for name in ("Point", "Quaternion", "Pose"))

@@ -64,7 +64,7 @@ class Pilots:
         self.restart()
 
     def restart(self) -> None:
-        """Begin an episode: all vehicles fly by their guidance."""
+        """Start an episode: all vehicles fly by their scenario's guidance."""
         self._pilots = [Pilot() for _ in self._names]
         self._home = np.asarray(self._simulation.truth.position_ned, np.float64).copy()
         for name in self._names:
@@ -72,11 +72,11 @@ class Pilots:
 
     @property
     def modes(self) -> list[str]:
-        """Return by which kind of command each vehicle flies."""
+        """Return for each vehicle the kind of command that it flies, such as "position"."""
         return [pilot.mode for pilot in self._pilots]
 
     def ask(self, row: int, wish: Wish) -> None:
-        """Store a command that was requested for a vehicle."""
+        """Store a requested command for a vehicle; a position takes effect at once."""
         pilot = self._pilots[row]
         pilot.tick, pilot.at = self._simulation.tick, time.monotonic()
         if isinstance(wish, Thrust):
@@ -104,7 +104,7 @@ class Pilots:
 
     @property
     def waited_for(self) -> bool:
-        """Return whether a vehicle flown by motions or attitudes has received none at the present tick."""
+        """Return whether a vehicle flown by motions or attitudes still lacks its command for the present tick."""
         tick = self._simulation.tick
         return any(
             pilot.wish is not None and pilot.tick < tick and not self._is_silent(pilot) for pilot in self._pilots

@@ -95,7 +95,7 @@ class Publications:
         news: Mapping[int, News],
         true: NumpyArray | None,
     ) -> Iterator[tuple[int, bytes]]:
-        """Yield (number of the topic, message) of everything published at a tick.
+        """Yield (topic number, message) of everything published at a tick.
 
         Args:
             tick: its number.
@@ -127,7 +127,7 @@ class Publications:
             yield from self._true_messages(true, stamp_of(tick * self._dt))
 
     def _filled_numbers(self, values: NumpyArray) -> NumpyArray:
-        """Return the numbers (n, WIDTH) of messages, with the variances of sensors filled in."""
+        """Return the message values (n, WIDTH), with the variances of sensors filled in."""
         numbers = n.seen(values)
         still, growth, turn = self._noise
         measured = np.where(np.isfinite(numbers[:, n.RANGE]), numbers[:, n.RANGE], 0.0)
@@ -143,7 +143,7 @@ class Publications:
         return not every or tick // self._each % max(1, round(every / (self._dt * self._each))) == 0
 
     def _true_messages(self, true: NumpyArray, stamp: tuple[int, int]) -> Iterator[tuple[int, bytes]]:
-        """Yield (number of the topic, message) of the true states."""
+        """Yield (topic number, message) of the true states."""
         for own, row in zip(self._true, true.tolist(), strict=True):
             for topic, publication in own:
                 message = publication.message(row, *stamp)

@@ -73,7 +73,7 @@ class Recorded:
             first += fleet.size
 
     def sensor(self, fleet: int, column: int) -> Any:
-        """Return the sensor, by its number in a fleet, that fills a column (shared/sight.py); None without one."""
+        """Return the sensor that fills a column of ``shared.sight``, by a fleet's number; None without one."""
         number = self._sensors[fleet].get(column)
         return None if number is None else self.world.fleets[fleet].sensors[number]
 
@@ -118,7 +118,7 @@ class Recorded:
     def ticks(
         self, columns: Sequence[int]
     ) -> Iterator[tuple[int, float, NumpyArray, dict[int, News], NumpyArray | None, NumpyArray]]:
-        """Yield number and time [s] of each tick, known values, news of sensors, truth, and commands.
+        """Yield for each tick its number, time [s], known values, new readings, truth and commands.
 
         Commands are numbers (n, WIDTH) of ``numbers.asked``, of the step that ends with the tick.
 
@@ -165,7 +165,7 @@ class Recorded:
         return values
 
     def _command_numbers(self, ticks: NumpyArray, yaw: NumpyArray) -> NumpyArray:
-        """Return the numbers (T, n, WIDTH) of the commands of quadrotors; NaN for others."""
+        """Return the message values (T, n, WIDTH) of quadrotors' commands; NaN for other vehicles."""
         names, shape = ("pitch", "roll", "throttle", "yaw_rate"), (len(ticks), len(self.names))
         found = np.full((*shape, len(names)), np.nan)
         if set(names) <= set(self._stream_columns("commands")):
@@ -173,7 +173,7 @@ class Recorded:
         return n.asked(found.reshape(-1, len(names)), yaw.reshape(-1)).reshape(*shape, n.WIDTH)
 
     def _true_numbers(self, ticks: NumpyArray) -> NumpyArray | None:
-        """Return the numbers (T, n, WIDTH) of true motion and wind at ticks, None if the run lacks them."""
+        """Return the message values (T, n, WIDTH) of true motion and wind; None if the run lacks them."""
         if not self.has_truth:
             return None
 

@@ -129,11 +129,11 @@ class Server:
         self._pilots.restart()
 
     def _new_metronome(self) -> Metronome:
-        """Return a new metronome that starts at the present time."""
+        """Return a new metronome (pace keeper) that starts at the present time."""
         return Metronome(self._options.factor, self.simulation.time, self.simulation.world.time_step)
 
     def serve(self, until: float = math.inf) -> None:
-        """Run until interrupted, or up to a simulated time [s]."""
+        """Fly and publish ticks until interrupted, or up to a simulated time ``until`` [s]."""
         self._pacer = self._new_metronome()
         self.publish()
         while self.simulation.time < until:
@@ -180,7 +180,7 @@ class Server:
         self._publish_status()
 
     def _off_prefixes(self) -> tuple[str, ...]:
-        """Return the topic prefixes of the vehicles whose link is off."""
+        """Return the topic prefixes, such as "/uav1/", of the vehicles whose link has failed."""
         unlinked = self.simulation.unlinked
         if not unlinked:
             return ()
@@ -217,7 +217,7 @@ class Server:
             self._say(line)
 
     def _send_by_radio(self) -> None:
-        """Pass messages to the radios of vehicles."""
+        """Pass received messages to the radios of vehicles."""
         for said in self._saying.items():
             try:
                 checked = hand_over(self.simulation, self.messages.namespaces, [said])

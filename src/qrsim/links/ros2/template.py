@@ -13,9 +13,20 @@ from qrsim.links.ros2.typestore import Types
 
 HEADER = 4
 _CODES = {
-    "bool": "?", "byte": "B", "char": "B", "uint8": "B", "int8": "b", "uint16": "H", "int16": "h", "uint32": "I",
-    "int32": "i", "uint64": "Q", "int64": "q", "float32": "f", "float64": "d",
-}  # fmt: skip
+    "bool": "?",
+    "byte": "B",
+    "char": "B",
+    "uint8": "B",
+    "int8": "b",
+    "uint16": "H",
+    "int16": "h",
+    "uint32": "I",
+    "int32": "i",
+    "uint64": "Q",
+    "int64": "q",
+    "float32": "f",
+    "float64": "d",
+}
 Put = Callable[..., None]
 
 
@@ -40,7 +51,7 @@ class Template:
         self._scan_message("", message.__msgtype__, message, 0)
 
     def putter(self, *paths: str) -> Put:
-        """Return a function that writes numbers at paths, one argument for each, and for each element of an array.
+        """Return a function that writes numbers into the message at paths, in the order of its arguments.
 
         Args:
             paths: such as "pose.covariance", or "pose.covariance[7]" for one element.
@@ -112,7 +123,7 @@ class Template:
 
 
 def _putter(cdr: bytearray, runs: Sequence[tuple[int, str]]) -> Put:
-    """Return a function that packs its arguments into runs (offset, struct format) of a message."""
+    """Return a function that packs its arguments into the runs (offset, struct format) of an encoded message."""
     parts, first = [], 0
     for offset, form in runs:
         packer = struct.Struct(form)

@@ -45,22 +45,22 @@ class Kind:
 
 
 def _three_columns(first: int) -> tuple[int, ...]:
-    """Return three columns that follow each other."""
+    """Return ``first`` and the next two column numbers."""
     return first, first + 1, first + 2
 
 
 def _vector_fields(path: str, first: int) -> tuple[tuple[str, tuple[int, ...]], ...]:
-    """Return (path, column) of the x, y, z of a vector."""
+    """Return (path, column number) of x, y, z of a vector, from the column ``first`` on."""
     return tuple((f"{path}.{axis}", (column,)) for axis, column in zip("xyz", _three_columns(first), strict=True))
 
 
 def _quaternion_fields(path: str, first: int) -> tuple[tuple[str, tuple[int, ...]], ...]:
-    """Return (path, column) of the x, y, z, w of a quaternion."""
+    """Return (path, column number) of x, y, z, w of a quaternion, from the column ``first`` on."""
     return (*_vector_fields(path, first), (f"{path}.w", (first + 3,)))
 
 
 def _diagonal_fields(path: str, size: int, columns: tuple[int, ...]) -> tuple[tuple[str, tuple[int, ...]], ...]:
-    """Return (path, column) of the diagonal of a covariance (size, size)."""
+    """Return (path, column number) of the diagonal of a covariance (size, size)."""
     return tuple((f"{path}[{i * (size + 1)}]", (column,)) for i, column in enumerate(columns))
 
 
@@ -207,23 +207,35 @@ TRUE_KINDS = (
 # What its controller asks a quadrotor for, of recorded runs only: a live world takes these topics as commands.
 ASKED_KINDS = (
     Kind(
-        "setpoint_attitude/attitude", "geometry_msgs/msg/PoseStamped", "reliable", "map",
-        _quaternion_fields("pose.orientation", n.ASKED_ORIENTATION), (n.ASKED_ORIENTATION,),
+        "setpoint_attitude/attitude",
+        "geometry_msgs/msg/PoseStamped",
+        "reliable",
+        "map",
+        _quaternion_fields("pose.orientation", n.ASKED_ORIENTATION),
+        (n.ASKED_ORIENTATION,),
     ),
     Kind(
-        "setpoint_attitude/cmd_vel", "geometry_msgs/msg/TwistStamped", "reliable", "base_link",
-        (("twist.angular.z", (n.ASKED_YAW_RATE,)),), (n.ASKED_YAW_RATE,),
+        "setpoint_attitude/cmd_vel",
+        "geometry_msgs/msg/TwistStamped",
+        "reliable",
+        "base_link",
+        (("twist.angular.z", (n.ASKED_YAW_RATE,)),),
+        (n.ASKED_YAW_RATE,),
     ),
     Kind(
-        "setpoint_attitude/thrust", "std_msgs/msg/Float32", "reliable", "base_link",
-        (("data", (n.ASKED_THROTTLE,)),), (n.ASKED_THROTTLE,),
+        "setpoint_attitude/thrust",
+        "std_msgs/msg/Float32",
+        "reliable",
+        "base_link",
+        (("data", (n.ASKED_THROTTLE,)),),
+        (n.ASKED_THROTTLE,),
     ),
-)  # fmt: skip
+)
 STATE, STATE_TYPE = "state", "std_msgs/msg/String"
 
 
 def frame_of(kind: Kind, namespace: str) -> str:
-    """Return the frame of the header of a vehicle's message."""
+    """Return the frame_id of a vehicle's message of a kind."""
     if kind.frame == "map":
         return MAP
     return {"base_link": base_link, "gnss": gnss_link, "range": range_link}[kind.frame](namespace)

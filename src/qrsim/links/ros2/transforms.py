@@ -61,7 +61,7 @@ class Transforms:
         self._templates: dict[bytes, tuple[Template, list[Put]]] = {}
 
     def message(self, numbers: NumpyArray, stamps: Sequence[tuple[int, int]]) -> bytes:
-        """Return the message for numbers (n, WIDTH), with the stamps of the n vehicles."""
+        """Return the encoded /tf message for message values (n, WIDTH), with the stamps of the n vehicles."""
         poses = numbers[:, _COLUMNS]
         known = np.isfinite(poses).all(axis=1)
         key = known.tobytes()

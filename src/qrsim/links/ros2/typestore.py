@@ -22,10 +22,20 @@ DISTROS = ("humble", "iron", "jazzy", "kilted", "lyrical")
 # Humble knows no type hashes.
 _WITHOUT_HASHES = ("humble",)
 _PRIMITIVES: dict[str, Any] = {
-    "bool": bool, "byte": idl.uint8, "char": idl.uint8, "uint8": idl.uint8, "int8": idl.int8, "uint16": idl.uint16,
-    "int16": idl.int16, "uint32": idl.uint32, "int32": idl.int32, "uint64": idl.uint64, "int64": idl.int64,
-    "float32": idl.float32, "float64": idl.float64,
-}  # fmt: skip
+    "bool": bool,
+    "byte": idl.uint8,
+    "char": idl.uint8,
+    "uint8": idl.uint8,
+    "int8": idl.int8,
+    "uint16": idl.uint16,
+    "int16": idl.int16,
+    "uint32": idl.uint32,
+    "int32": idl.int32,
+    "uint64": idl.uint64,
+    "int64": idl.int64,
+    "float32": idl.float32,
+    "float64": idl.float64,
+}
 
 
 class Types:
@@ -56,14 +66,14 @@ class Types:
         return self.store.types[name]
 
     def hash(self, name: str) -> str:
-        """Return the RIHS01 hash of a type; empty where the distribution knows none."""
+        """Return the RIHS01 hash of a type; "" for a distribution without hashes."""
         if self.distro in _WITHOUT_HASHES:
             return ""
         found: str = self.store.hash_rihs01(name)
         return found
 
     def service_hash(self, name: str) -> str:
-        """Return the RIHS01 hash of a service; empty where the distribution knows none."""
+        """Return the RIHS01 hash of a service; "" for a distribution without hashes."""
         if self.distro in _WITHOUT_HASHES:
             return ""
         # A copy of the store, for types of events are of no other use.
@@ -73,11 +83,11 @@ class Types:
         return found
 
     def encode(self, message: Message) -> bytes:
-        """Return a message as CDR."""
+        """Encode a message as CDR bytes."""
         return bytes(self.store.serialize_cdr(message, message.__msgtype__))
 
     def decode(self, cdr: bytes, name: str) -> object:
-        """Return the message of a type in CDR."""
+        """Decode CDR bytes to a message of a type."""
         return self.store.deserialize_cdr(cdr, name)
 
     def heard(self, samples: Iterable[bytes], name: str) -> list[Any]:
@@ -107,7 +117,7 @@ class Types:
         return self._samples[name]
 
     def _struct(self, name: str, alone: bool = False) -> Any:
-        """Return a DDS struct as rmw_cyclonedds describes the type: final, members called as in ROS."""
+        """Return the DDS struct type of a message type as rmw_cyclonedds describes it; ``alone``: a fresh one."""
         if name in self._structs and not alone:
             return self._structs[name]
         fields = {field: self._dds_type(description) for field, description in self.fields(name)}

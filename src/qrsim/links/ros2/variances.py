@@ -18,7 +18,7 @@ _MICRO = 1e-6
 
 
 def of_rates(sensor: object, vehicle: int) -> float:
-    """Return the variance of a rate [rad^2/s^2] that a sensor measures on one vehicle."""
+    """Return the variance [rad^2/s^2] of a gyroscope's or IMU's rate for one vehicle; 0 for other sensors."""
     if isinstance(sensor, Imu):
         return _white(sensor.gyroscope_noise, sensor.period, vehicle)
     return own(sensor.white_std, vehicle) ** 2 if isinstance(sensor, Gyroscope) else 0.0
@@ -47,7 +47,7 @@ def of_attitude(sensor: object, vehicle: int) -> float:
 
 
 def of_range(sensor: object, vehicle: int) -> tuple[float, float]:
-    """Return the std of a range at distance 0 [m], and its growth with distance [1]."""
+    """Return a rangefinder's standard deviation at distance 0 [m], and its growth with distance [1]."""
     if not isinstance(sensor, Rangefinder):
         return 0.0, 0.0
     return own(sensor.noise_std, vehicle), own(sensor.noise_per_range, vehicle)
@@ -59,6 +59,6 @@ def _white(density: object, period: float, vehicle: int) -> float:
 
 
 def own(value: object, vehicle: int) -> float:
-    """Return the parameter of one vehicle of a fleet."""
+    """Return one vehicle's value of a parameter that is either one for all or one per vehicle."""
     numbers = np.asarray(value, np.float64)
     return float(numbers if numbers.ndim == 0 else numbers[vehicle])

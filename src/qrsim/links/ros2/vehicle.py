@@ -86,7 +86,7 @@ class Publication:
 
 
 def kinds_of(sensors: Sensors, drains: bool, windy: bool) -> list[Kind]:
-    """Return the kinds of messages that a vehicle publishes of its estimates and readings, by its sensors.
+    """Return the kinds of messages that a vehicle with these sensors publishes.
 
     Args:
         sensors: of the vehicle.
@@ -108,7 +108,7 @@ def _of_imu(sensors: Sensors) -> tuple[tuple[int, ...], int, tuple[str, ...]]:
 
 
 def _no_constants(message: object, sensors: Sensors, number: int) -> None:
-    """Leave the message as it is."""
+    """Do nothing: the message has no constants."""
 
 
 def _set_fix(message: Message, sensors: Sensors, number: int) -> None:

@@ -73,7 +73,7 @@ class ZenohNode:
         self._declare("NN", "")
 
     def has_router(self, patience: float) -> bool:
-        """Return whether a router answers within some seconds."""
+        """Return whether a zenoh router answers within ``patience`` [s]."""
         end = time.monotonic() + patience
         while not self._session.info.routers_zid():
             if time.monotonic() > end:
@@ -130,7 +130,7 @@ class ZenohNode:
         """Do nothing: liveliness tokens have announced every topic."""
 
     def remarks(self) -> list[str]:
-        """Return a line for every topic that this node reads and another has begun to write as another type.
+        """Return a warning for each topic that this node reads and another node writes with another type.
 
         Qualities of service need not match: rmw_zenoh delivers whatever they are.
         """
@@ -163,7 +163,7 @@ class ZenohNode:
         return f"/{_mangled(topic.name)}/{dds_name(topic.type)}/{self._type_hash(topic.type)}/{_qualities(profile)}"
 
     def _declare(self, what: str, told: str) -> str:
-        """Declare a token of this node (NN), or of a publisher (MP) or subscriber (MS) of its, and return it."""
+        """Declare a liveliness token of this node (NN), a publisher (MP) or a subscriber (MS); return the token."""
         token = f"@ros2_lv/{self._domain}/{self._zid}/0/{self._entities}/{what}/%/%/{self._node}{told}"
         self._entities += 1
         self._kept.append(self._session.liveliness().declare_token(token))
@@ -171,7 +171,7 @@ class ZenohNode:
 
 
 def _config(router: str, listen: str) -> object:
-    """Return the settings of a session, as rmw_zenoh's for nodes, except that it goes on without a router."""
+    """Return the zenoh session settings of rmw_zenoh's nodes, but a missing router is no error."""
     config = zenoh.Config()
     for path, value in (
         ("mode", "peer"),
@@ -187,7 +187,7 @@ def _config(router: str, listen: str) -> object:
 
 
 def _qualities(profile: Profile) -> str:
-    """Return qualities of service as tokens have them."""
+    """Return a QoS profile as text in the form of liveliness tokens."""
     reliability = "" if profile.reliable else _BEST_EFFORT
     durability = _TRANSIENT_LOCAL if profile.latched else ""
     return f"{reliability}:{durability}:,{profile.depth}:,:,:,,"

@@ -19,7 +19,7 @@ SCANS, RANGINGS, NEIGHBOURS = (Scan, IdealScan), (Ranging, IdealRanging), (Neigh
 
 
 def first_of(fleet: Fleet, kinds: tuple[type, ...]) -> int | None:
-    """Return the number of the first sensor of some kinds among those of a fleet; None without one."""
+    """Return the index of a fleet's first sensor of one of some types; None without one."""
     return next((i for i, sensor in enumerate(fleet.sensors) if isinstance(sensor, kinds)), None)
 
 
@@ -68,7 +68,7 @@ class Around:
         return fleet.sensors[sensor], own, np.asarray(self._reading(fleet, sensor).range, np.float64)[own]
 
     def neighbours(self, row: int) -> Neighbours | None:
-        """Return the other vehicles that one sees, the nearest first; None without a sensor of them."""
+        """Return the neighbours that a vehicle senses, the nearest first; None without such a sensor."""
         fleet, own, _, sensor, _ = self._rows[row]
         if sensor is None:
             return None

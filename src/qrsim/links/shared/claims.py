@@ -24,7 +24,7 @@ class Claims:
         return self._holders.get(vehicle, 0)
 
     def of(self, holder: int) -> tuple[str, ...]:
-        """Return the names of a controller's vehicles, in their order in the world."""
+        """Return the names of the vehicles that a controller has claimed, in their order in the world."""
         return tuple(name for name in self._names if self._holders.get(name) == holder)
 
     @property
@@ -65,7 +65,7 @@ class Claims:
         return found
 
     def check_own(self, holder: int, name: str, what: str) -> None:
-        """Check that one has claimed a vehicle; raises UsageError."""
+        """Raise UsageError unless the controller ``holder`` has claimed the vehicle ``name``."""
         other = self.holder(name)
         if other == holder:
             return

@@ -15,7 +15,7 @@ from qrsim.world.sensing import estimate_of
 def failsafe(
     does: OnSilence, vehicle: str, believed: NumpyArray, home_ned: NumpyArray, kinds: Collection[str]
 ) -> Order | None:
-    """Return the order that a failsafe gives a silent vehicle, from its estimate; None: its guidance flies on.
+    """Return the failsafe order of a silent vehicle (stop, hold or return); None: its guidance flies on.
 
     Args:
         does: what is wanted of it.

@@ -12,7 +12,7 @@ from qrsim.world.state import World
 
 
 def put_down(content: dict[str, Any], world: World, fleets: Collection[str]) -> None:
-    """Set the starts of vehicles in a scenario's fleets to the height of the ground under them, standing on it.
+    """Move the starts of the fleets' vehicles to the ground below, standing on it; changes ``content`` in place.
 
     Args:
         content: of a scenario, which is changed.
@@ -31,7 +31,7 @@ def put_down(content: dict[str, Any], world: World, fleets: Collection[str]) -> 
 
 
 def standing(fleet: dict[str, Any], has_ground: bool) -> None:
-    """Remove the guidance from a fleet's content, so that its vehicles stand still.
+    """Remove route, legs and initial speed of a fleet's content in place, so that its vehicles stay at the start.
 
     Args:
         fleet: content, which is changed.

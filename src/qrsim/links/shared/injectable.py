@@ -23,7 +23,7 @@ DELAY_MAX = 0.5
 
 
 def may_fail(content: dict[str, Any], names: Sequence[str]) -> None:
-    """Declare parts of all fleets of a scenario's content as injectable, in place.
+    """Declare sensors and parts of all fleets as injectable; changes a scenario's content in place.
 
     Args:
         content: of the scenario.
@@ -82,7 +82,7 @@ def with_injectable(scenario: Scenario, names: Sequence[str]) -> Scenario:
 
 
 def of_those(scenario: Scenario, names: Sequence[str]) -> list[str]:
-    """Return those of the names that are sensors or parts of vehicles in a scenario."""
+    """Return the names that are sensors or parts of a vehicle in the scenario; drop the others."""
     content = scenario.spec.model_dump(mode="json")
     fleets = content["fleets"].values()
     return [

@@ -28,16 +28,29 @@ FIELDS: dict[str, tuple[tuple[str, str], ...]] = {
     "attitude_height": (("roll", "rad"), ("pitch", "rad"), ("z", "m"), ("yaw", "rad")),
     "attitude": (("roll", "rad"), ("pitch", "rad"), ("yaw", "rad"), ("throttle", "1")),
     "path": (
-        ("x", "m"), ("y", "m"), ("z", "m"),
-        ("velocity_north", "m/s"), ("velocity_east", "m/s"), ("velocity_down", "m/s"),
-        ("acceleration_north", "m/s^2"), ("acceleration_east", "m/s^2"), ("acceleration_down", "m/s^2"),
+        ("x", "m"),
+        ("y", "m"),
+        ("z", "m"),
+        ("velocity_north", "m/s"),
+        ("velocity_east", "m/s"),
+        ("velocity_down", "m/s"),
+        ("acceleration_north", "m/s^2"),
+        ("acceleration_east", "m/s^2"),
+        ("acceleration_down", "m/s^2"),
         ("yaw", "rad"),
     ),
     "track": (
-        ("begin_x", "m"), ("begin_y", "m"), ("begin_z", "m"), ("x", "m"), ("y", "m"), ("z", "m"),
-        ("radius", "m"), ("speed", "m/s"), ("stops", "1"),
+        ("begin_x", "m"),
+        ("begin_y", "m"),
+        ("begin_z", "m"),
+        ("x", "m"),
+        ("y", "m"),
+        ("z", "m"),
+        ("radius", "m"),
+        ("speed", "m/s"),
+        ("stops", "1"),
     ),
-}  # fmt: skip
+}
 # Which of their numbers are a position down, which no vehicle can be sent to below the ground.
 _DOWN = {"velocity_height": 2, "attitude_height": 2}
 # Lines and circles came after recordings had numbers for all others.
@@ -57,7 +70,7 @@ class Field:
 
 
 def kinds_of(fleet: Fleet) -> dict[str, tuple[Field, ...]]:
-    """Return the kinds of orders that the vehicles of a fleet take, with their numbers; empty if they take none."""
+    """Return order kind -> its number fields for the orders that a fleet's vehicles take; empty if none."""
     command = fleet.vehicle.command_type
     limits = limits_of(command)
     if not limits:
@@ -77,11 +90,11 @@ def _units_by_field(command: type) -> dict[str, str]:
 
 
 def record_of(kind: str, columns: NumpyArray, command: type) -> Any:
-    """Return the set-point or command of n vehicles.
+    """Return the set-point or command of n vehicles as a record of an order kind.
 
     Args:
         kind: one of NAMES.
-        columns: (W, n) its numbers; the record holds views of them.
+        columns: (V, n) its numbers; the record holds views of them.
         command: the fleet's own record, for "control".
     """
     if kind == CONTROL:
@@ -97,7 +110,7 @@ def record_of(kind: str, columns: NumpyArray, command: type) -> Any:
 
 
 def checked(order: Order, kinds: Mapping[str, tuple[Field, ...]], dtype: np.dtype[Any]) -> Order:
-    """Check an order for a vehicle that takes some kinds (``kinds_of``), and return it.
+    """Return an order unchanged; raises UsageError if the vehicle does not take its kind or a number is invalid.
 
     Raises:
         UsageError: its kind is not one that the vehicle takes, or a number is missing, not finite or out of its range.

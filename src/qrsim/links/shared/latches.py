@@ -30,7 +30,7 @@ class Latches:
     Attributes:
         names: of the n vehicles.
         codes: (n,) number of each order's kind, in NAMES from 1; 0: the guidance of the scenario.
-        numbers: (n, W) of each order; NaN beyond those of its kind.
+        numbers: (n, V) of each order; NaN beyond those of its kind.
     """
 
     def __init__(self, fleets: Sequence[Fleet], dtype: np.dtype[Any]):
@@ -60,11 +60,11 @@ class Latches:
         return self._kinds[self.names[self.row(vehicle)]]
 
     def checked(self, order: Order) -> Order:
-        """Check an order and return it; raises UsageError."""
+        """Return an order unchanged; raises UsageError if its vehicle does not take it."""
         return checked(order, self.kinds(order.vehicle), self._dtype)
 
     def put(self, order: Order) -> None:
-        """Make a checked order the one that its vehicle flies by."""
+        """Store a checked order as the one that its vehicle flies until the next."""
         row, numbers = self.row(order.vehicle), order.numbers
         self.codes[row] = _CODES[order.kind]
         self.numbers[row] = (*numbers, *self._none[len(numbers) :])
@@ -76,7 +76,7 @@ class Latches:
         self.numbers[row] = np.nan
 
     def actions(self) -> dict[str, Some]:
-        """Return what ``Simulation.step`` takes, by fleet; it is valid until the next call."""
+        """Return the action of each fleet for ``Simulation.step``; the next call overwrites its arrays."""
         return {fleet.name: fleet.filled(self.codes, self.numbers) for fleet in self._fleets}
 
 
@@ -97,7 +97,7 @@ class _FleetParts:
         self._some = Some(tuple(parts))
 
     def filled(self, codes: NumpyArray, numbers: NumpyArray) -> Some:
-        """Return the fleet's action from the codes (n,) and numbers (n, W) of all vehicles' orders."""
+        """Return the fleet's action from the codes (n,) and numbers (n, V) of all vehicles' orders."""
         codes, numbers = codes[self._own], numbers[self._own]
         for code, which, columns in self._parts:
             np.equal(codes, code, out=which)

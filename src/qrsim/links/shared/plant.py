@@ -74,7 +74,7 @@ class Plant:
         controlled: by vehicle.
         now: the tick at which what arrives now arrives.
         spoken: what is said over the radio; None: there is none.
-        flown: what the ticks since the last ``begin`` are flown by, (n,) or (n, W) each, by name.
+        flown: what the ticks since the last ``begin`` are flown by, (n,) or (n, V) each, by name.
     """
 
     def __init__(
@@ -94,11 +94,11 @@ class Plant:
         self.restart()
 
     def keep_pace(self, factor: float) -> None:
-        """Set the simulated seconds per second of the wall clock, by which silence is measured; 0: unknown."""
+        """Set the real-time factor by which silence is measured; 0: unknown."""
         self._stretch = max(1.0, factor)
 
     def restart(self) -> None:
-        """Begin an episode of the simulation: all vehicles fly by their guidance, and claims stay."""
+        """Reset for a new episode: all vehicles fly by their guidance, and claims stay."""
         before = self.controlled
         self.controlled = {name: Controlled() for name in self.latches.names}
         for name, now in self.controlled.items():
@@ -116,7 +116,7 @@ class Plant:
     # ---- what controllers ask ----
 
     def claim(self, holder: int, names: Sequence[str] = (), silence: Silence | None = None) -> tuple[str, ...]:
-        """Claim vehicles for a controller, by default all that are free, and return those that are new.
+        """Claim vehicles for a controller, by default all free ones; return the newly claimed names.
 
         Args:
             holder: number of the controller.
@@ -138,7 +138,7 @@ class Plant:
         return found
 
     def release(self, holder: int, names: Sequence[str] = ()) -> tuple[str, ...]:
-        """Give vehicles back to the guidance of their scenario, and return them; raises UsageError."""
+        """Return vehicles to their scenario's guidance; return their names; raises UsageError."""
         found = self.claims.give_back(holder, names)
         for name in found:
             self.controlled[name] = Controlled()
@@ -146,7 +146,7 @@ class Plant:
         return found
 
     def lose(self, holder: int) -> tuple[str, ...]:
-        """Free the vehicles of a controller that has left, and return them; they follow their silence behaviour."""
+        """Free the vehicles of a controller that has left; return their names; they follow their silence behaviour."""
         found = self.claims.give_back(holder)
         for name in found:
             now = self.controlled[name]
@@ -154,7 +154,7 @@ class Plant:
         return found
 
     def check(self, holder: int, orders: Sequence[Order]) -> None:
-        """Check orders of a controller.
+        """Raise UsageError if a controller may not give these orders.
 
         Raises:
             UsageError: one is for a vehicle that it has not claimed, or cannot be flown.
@@ -164,7 +164,7 @@ class Plant:
             self.latches.checked(order)
 
     def order(self, orders: Sequence[Order], source_tick: int | None = None) -> None:
-        """Take orders that have been checked; the next ``begin`` has them flown."""
+        """Queue checked orders; the next ``begin`` applies them."""
         for order in orders:
             now = self.controlled[order.vehicle]
             now.waiting, now.source_tick, now.arrival_tick = order, source_tick, self.now
@@ -186,7 +186,7 @@ class Plant:
             self.spoken.waiting[sender] = numbers, receiver
 
     def heard_until(self, holder: int, tick: int) -> None:
-        """Note that a controller sends nothing more before a tick."""
+        """Note that a controller is not silent before a tick, because it sends nothing until then."""
         for name in self.claims.of(holder):
             self.controlled[name].heard = max(self.controlled[name].heard, tick)
 
@@ -265,7 +265,7 @@ class Plant:
         return self.simulation.world.time_step
 
     def age(self, vehicle: str) -> float | None:
-        """Return how old the last order of a vehicle is [s], None where there was none."""
+        """Return the age [s] of the last order of a vehicle, None without one."""
         arrived = self.controlled[vehicle].arrival_tick
         return None if arrived is None else (self.simulation.tick - arrived) * self._dt
 

@@ -25,7 +25,7 @@ from qrsim.world.state import World
 
 # Ticks that are kept at once, which costs little more than to keep one.
 KEPT_TICKS = 25
-# Orders of one tick: arrays (n,) or (n, W) by name.
+# Orders of one tick: arrays (n,) or (n, V) by name.
 Flown = dict[str, NumpyArray]
 
 
@@ -79,7 +79,7 @@ class Recording:
         self._keeping.submit(self._write_ticks, self._world, beginning, [self._flown()])
 
     def restarted(self, row: int) -> None:
-        """Note that a vehicle, selected by its index, was reset at the present tick, before its requests."""
+        """Note that the vehicle with an index was reset at the present tick, before its requests."""
         self._restarted[row] = self._simulation.tick
 
     def said(self, messages: Sequence[tuple[int, Any, int]]) -> None:

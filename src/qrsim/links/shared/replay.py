@@ -73,7 +73,7 @@ def replay(run: Run, out: Path) -> Path:
 
 
 def put_back(simulation: Simulation, begins: NumpyArray, row: int) -> None:
-    """Put a vehicle back to its start, with a new battery.
+    """Reset a vehicle to its start, with a new battery.
 
     Args:
         simulation: in flight.
@@ -91,7 +91,7 @@ def put_back(simulation: Simulation, begins: NumpyArray, row: int) -> None:
 def _flights(
     run: Run, simulation: Simulation, beginning: History, schedule: Schedule
 ) -> Iterator[tuple[History, Values]]:
-    """Fly the recorded orders again; yield each part of the flight with its orders."""
+    """Fly the recorded orders again; yield (history, orders) of each part of the flight."""
     latches, begins = Latches(simulation.world.fleets, simulation.dtype), np.array(simulation.truth.state)
     # Recordings of versions without radio lack these columns.
     spoken = Spoken(simulation) if simulation.world.radio is not None and TICK in run[STREAM].columns() else None

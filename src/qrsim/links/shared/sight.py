@@ -102,7 +102,7 @@ class Sight:
         self.look()
 
     def has(self, column: int, row: int) -> bool:
-        """Return whether a column has a value for a vehicle."""
+        """Return whether a column can hold a value for a vehicle, because it has the sensor or estimate."""
         return bool(self._available(column)[row])
 
     def _available(self, column: int) -> NumpyArray:
@@ -132,7 +132,7 @@ class Sight:
             self.fix_time += times
 
     def news(self, column: int) -> tuple[list[bool], list[float]]:
-        """Return for each vehicle whether the sensor of a column delivered at this tick, and the reading's time [s]."""
+        """Return for each vehicle whether a column's sensor delivered at this tick, and the time [s] of its reading."""
         fresh: list[bool] = []
         times: list[float] = []
         for fleet, own in zip(self._simulation.world.fleets, self._sensors, strict=True):
@@ -159,7 +159,7 @@ class Sight:
 
 
 def complete(values: NumpyArray, site: Site, plain: NumpyArray) -> None:
-    """Compute the derived columns: geodetic positions, quaternions, types of fixes.
+    """Fill the derived columns of rows in place: geodetic positions, quaternions, GNSS fix types.
 
     Args:
         values: (R, WIDTH) rows.
@@ -197,7 +197,7 @@ def delivery(simulation: Simulation, fleet: Fleet, number: int | None) -> tuple[
 
 
 def leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any, int | None]]:
-    """Yield (column, leaf of the state, sensor number) for everything known on board a fleet's vehicles."""
+    """Yield (column, leaf of the state, sensor index or None) for all estimates and readings of a fleet's vehicles."""
     for column, leaf in _unsensed_leaves(fleet, state):
         yield column, leaf, None
     taken: set[int] = set()

@@ -37,7 +37,7 @@ class Spoken:
         self.say_again(simulation)
 
     def say_again(self, simulation: Simulation) -> None:
-        """Pass the recorded messages of the present tick to the vehicles' radios."""
+        """Pass the loaded messages of the present tick to the vehicles' radios."""
         now = np.flatnonzero(self.tick == simulation.tick).tolist()
         if now:
             simulation.send_all(list(zip(now, self.numbers[now], self.to[now].tolist(), strict=True)))
@@ -60,7 +60,7 @@ class Spoken:
         ]
 
     def read(self, arrays: Any, row: int) -> None:
-        """Load the messages of one row of a recording."""
+        """Load the recorded radio messages of a row of a recording."""
         self.tick[...], self.to[...] = arrays[TICK][row], arrays[TO][row]
         for i, name in enumerate(self.names()):
             self.numbers[:, i] = arrays[name][row]

@@ -44,7 +44,7 @@ class BuildingWakes(Updraft):
     reads: ClassVar[tuple[str, ...]] = ("wind",)
 
     def built(self, bounds: Bounds | None, solids: Sequence[Footprint]) -> BuildingWakes:
-        """Return the wakes of obstacles.
+        """Return the component with the wakes of all solids of at least ``least_height``.
 
         Raises:
             UsageError: no obstacle is high enough, or there are too many.
@@ -131,7 +131,7 @@ def cavity_length(width: Array, deep: Array, tall: Array) -> Array:
 
 
 def _along_wake(behind: Array, zone: Array, beside: Array, along: Array, speed: Array) -> Array:
-    """Return the velocity along the wind [m/s] in cavities of length ``zone`` [m] and after them."""
+    """Return the velocity along the wind [m/s], reversed in cavities of length ``zone`` [m] and reduced after them."""
     safe = jnp.maximum(zone, 1e-9)
     inside = 1.0 - behind / safe
     reversed_flow = -speed * inside * inside * root(jnp.maximum(1.0 - jnp.abs(beside), 0.0))

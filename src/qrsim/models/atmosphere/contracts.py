@@ -51,7 +51,7 @@ class Wind(Protocol):
         return self
 
     def within(self, bounds: Bounds | None, top: float | None) -> Wind:
-        """Return the wind of an area: itself, or what is needed of it.
+        """Return the wind cut to an area: itself, or the part of its data that the area needs.
 
         Args:
             bounds: of the area, None where it has none.
@@ -106,7 +106,7 @@ class Turbulence(Protocol):
     sees_wind: ClassVar[bool] = False
 
     def draw_field(self, draw: Draw, wind: object = None) -> object:
-        """Draw the field shared by the gusts of all vehicles of an episode.
+        """Return the random gust field that all vehicles of an episode share, None without one.
 
         Args:
             draw: for ``field_ids`` ids.
@@ -126,7 +126,7 @@ class Turbulence(Protocol):
     def step(
         self, state: Any, draw: Noise, height_agl: Array, velocity_ned: Vec3, mean_wind_ned: Vec3, dt: float
     ) -> object:
-        """Advance by dt [s] for vehicles at heights (n,) [m] that move over ground at velocity_ned (n,) [m/s]."""
+        """Return the state dt [s] later at heights (n,) [m] and ground velocities velocity_ned (n,) [m/s]."""
 
     @abstractmethod
     def gust_ned(self, state: Any, height_agl: Array, *args: Any, **reads: Any) -> Vec3:
@@ -150,7 +150,7 @@ class Gust(Protocol):
 
     @abstractmethod
     def velocity_ned(self, position_ned: Vec3, seconds: Array, fraction: Array, *args: Any, **reads: Any) -> Vec3:
-        """Return its part of the air's velocity (n,) [m/s] at positions (n,) [m]."""
+        """Return the velocity (n,) [m/s] that the gust adds to the wind at positions (n,) [m]."""
 
 
 class Footprint(NamedTuple):
@@ -194,7 +194,7 @@ class Updraft(Protocol):
         return self
 
     def draw(self, draw: Draw) -> object:
-        """Draw what ``drawn_ids`` asks for, once an episode."""
+        """Return the random part of an episode's updraft from ``drawn_ids`` ids, None if nothing is random."""
         return None
 
     @abstractmethod

@@ -121,7 +121,7 @@ class Decay(NamedTuple):
 
 
 def exponential_decay(x: Array) -> Decay:
-    """Return the functions of x = V T/L, any shape, that form one step of a filter."""
+    """Return the exponential terms of one filter step of x = V T/L, any shape: exp(-x), 1 - exp(-2 x) and others."""
     small = jnp.minimum(x, _SERIES_BELOW)
     square = small * small
     series = jnp.full_like(square, _SINH_TERMS[-1])
@@ -146,7 +146,7 @@ class SecondOrder(NamedTuple):
 
 
 def second_order(x: Array, of: Decay) -> SecondOrder:
-    """Return transition and Cholesky factor of I - Phi Phi^T of the repeated pole, any shape.
+    """Return transition Phi and Cholesky factor of the noise covariance I - Phi Phi^T of a double pole at x, any shape.
 
     Phi = a [[1, 0], [-2 x, 1]], a = exp(-x). l11^2 = 1 - a^2, l21 = 2 x a^2/l11, and
     l22^2 = 1 - a^2 - 4 x^2 a^2/(1 - a^2) = 2 a (sinh x - x) (sinh x + x)/sinh x, which is 2/3 x^3 for small x.
@@ -171,7 +171,7 @@ class ThirdRow(NamedTuple):
 
 
 def third_row(x: Array, ratio: Array, of: Decay, of_lag: Decay, two: SecondOrder) -> ThirdRow:
-    """Return the row of transition and Cholesky factor that the lag of the span adds, any shape.
+    """Return the third row of transition and Cholesky factor, that of the span's lag, any shape.
 
     With d0 = (a - a_r)/(r - 1), d1 = (x a - d0)/(r - 1) and a_r = exp(-r x): f2 = -2 sqrt(r) d0,
     f1 = -2 sqrt(r) (d0 - 2 d1). The pole r may coincide with the other two.
@@ -205,7 +205,7 @@ def third_row(x: Array, ratio: Array, of: Decay, of_lag: Decay, two: SecondOrder
 
 
 def _third_variance(x: Array, y: Array, lag_decay: Array, subtracted: Array) -> Array:
-    """Return l33^2, what z3's noise keeps when that of z1 and z2 is known, for x and y = r x, any shape.
+    """Return l33^2, the variance of z3's noise given that of z1 and z2, for x and y = r x of any shape.
 
     It is a fraction y^5/360 of the variance for small y, which subtraction cannot find in single precision. It is
     2 r (1 + r)^4/(r - 1)^4 times the squared distance of exp(-r s) from the span of exp(-s) and s exp(-s) on [0, x],
@@ -246,7 +246,7 @@ class FilterState:
     third: Array = quantity(unit="1", doc="z3, of the angular gust")
 
     def advance(self, x: Array, of: Decay, ratio: Array, of_lag: Decay, normals: tuple[Array, ...]) -> FilterState:
-        """Advance by x = V T/L, each (n,); ``normals`` are n1, n2, n3."""
+        """Return the state advanced by x = V T/L, each (n,), driven by ``normals`` n1, n2, n3."""
         n1, n2, n3 = normals
         two = second_order(x, of)
         row = third_row(x, ratio, of, of_lag, two)
@@ -320,14 +320,14 @@ class Dryden(Turbulence):
     rates: ClassVar[bool] = True
 
     def init(self, draw: Noise) -> DrydenState:
-        """Draw a stationary first value."""
+        """Return a random stationary first state of the filters."""
         u, v1, v2, w1, w2, p, v3, w3 = draw.normals(8)
         return DrydenState(u, FilterState(v1, v2, v3), FilterState(w1, w2, w3), p)
 
     def step(
         self, state: DrydenState, draw: Noise, height_agl: Array, velocity_ned: Vec3, mean_wind_ned: Vec3, dt: float
     ) -> DrydenState:
-        """Advance by dt [s], L and V held, for vehicles at heights (n,) [m] and ground velocities (n,) [m/s]."""
+        """Return the state dt [s] later, at heights (n,) [m] and ground velocities (n,) [m/s], L and V held."""
         u, v1, v2, w1, w2, p, v3, w3 = draw.normals(8)
         lengths, _ = self._scales(height_agl)
         way = dt * carrying_speed(self.airspeed, velocity_ned, mean_wind_ned)

@@ -132,12 +132,12 @@ class DrydenField(Turbulence):
 
     @computed
     def normals(self) -> int:
-        """Standard normals of a vehicle in a tick, for the residual."""
+        """Number of standard normals of a vehicle in a tick, for the residual."""
         return 3 if self.residual == "filter" else 0
 
     @computed
     def field_ids(self) -> int:
-        """Random numbers an episode: one for each chain."""
+        """Number of random ids of an episode, one for each chain."""
         return SEGMENTS * self.chains
 
     def convection_velocity_ned(self, wind: Wind) -> Vec3:
@@ -147,7 +147,7 @@ class DrydenField(Turbulence):
         return horizontal_mean(wind, jnp.asarray(self.convection_height))
 
     def draw_field(self, draw: Draw, wind: Any = None) -> FieldWaves:
-        """Draw how the set of waves lies in this world, and each chain's phase and frequency.
+        """Return the random orientation of the waves of a world, with each chain's phase and frequency.
 
         Every product is rounded on its own, so that the frequencies are the same in every program.
         """
@@ -168,7 +168,7 @@ class DrydenField(Turbulence):
         return FieldWaves(words, whole_turns(frequency), frequency, turned, handedness, dilation, ages)
 
     def init(self, draw: Noise) -> StillState | ResidualState:
-        """Draw a stationary first value of the residual, if there is one."""
+        """Return a random stationary first state of the residual, the empty state if there is no residual."""
         return ResidualState(Vec3(*draw.normals(3))) if self.residual == "filter" else StillState()
 
     def step(
@@ -180,7 +180,7 @@ class DrydenField(Turbulence):
         mean_wind_ned: Vec3,
         dt: float,
     ) -> StillState | ResidualState:
-        """Advance the residual by dt [s]: along the vehicles' horizontal way through the air, across it and down."""
+        """Return the residual gusts dt [s] later, correlated along the horizontal path through the air and across."""
         if isinstance(state, StillState):
             return state
         normals = Vec3(*draw.normals(3))
@@ -246,7 +246,7 @@ class DrydenField(Turbulence):
         )
 
     def _modes(self) -> Modes:
-        """Return the modes of the field, as many as its settings say."""
+        """Return the set of waves for the settings ``chains`` and ``octaves``."""
         return modes(self.chains, self.octaves)
 
     def _scales(self, height_agl: Array) -> tuple[Vec3, Vec3]:
@@ -255,25 +255,26 @@ class DrydenField(Turbulence):
         return dryden_scales(height_agl, self.speed_20ft, self.severity, high, self.near_ground)
 
     def _size(self, lengths: Vec3, sigma: Vec3, field: FieldWaves) -> Vec3:
-        """Return the factor of the waves' amplitudes that is the same for all waves [m/s], each (n,)."""
+        """Return the amplitude factor [m/s] of each gust axis that all waves share, each (n,)."""
         energy, scale = DRYDEN_ENERGY, field.dilation
         if self.spectrum == "von_karman":
             energy, scale = VON_KARMAN_ENERGY, VON_KARMAN_SCALE * field.dilation
         amplitude = math.sqrt(2.0 * energy * math.log(2.0) / self.chains)
 
         def size(std: Array, length: Array) -> Array:
+            """Return the amplitude factor [m/s] of one axis from its standard deviation and length scale."""
             scaled = length * scale
             return (amplitude * std) * (scaled * scaled) * jnp.sqrt(scaled)
 
         return Vec3(size(sigma.x, lengths.x), size(sigma.y, lengths.y), size(sigma.z, lengths.z))
 
     def _weight(self, square: Array) -> Array:
-        """Return the rest of the amplitude, of any shape, from squares of lengths plus one over kappa [m^2]."""
+        """Return the amplitude factor, any shape, that depends on the wavenumber kappa, from L^2 + 1/kappa^2 [m^2]."""
         root = reciprocal_root(square)
         return (root * root) * (root if self.spectrum == "dryden" else power(root, 5.0 / 6.0))
 
     def _sums(self, lengths: Vec3, position_ned: Vec3, seconds: Array, fraction: Array, field: FieldWaves) -> Sums:
-        """Sum all waves at positions (n,): the chains of each group, then the groups, weighted by the lengths (n,).
+        """Return velocity and rotation, summed over all waves at positions (n,), each group weighted by lengths (n,).
 
         With x = kappa l the amplitude of a wave of the Dryden form goes with x^(5/2)/(1 + x^2)^(3/2), which is
         l^(5/2)/(l^2 + 1/kappa^2)^(3/2) over the root of kappa. The last is in the tables of the waves, the first in
@@ -306,7 +307,7 @@ class DrydenField(Turbulence):
 
 
 def _group_values(of: Modes, own: Floats, turns: Array, amplitude: Array | None, place: Vec3) -> Iterator[Vec3]:
-    """Yield for each octave the sums (B, n) of the waves of each group, in their own axes and weighted by ``own`` only.
+    """Yield, octave by octave, the sums (B, n) of each group's waves in wave axes, weighted by ``own`` only.
 
     Args:
         of: the set of waves, B groups of C chains.
@@ -340,21 +341,24 @@ def _numbers(table: Floats, like: Array) -> Array:
 
 
 def _rotation(normals: Array, word: Array) -> tuple[tuple[Vec3, Vec3, Vec3], Array]:
-    """Return the rows of a random rotation, mirrored where the first bit of a word says so, and its determinant."""
+    """Return the rows of a random rotation, negated where bit 31 of ``word`` is set, and its determinant, 1 or -1."""
     w, x, y, z = normals
     sign = jnp.where(word >> 31 == 1, -1.0, 1.0).astype(normals.dtype)
 
     def product(a: Array, b: Array) -> Array:
+        """Return a b, rounded."""
         return rounded(a * b)
 
     squares = [product(a, a) for a in (w, x, y, z)]
     scale = sign / ((squares[0] + squares[1]) + (squares[2] + squares[3]))
 
     def diagonal(mine: int) -> Array:
+        """Return the diagonal entry for quaternion component number ``mine``, 1 to 3."""
         first, second = (i for i in (1, 2, 3) if i != mine)
         return product((squares[0] + squares[mine]) - (squares[first] + squares[second]), scale)
 
     def beside(a: Array, b: Array, c: Array) -> Array:
+        """Return an off-diagonal entry, 2 (a b + w c) over the squared norm."""
         return product(2.0 * (product(a, b) + product(w, c)), scale)
 
     rows = (
@@ -376,7 +380,7 @@ def _back(rows: tuple[Vec3, Vec3, Vec3], vector: Vec3) -> Vec3:
 
 
 def _heading(velocity_ned: Vec3) -> tuple[Array, Array]:
-    """Return cosine and sine of the bearing of horizontal velocities (n,), north if it is zero."""
+    """Return cosine and sine of the bearing of horizontal velocities (n,); north for a zero velocity."""
     square = velocity_ned.x * velocity_ned.x + velocity_ned.y * velocity_ned.y
     moves = square > 1e-6
     speed = jnp.sqrt(jnp.where(moves, square, 1.0))

@@ -49,7 +49,7 @@ class Modes:
 
     @property
     def octaves(self) -> int:
-        """Waves of a chain, J."""
+        """Number J of waves in a chain, an octave apart."""
         return len(self.centre)
 
     @property
@@ -60,7 +60,7 @@ class Modes:
 
 @cache
 def modes(chains: int, octaves: int) -> Modes:
-    """Return the set of waves of a number of chains a segment, a multiple of 2 GROUPS, and of octaves in all."""
+    """Return the fixed set of waves: ``chains`` in each segment, a multiple of 2 GROUPS, and ``octaves`` in all."""
     numbers = _Numbers(_SEED)
     most = (octaves + 1) // SEGMENTS
     each = chains // GROUPS
@@ -121,7 +121,7 @@ def rotation_of(quaternion: Floats) -> Floats:
 
 
 def _directions(numbers: _Numbers, chains: int) -> Floats:
-    """Return directions (C, 3) of which those of neighbouring wavenumbers are as isotropic as can be.
+    """Return random unit vectors (C, 3), ordered so that neighbouring chains together are nearly isotropic.
 
     A Fibonacci hemisphere, turned, dealt to the chains and given signs at random; of many tries the one in which the
     second moments of windows of a quarter, a half and all of the chains, taken as a ring, are closest to I/3.
@@ -141,7 +141,7 @@ def _directions(numbers: _Numbers, chains: int) -> Floats:
 
 
 def _anisotropy(directions: Floats) -> float:
-    """Return the squared distance from I/3 of the second moments of windows in a ring of directions (C, 3)."""
+    """Return how far windows of a ring of directions (C, 3) are from isotropy: squared distance of moments from I/3."""
     count = len(directions)
     ring = np.concatenate([directions, directions])
     sums = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(ring[:, :, None] * ring[:, None, :], axis=0)])

@@ -54,7 +54,7 @@ class FieldWaves:
 
 
 def whole_turns(frequency: Array) -> Array:
-    """Return frequencies [1/s] of any shape without their whole turns, in turns per second times 2^32, uint32."""
+    """Return the fraction of a turn in frequencies [1/s], any shape, as uint32 in units of 2^-32 turns per second."""
     # To take the nearest whole number off is exact, and so is the product.
     part = jnp.round((frequency - jnp.round(frequency)) * TURN)
     signed = jnp.where(part >= 0.5 * TURN, part - TURN, part).astype(jnp.int32)
@@ -62,7 +62,7 @@ def whole_turns(frequency: Array) -> Array:
 
 
 def waves_at(field: FieldWaves, seconds: Array, fraction: Array) -> tuple[Array, Array | None]:
-    """Return the phases (K,) of all chains at the origin at a time, in turns, and their amplitudes (K,), None for 1.
+    """Return the phases (K,) [turns] of all chains at the origin at a time, and their amplitudes (K,), None for 1.
 
     Whole seconds are multiplied modulo 2^32, exactly; the fraction is multiplied by the whole frequency.
     """
@@ -75,13 +75,13 @@ def waves_at(field: FieldWaves, seconds: Array, fraction: Array) -> tuple[Array,
 
 
 def draw_ages(draw: Draw, index: int, lifetime: Array) -> Ages:
-    """Draw an age at time 0 from draw ``index`` of a world, for a lifetime () [s]."""
+    """Return random ages at time 0, from draw ``index`` of a world, for a lifetime () [s]."""
     rate = jnp.round(float(LIFETIME) / lifetime).astype(jnp.int32)
     return Ages(draw.stream.words(draw.tick, index)[0][0], lax.bitcast_convert_type(rate, jnp.uint32))
 
 
 def stagger(chains: int) -> npt.NDArray[np.uint32]:
-    """Return the ages (SEGMENTS chains,) by which chains are ahead, in 2^-20 lifetimes; chains a multiple of 4."""
+    """Return the age offset (SEGMENTS * chains,) uint32 of each chain in 2^-20 lifetimes; ``chains``: multiple of 4."""
     number = np.arange(chains)
     share = np.array([0, 2, 1, 3])[number % 4] / 4.0 + (number // 4) / chains
     every = [share + segment / (SEGMENTS * chains) for segment in range(SEGMENTS)]
@@ -89,7 +89,7 @@ def stagger(chains: int) -> npt.NDArray[np.uint32]:
 
 
 def lived(ages: Ages, phase: Array, like: Array, seconds: Array, fraction: Array) -> tuple[Array, Array]:
-    """Return the phases (K,) uint32 of the present lifetimes, and the amplitudes (K,) over their root mean square.
+    """Return each chain's phase (K,) uint32 in its present lifetime, and its amplitude (K,) relative to the rms.
 
     Args:
         ages: of the world.

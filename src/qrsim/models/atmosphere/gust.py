@@ -75,7 +75,7 @@ class DiscreteGust(Gust):
 
     @computed
     def reads(self) -> tuple[str, ...]:
-        """Name of the velocity that carries the turbulence, if the gust takes its speed or bearing from it."""
+        """``("convection_ned",)`` if the gust takes speed or bearing from the velocity of the turbulence, else ()."""
         return ("convection_ned",) if self.speed is None or self.wind_from_rad is None else ()
 
     def velocity_ned(

@@ -45,7 +45,7 @@ def density(height: float) -> float:
 
 
 def air_above(above: Array, base_temperature: Array, base_pressure: Array) -> Air:
-    """Return pressure [Pa], temperature [K] and density [kg/m^3] (n,) of the standard atmosphere above a place.
+    """Return pressure [Pa], temperature [K] and density [kg/m^3] (n,) of the standard atmosphere above a base point.
 
     Args:
         above: heights (n,) over it [m].
@@ -85,5 +85,5 @@ class SiteAir:
 
     @property
     def _share(self) -> Array:
-        """Density at the site over that at sea level; exactly 1 there, which a quotient of the gas law is not."""
+        """Air density at the site divided by that at sea level; exactly 1 for a site at sea level."""
         return (self.pressure / PRESSURE) * (TEMPERATURE / self.temperature)

@@ -69,11 +69,11 @@ class Thermals(Updraft):
 
     @computed
     def drawn_ids(self) -> int:
-        """One for each thermal without a place."""
+        """Number of thermals with random places: all, or 0 if ``places_ned`` gives the places."""
         return 0 if np.size(self.places_ned) else self.number
 
     def built(self, bounds: Bounds | None, solids: Sequence[Footprint]) -> Thermals:
-        """Return the thermals of an area, with their number.
+        """Return the component fitted to an area, with the number of its thermals.
 
         Raises:
             UsageError: the area has no bounds, holds no thermal, or is too small for them.
@@ -104,7 +104,7 @@ class Thermals(Updraft):
         return replace(self, corner=(south, west), sides=sides, number=number)
 
     def draw(self, draw: Draw) -> Vec3:
-        """Draw the places (K,) of an episode, uniformly over the area."""
+        """Return random places (K,) of an episode's thermals, uniform over the area."""
         # Of variance 1, so within the root of three on either side.
         parts = (row[0] * (0.5 / math.sqrt(3.0)) + 0.5 for row in draw.uniform_pairs(jnp.zeros(1, jnp.uint32)))
         north, east = (low + side * part for low, side, part in zip(self.corner, self.sides, parts, strict=True))
@@ -147,7 +147,7 @@ class Thermals(Updraft):
         return Vec3(zero, zero, -up)
 
     def rise(self, distance: Array, height_agl: Array) -> Array:
-        """Return the upward velocity (n,) [m/s] at distances (n,) [m] from the nearest thermal's axis."""
+        """Return the upward velocity (n,) [m/s] at distances (n,) [m] from the nearest axis and heights (n,) [m]."""
         part = jnp.maximum(height_agl / self.z_i, 1e-9)
         radius = mean_radius(part, self.z_i)
         outer = jnp.maximum(radius, NARROWEST)
@@ -170,13 +170,13 @@ class Thermals(Updraft):
 
 
 def mean_radius(part: Any, depth: Any) -> Any:
-    """Return the mean r2 [m] of thermals at a part of the depth z_i [m] of the mixed layer."""
+    """Return the mean outer radius r2 [m] of thermals at the height ``part`` z_i, with z_i = ``depth`` [m]."""
     cubic = part ** (1.0 / 3.0) if isinstance(part, float) else power(part, 1.0 / 3.0)
     return 0.102 * cubic * (1.0 - 0.25 * part) * depth
 
 
 def _bell(x: Array, ratio: Array) -> Array:
-    """Return the velocity at x = r/r2 over that of the middle, by the constants of the nearest r1/r2."""
+    """Return the relative velocity at x = r/r2, 1 at the axis, by published constants nearest to r1/r2 ``ratio``."""
     constants: list[Any] = list(SHAPES[0])
     for low, high, shape in zip(RATIOS, RATIOS[1:], SHAPES[1:], strict=False):
         broad = ratio >= 0.5 * (low + high)
@@ -186,5 +186,5 @@ def _bell(x: Array, ratio: Array) -> Array:
 
 
 def _wrapped(offset: Array, side: Array) -> Array:
-    """Return the shortest way to an offset [m] over an area that repeats itself."""
+    """Return offsets [m] wrapped to [-side/2, side/2], as in an area that repeats periodically."""
     return offset - side * jnp.round(offset / side)

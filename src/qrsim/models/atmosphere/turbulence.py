@@ -65,7 +65,7 @@ def low_altitude_scales(height_agl: Array) -> tuple[Vec3, Vec3]:
 
 
 def blocked(height_agl: Array) -> Array:
-    """Return vertical gusts (n,) at heights (n,) [m] over those at 10 ft: less below, zero at the ground.
+    """Return the factor (n,) of vertical gusts at heights (n,) [m] relative to those at 10 ft, 0 at the ground.
 
     No air goes through the ground. Waves longer than the height h have vertical gusts of k h there (J. C. R. Hunt and
     J. M. R. Graham, "Free-stream turbulence near plane boundaries", J. Fluid Mech. 84, 1978: 1 - exp(-k h)), and the
@@ -122,18 +122,19 @@ class DrydenFirstOrder(Turbulence):
     normals: ClassVar[int] = 3
 
     def init(self, draw: Noise) -> GustState:
-        """Draw a stationary first value."""
+        """Return random stationary first gusts (n,)."""
         return GustState(Vec3(*draw.normals(3)))
 
     def step(
         self, state: GustState, draw: Noise, height_agl: Array, velocity_ned: Vec3, mean_wind_ned: Vec3, dt: float
     ) -> GustState:
-        """Advance by dt [s] for vehicles at heights (n,) [m] moving over ground at velocity_ned (n,) [m/s]."""
+        """Return the gusts dt [s] later at heights (n,) [m] and ground velocities velocity_ned (n,) [m/s]."""
         speed = carrying_speed(self.airspeed, velocity_ned, mean_wind_ned)
         lengths, _ = low_altitude_scales(height_agl)
         normals = Vec3(*draw.normals(3))
 
         def advance(gust: Array, normal: Array, length: Array) -> Array:
+            """Return one axis' gust a step later."""
             time_constant = length / speed
             if self.discretisation == "exact":
                 decay, spread = ou_decay(dt, time_constant)

@@ -24,12 +24,12 @@ REFERENCE_FT = 20.0
 
 
 def wind_to_ned(along: Array, across: Array, down: Array, wind_from_rad: Array) -> Vec3:
-    """Rotate a vector in wind axes to NED (MIL-F-8785C, 3.7.1)."""
+    """Return a vector given along, across and down the wind in NED (MIL-F-8785C, 3.7.1)."""
     return turned_to_ned(along, across, down, *sincos(jnp.asarray(wind_from_rad)))
 
 
 def turned_to_ned(along: Array, across: Array, down: Array, sine: Array, cosine: Array) -> Vec3:
-    """Rotate a vector in wind axes to NED by sine and cosine of the bearing that the wind comes from."""
+    """Return a vector given in wind axes in NED, by sine and cosine of the bearing from which the wind comes."""
     return Vec3(sine * across - cosine * along, -sine * along - cosine * across, down)
 
 

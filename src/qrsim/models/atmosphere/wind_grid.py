@@ -72,7 +72,7 @@ class WindGrid(Wind):
         return self.mean_ned.map(at)
 
     def averaged(self) -> WindGrid:
-        """Return the grid with its means, in double precision."""
+        """Return the grid with its mean winds filled in, in double precision."""
         times = np.asarray(self.seconds) + np.asarray(self.fraction, np.float64)
         # By trapezoids, as the velocity is linear between two times.
         weights = np.convolve(np.diff(times), [0.5, 0.5]) if len(times) > 1 else np.ones(1)
@@ -118,12 +118,12 @@ class WindGrid(Wind):
         return found
 
     def largest_speed(self, height: NumpyArray) -> NumpyArray:
-        """Return the largest horizontal speed [m/s] anywhere and at any time at heights of any shape [m]."""
+        """Return the largest horizontal speed [m/s] over all places and times, at heights of any shape [m]."""
         speed = np.hypot(np.asarray(self.air_ned.x), np.asarray(self.air_ned.y))
         return np.interp(height, np.asarray(self.levels), speed.max(axis=(0, 2, 3)))
 
     def _needed(self, axis: int, limits: tuple[float, float] | None) -> slice:
-        """Return the rows (axis 0) or columns (axis 1) from the last one before an area to the first one behind it."""
+        """Return the slice of rows (axis 0) or columns (axis 1) that cover an area; raise UsageError if none does."""
         count = self.air_ned.x.shape[2 + axis]
         if limits is None:
             return slice(0, count)
@@ -139,13 +139,13 @@ class WindGrid(Wind):
         return slice(begin, min(max(math.ceil(last) + 1, begin + 2), count))
 
     def _rows(self, axis: int, limits: tuple[float, ...]) -> tuple[float, float, int]:
-        """Return the first and last row or column of an area, in spacings from the first, and how many there are."""
+        """Return an area's range along an axis, in grid spacings from the first point, and the number of points."""
         low, step = float(self.corner[axis]), float(self.spacing[axis])
         # An edge of the area may be a rounding error beyond that of the grid.
         return (limits[0] - low) / step + 1e-6, (limits[1] - low) / step - 1e-6, self.air_ned.x.shape[2 + axis]
 
     def _level(self, height: Array) -> tuple[Array, Array]:
-        """Return the level (n,) below heights (n,), and how far they are to the next, 0 to 1."""
+        """Return the index (n,) of the level below heights (n,), and the share of the way to the next, 0 to 1."""
         levels = jnp.asarray(self.levels)
         held = jnp.clip(jnp.where(jnp.isfinite(height), height, levels[0]), levels[0], levels[-1])
         # Levels are few and not evenly spaced, so they are counted.
@@ -155,7 +155,7 @@ class WindGrid(Wind):
         return number, (held - low) / (levels[number + 1] - low)
 
     def _time(self, seconds: Array, fraction: Array) -> tuple[Array, Array] | None:
-        """Return the row () before a time, and how far it is to the next, 0 to 1; None where the wind is steady."""
+        """Return the index () of the time before, and the share of the way to the next, 0 to 1; None in steady wind."""
         if self.air_ned.x.shape[0] == 1:
             return None
         row, since, interval = interval_at(jnp.asarray(self.seconds), jnp.asarray(self.fraction), seconds, fraction)
@@ -163,7 +163,7 @@ class WindGrid(Wind):
 
 
 def _cell(place: Array, count: int) -> tuple[Array, Array]:
-    """Return the cells (n,) of places (n,) along an axis of ``count`` points, and where they are there, 0 to 1."""
+    """Return the cell index (n,) of places (n,) along an axis of ``count`` points, and the position in it, 0 to 1."""
     held = jnp.clip(jnp.where(jnp.isfinite(place), place, 0.0), 0.0, float(count - 1))
     number = jnp.clip(jnp.floor(held), 0.0, float(count - 2))
     return number.astype(jnp.int32), held - number

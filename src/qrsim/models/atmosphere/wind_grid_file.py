@@ -78,7 +78,7 @@ class GridFile:
 
 
 def read_grid(file: str, layout: Layout) -> GridFile:
-    """Read a file that has not changed since only once.
+    """Return the wind grid of a NetCDF file, from a cache if the file has not changed.
 
     Raises:
         UsageError: no such file, or no such grid: it names the variable, what it has and what it should have.
@@ -90,7 +90,7 @@ def read_grid(file: str, layout: Layout) -> GridFile:
 
 @lru_cache(maxsize=2)
 def _read(file: str, layout: Layout, changed: int, size: int) -> GridFile:
-    """Return the wind grid of a NetCDF file; ``changed`` and ``size`` identify its version in the cache."""
+    """Return the wind grid of a NetCDF file; ``changed`` and ``size`` are the cache's key for its version."""
     xarray = extras.load("wind", "a wind from a NetCDF file", "xarray")
     path = os.path.expanduser(file)
     try:
@@ -129,7 +129,7 @@ def _read(file: str, layout: Layout, changed: int, size: int) -> GridFile:
 
 
 def _check_axes(file: str, path: str) -> None:
-    """Refuse axes that are too long, before xarray reads them whole."""
+    """Raise UsageError for axes that are too long, before xarray reads them whole."""
     with extras.load("wind", "a wind from a NetCDF file", "netCDF4").Dataset(path) as opened:
         for name, dimension in opened.dimensions.items():
             if name in opened.variables and len(dimension) > LONGEST_AXIS:
@@ -137,7 +137,7 @@ def _check_axes(file: str, path: str) -> None:
 
 
 def _variable(file: str, content: Any, name: str, which: int) -> Any:
-    """Return a velocity, its units and its direction checked."""
+    """Return a velocity variable; raise UsageError if it is missing or has other units or another direction."""
     variables = [str(each) for each in content.data_vars]
     if name not in content.data_vars:
         raise UsageError(
@@ -158,11 +158,12 @@ def _variable(file: str, content: Any, name: str, which: int) -> Any:
 
 
 def _towards(which: int) -> str:
-    """Return the direction of a component of the wind, in words."""
+    """Return the direction of a wind component (0, 1, 2) in words."""
     return "upwards" if which == 2 else f"to the {DIRECTIONS[which]}"
 
 
 def _check_units(file: str, name: str, attributes: Any, allowed: tuple[str, ...], best: str) -> None:
+    """Raise UsageError unless the attribute ``units`` is one of ``allowed``."""
     units = attributes.get("units")
     if units is None:
         raise UsageError(f"{file}: '{name}' has no units; expected the attribute units: '{best}'")
@@ -171,7 +172,7 @@ def _check_units(file: str, name: str, attributes: Any, allowed: tuple[str, ...]
 
 
 def _axes(file: str, variable: Any, content: Any) -> dict[str, str]:
-    """Return which of a variable's dimensions is x, y, z and, if there is one, time."""
+    """Return the variable's dimension for each axis, by "x", "y", "z" and perhaps "t"; raise UsageError."""
     found: dict[str, str] = {}
     for dimension in map(str, variable.dims):
         attributes = content[dimension].attrs if dimension in content.coords else {}
@@ -193,7 +194,7 @@ def _axes(file: str, variable: Any, content: Any) -> dict[str, str]:
 
 
 def _coordinate(file: str, content: Any, name: str, axis: str) -> Floats:
-    """Return a coordinate [m], upwards for z."""
+    """Return the coordinate of an axis [m], z positive upwards; raise UsageError for other units."""
     values = _numbers(file, content, name)
     attributes = content[name].attrs
     units = str(attributes.get("units", ""))
@@ -204,7 +205,7 @@ def _coordinate(file: str, content: Any, name: str, axis: str) -> Floats:
 
 
 def _times(file: str, content: Any, name: str) -> Floats:
-    """Return times [s] since the first."""
+    """Return times [s] since the first; raise UsageError for unknown units or times that do not increase."""
     values = _numbers(file, content, name, least=1)
     units = content[name].attrs.get("units")
     expected = "'s' or 'seconds since ...', or the same with minutes, hours or days"
@@ -230,6 +231,7 @@ def _numbers(file: str, content: Any, name: str, least: int = 2) -> Floats:
 
 
 def _check_increasing(file: str, name: str, values: Floats, even: bool) -> None:
+    """Raise UsageError unless values increase, and evenly if ``even``."""
     steps = np.diff(values)
     if not (steps > 0.0).all():
         raise UsageError(f"{file}: '{name}' is no row of numbers in order")
@@ -240,7 +242,7 @@ def _check_increasing(file: str, name: str, values: Floats, even: bool) -> None:
 
 
 def _filled(file: str, layout: Layout, arrays: list[Floats]) -> list[Floats]:
-    """Return velocities without gaps."""
+    """Return velocities with 0 for missing points if the layout allows it; raise UsageError otherwise."""
     missing = ~np.isfinite(arrays[0]) | ~np.isfinite(arrays[1]) | ~np.isfinite(arrays[2])
     count = int(missing.sum())
     if count and not layout.calm:

@@ -37,7 +37,7 @@ class ProfileTable:
     slopes: tuple[Array, Array] = quantity(unit="1/s", doc="(T, Z - 1) its change with height in each layer")
 
     def at(self, height: Array, logarithm: Array, row: Any) -> tuple[Array, Array]:
-        """Return velocities to north and east (n,) [m/s] at a time.
+        """Return the velocities to north and east (n,) [m/s] at heights (n,) [m] in one row, a time of the table.
 
         Args:
             height: (n,) above the ground [m].
@@ -65,7 +65,7 @@ class ProfileTable:
     def _summed(
         self, height: Array, logarithm: Array, row: Any, lowest: tuple[Array, Array], slopes: list[Array]
     ) -> tuple[Array, Array]:
-        """Return north and east wind at heights: of the lowest layer, and its changes above."""
+        """Return north and east wind [m/s] at heights: the lowest layer's wind plus the change in each layer above."""
         own = row if self.heights.shape[0] > 1 else 0
         heights, share = jnp.asarray(self.heights)[own], jnp.asarray(self.log_share)[own]
         part = jnp.minimum(logarithm * share, 1.0)
@@ -88,7 +88,7 @@ class WindProfile(Wind):
     fraction: Array = quantity(unit="s", doc="(T,) the rest, in [0, 1)")
 
     def velocity_ned(self, height_agl: Array, seconds: Array, fraction: Array) -> Vec3:
-        """Return the air's velocity [m/s] at heights (n,) [m] above ground and a time; beyond the ends theirs.
+        """Return the air's velocity [m/s] at heights (n,) [m] above ground and a time, constant beyond the ends.
 
         It is linear in time, and in height from the lowest to the highest level. Below, its speed is that of the lowest
         level h0 times ln(h/z0)/ln(h0/z0), zero below the roughness z0.
@@ -108,7 +108,7 @@ class WindProfile(Wind):
         return Vec3(north, east, jnp.zeros_like(north))
 
     def _logarithm(self, height: Array) -> Array:
-        """Return the logarithm of heights over the roughness length, at least 0."""
+        """Return ln(height/roughness) of heights [m], at least 0."""
         return log(jnp.maximum(height / self.roughness, 1.0))
 
     def beyond(self, bounds: Bounds | None, top: float | None) -> list[str]:
@@ -126,7 +126,7 @@ class WindProfile(Wind):
 
 
 def _on_host(table: ProfileTable, row: int, height: Floats, roughness: float) -> tuple[Floats, Floats]:
-    """Return north and east wind at heights [m] with NumPy, in float64."""
+    """Return north and east wind [m/s] of row ``row`` at heights [m], computed by NumPy in float64."""
     own = row if len(table.heights) > 1 else 0
     heights, share = np.asarray(table.heights, np.float64)[own], float(table.log_share[own])
     part = np.minimum(np.log(np.maximum(height / roughness, 1.0)) * share, 1.0)
@@ -195,7 +195,7 @@ class ProfileRows:
 
 
 def _profile(columns: dict[str, Floats], rows: NumpyArray, roughness: float) -> Floats:
-    """Return heights and velocities to north and east (3, Z) of one time, by height.
+    """Return (3, Z) of one time, sorted by height: heights [m], velocities to north and to east [m/s].
 
     Raises:
         UsageError: too many levels, two of one height, or one at the ground.
@@ -215,7 +215,7 @@ def _profile(columns: dict[str, Floats], rows: NumpyArray, roughness: float) -> 
 
 
 def _table(profiles: list[Floats], roughness: float) -> ProfileTable:
-    """Return the table of profiles (3, Z), which may have different numbers of levels."""
+    """Return profiles (3, Z), which may differ in their number of levels, as one table."""
     most = max(profile.shape[1] for profile in profiles)
     padded = np.stack([np.pad(each, ((0, 0), (0, most - each.shape[1])), mode="edge") for each in profiles])
     heights, north, east = padded[:, 0], padded[:, 1], padded[:, 2]
@@ -231,7 +231,7 @@ def _table(profiles: list[Floats], roughness: float) -> ProfileTable:
 def _mean(
     table: ProfileTable, profiles: list[Floats], times: Floats, duration: float, roughness: float
 ) -> ProfileTable:
-    """Return the mean over a run, exact at the levels of all times, of at most ``MOST_LEVELS``."""
+    """Return the mean wind over a run as a table, exact at the levels of all times, up to ``MOST_LEVELS`` levels."""
     heights = np.unique(np.concatenate([profile[0] for profile in profiles]))
     if len(heights) > MOST_LEVELS:
         heights = heights[np.unique(np.linspace(0, len(heights) - 1, MOST_LEVELS).astype(int))]

@@ -31,7 +31,7 @@ class Apart:
 
 
 def _normals(draw: Draw, slots: Slots) -> tuple[list[Drawn], list[Drawn]]:
-    """Return the normals of each satellite's own errors, and of those that all of them share."""
+    """Return the standard normals of each satellite's own errors, and of the errors that all satellites share."""
     each = [Drawn(draw.normal_pairs(slots.ids + jnp.uint32(first))) for first in (_SIGNAL_PAIRS, _LOCAL_PAIRS)]
     rows = draw.normal_rows(8, first=_TOGETHER_PAIR)
     return each, [Drawn((rows[2 * i], rows[2 * i + 1])) for i in range(4)]
@@ -48,7 +48,7 @@ def apart_init(budget: ErrorBudget, draw: Draw, slots: Slots) -> Apart:
 
 
 def apart_step(budget: ErrorBudget, state: Apart, draw: Draw, slots: Slots, same: Array, dt: float) -> Apart:
-    """Advance by dt [s]; a satellite in a new slot starts again."""
+    """Return the errors dt [s] later; the errors of a satellite in a new slot are drawn again."""
     each, together = _normals(draw, slots)
     of_each, of_all = budget.processes()
     found = []

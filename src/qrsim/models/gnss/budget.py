@@ -84,7 +84,7 @@ class ErrorBudget(RangeErrors):
         return BudgetState(*_started(self._per_satellite(), each), *_started(self._for_all(), together))
 
     def step(self, state: BudgetState, draw: Draw, dt: float) -> BudgetState:
-        """Advance the errors exactly by dt [s]."""
+        """Return the state dt [s] later, by the exact transition."""
         each, together = draw.normals(8), one_for_all(draw).normals(8)
         before = (state.signal, state.local, state.slope_north, state.slope_east)
         rest = (state.vertical, state.gradient_north, state.gradient_east, state.troposphere)
@@ -98,7 +98,7 @@ class ErrorBudget(RangeErrors):
         return self.gps * state.signal.error + above + self.troposphere * state.troposphere.error
 
     def seen(self, state: BudgetState, sight: Sight, system: Array) -> CommonErrors:
-        """Return the errors of satellites (S,) seen so, of systems (S,) by number."""
+        """Return the range errors [m] of satellites (S,) at the elevations of ``sight``; ``system``: their numbers."""
         std = self.scales(system).signal
         weather = self.troposphere * state.troposphere.error * sight.troposphere
 
@@ -117,7 +117,7 @@ class ErrorBudget(RangeErrors):
         )
 
     def scales(self, system: Array) -> Scales:
-        """Return the standard deviations of the terms, for satellites of systems (S,) by number."""
+        """Return the standard deviations [m] of the error terms, for satellites of systems (S,) by number."""
         number = jnp.asarray(system)
         last = jnp.where(number == 2, self.glonass, self.beidou)
         return Scales(
@@ -130,23 +130,23 @@ class ErrorBudget(RangeErrors):
         )
 
     def processes(self) -> tuple[tuple[GaussMarkov2, ...], tuple[GaussMarkov2, ...]]:
-        """Return the processes, of unit variance, that each satellite has, and those that there is one of."""
+        """Return the unit-variance processes with a state for each satellite, and those with one for all."""
         return self._per_satellite(), self._for_all()
 
     def _per_satellite(self) -> tuple[GaussMarkov2, ...]:
-        """Return the processes of which each satellite has its own."""
+        """Return the unit-variance processes with a state for each satellite."""
         local = _unit(self.local_time, self.local_drive_time)
         return (_unit(self.signal_time, self.signal_drive_time), local, local, local)
 
     def _for_all(self) -> tuple[GaussMarkov2, ...]:
-        """Return the processes that all satellites share."""
+        """Return the unit-variance processes with one state for all satellites."""
         gradient = _unit(self.gradient_time, self.gradient_drive_time)
         vertical = _unit(self.ionosphere_time, self.ionosphere_drive_time)
         return (vertical, gradient, gradient, _unit(self.troposphere_time, self.troposphere_drive_time))
 
 
 def _unit(time: Array, drive_time: Array) -> GaussMarkov2:
-    """Return a process of unit variance."""
+    """Return a Gauss-Markov process of unit variance with these time constants [s]."""
     return GaussMarkov2(jnp.ones_like(jnp.asarray(time)), time, drive_time)
 
 
@@ -164,5 +164,5 @@ def _stepped(
 
 
 def one_for_all(draw: Draw) -> Draw:
-    """Return the draw (1,) for errors that all satellites of a stream share."""
+    """Return the random stream (1,) of the errors that all satellites share."""
     return draw.alone(ALL)

@@ -66,7 +66,7 @@ WALKERS = {
 
 
 def check_systems(systems: str, what: str = "systems") -> None:
-    """Raise UsageError unless a text consists of letters of satellite systems, each once."""
+    """Raise UsageError unless ``systems`` consists of letters of satellite systems, each at most once."""
     known = ", ".join(f"{letter} ({name})" for letter, name in SYSTEMS.items())
     wrong = [letter for letter in systems if letter not in SYSTEMS]
     if wrong or not systems:
@@ -104,14 +104,14 @@ class NominalConstellations(Ephemeris):
 
     @property
     def satellites(self) -> tuple[str, ...]:
-        """Names of the slots: the system's letter, and of the plane and the slot in it, such as G-A1."""
+        """Names of the satellites: system letter, plane and slot, such as G-A1."""
         gps = NominalConstellation().satellites
         walker = [f"{'ABC'[plane]}{slot + 1}" for plane in range(PLANES) for slot in range(SLOTS)]
         return tuple(f"{letter}-{slot}" for letter in self._letters for slot in (gps if letter == "G" else walker))
 
     @property
     def system_of(self) -> str:
-        """Letter of each satellite's system, S of them."""
+        """System letter of each of the S satellites."""
         return "".join(name[0] for name in self.satellites)
 
     @property
@@ -122,7 +122,7 @@ class NominalConstellations(Ephemeris):
 
     @property
     def span_gps_seconds(self) -> tuple[float, float]:
-        """No limit."""
+        """First and last time [GPS s] with positions: minus and plus infinity."""
         return -math.inf, math.inf
 
     def positions_ecef(self, gps_seconds: npt.ArrayLike) -> Float64:
@@ -140,7 +140,7 @@ class NominalConstellations(Ephemeris):
     def at(
         self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike, duration_s: float = math.inf
     ) -> KeplerOrbits:
-        """Return the orbits of a run.
+        """Return the orbits of a run's satellites as seen from a site.
 
         Args:
             site: where the signals are received.
@@ -164,7 +164,7 @@ class NominalConstellations(Ephemeris):
         return cast(orbits, dtype)
 
     def _orbits(self, letter: str, site: Site, start: float) -> KeplerOrbits:
-        """Return one system's orbits, in float64."""
+        """Return the orbits of the satellites of one system, by its letter, in float64."""
         if letter == "G":
             return NominalConstellation().at(site, start, np.float64)
         argument, node, (*rates, inclination) = _angles(WALKERS[letter], np.array([start]))
@@ -172,7 +172,7 @@ class NominalConstellations(Ephemeris):
 
     @property
     def _letters(self) -> tuple[str, ...]:
-        """The systems, in the order in which they are numbered."""
+        """Letters of the satellite systems, in the order of their numbers."""
         return tuple(letter for letter in SYSTEMS if letter in self.systems)
 
 
@@ -197,7 +197,7 @@ def _angles(pattern: Walker, gps_seconds: Float64) -> tuple[Float64, Float64, tu
 
 
 def _joined(parts: list[Any]) -> Any:
-    """Join arrays (S,), or phases of them."""
+    """Return a list of arrays (S,), or of records Phase, concatenated."""
     if isinstance(parts[0], Phase):
         names = ("units", "units_per_s", "rest", "rest_per_s")
         joined = (np.concatenate([getattr(part, name) for part in parts]) for name in names)

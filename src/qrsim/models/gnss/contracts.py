@@ -35,14 +35,14 @@ class RangeErrors(Protocol):
 
     @abstractmethod
     def step(self, state: Any, draw: Draw, dt: float) -> Any:
-        """Advance by dt [s]."""
+        """Return the state dt [s] later."""
 
     @abstractmethod
     def value(self, state: Any) -> Array:
         """Return the range errors (S,) [m] of a state."""
 
     def seen(self, state: Any, sight: Sight, system: Array) -> CommonErrors:
-        """Return the errors, by their parts, of satellites (S,) seen so, of systems (S,) by number."""
+        """Return the range errors [m], in parts, of satellites (S,) at the elevations of ``sight``."""
         return without_ionosphere(self.value(state))
 
     def scales(self, system: Array) -> Scales:
@@ -71,7 +71,7 @@ class Sky(Protocol):
         return False
 
     def step_by_parts(self, state: Any, draw: Draw, tick: Array) -> Any:
-        """Return the state at a tick () int32, with whatever changes at it."""
+        """Return the state at a tick () int32; called at every tick if ``steps_by_parts``."""
         return state
 
     @abstractmethod
@@ -80,4 +80,4 @@ class Sky(Protocol):
 
     @abstractmethod
     def step(self, state: Any, draw: Draw, seconds: Array, fraction: Array) -> Any:
-        """Advance one period to ``seconds`` () int32 plus ``fraction`` () [s] since the start of the run."""
+        """Return the sky one period later, at ``seconds`` () int32 plus ``fraction`` () [s] since the run's start."""

@@ -47,7 +47,7 @@ BUDGETS: dict[str, dict[str, tuple[float, float]]] = {
 
 
 def _typical_std(budget: dict[str, tuple[float, float]]) -> float:
-    """Return the root mean square of a budget's totals at both elevations [m], to a centimetre."""
+    """Return the root mean square [m], to a centimetre, of a budget's totals at its two elevations."""
     return round(float(np.sqrt(np.mean(np.sum(np.square(list(budget.values())), axis=0)))), 2)
 
 
@@ -118,7 +118,7 @@ class GaussMarkov2(RangeErrors):
         return GaussMarkov2State(rest * first + correlation * second, second)
 
     def step(self, state: GaussMarkov2State, draw: Noise, dt: float) -> GaussMarkov2State:
-        """Advance the errors exactly by dt [s]."""
+        """Return the state dt [s] later, by the exact transition."""
         first, second = draw.normals(2)
         by = self.discretise(dt)
         return GaussMarkov2State(
@@ -127,7 +127,7 @@ class GaussMarkov2(RangeErrors):
         )
 
     def value(self, state: GaussMarkov2State) -> Array:
-        """Return the range errors (S,) [m]."""
+        """Return the range errors (S,) [m] of a state."""
         return self.std * state.error
 
     def discretise(self, dt: float | Array) -> GaussMarkov2Step:

@@ -68,7 +68,7 @@ class Own:
     half: Any = quantity(default=None, unit="m", doc="(K, 1) std of each half of multipath; None while remembered")
 
     def of(self, shared: Vec3, ranges: Array) -> Vec3:
-        """Return the error (n,) for errors of ranges (K, n), which is ``shared`` (n,) under the open sky."""
+        """Return the position error (n,) [m] for range errors (K, n) [m]; ``shared`` (n,) under an open sky."""
         return select(self.clear, shared, self.gains.of(self.directions, ranges))
 
 
@@ -104,17 +104,17 @@ class Geometry:
     own: Own | None = quantity(default=None, doc="Own, among obstacles: rows and multipath are those of the open sky")
 
     def of(self, ranges: Array) -> Vec3:
-        """Return the error (n,) of the solution for errors of ranges (K, 1) or (K, n) [m]."""
+        """Return the position error (n,) [m] for range errors (K, 1) or (K, n) [m]."""
         shared: Vec3 = self.rows.map(lambda row: jnp.sum(row * ranges, axis=0))
         return shared if self.own is None else self.own.of(shared, ranges)
 
     def of_multipath(self, both: Array) -> Vec3:
-        """Return the error (n,) of the solution for the sum of both halves of multipath (K, n), of unit variance."""
+        """Return the position error (n,) [m] for multipath (K, n) of unit variance, the sum of both halves."""
         shared: Vec3 = self.multipath.map(lambda row: jnp.sum(row * both, axis=0))
         return shared if self.own is None else self.own.of(shared, self.own.half * both)
 
     def common(self, part: Array) -> Vec3:
-        """Return the error (m,) by common errors a part of the way from the last knot to the next."""
+        """Return the position error (m,) [m] by common errors at ``part``, 0 to 1, of the time to the next knot."""
         return self.before + (self.after - self.before) * part
 
 
@@ -129,7 +129,7 @@ class View:
 
 
 def across(parameter: object) -> Array:
-    """Return a parameter as it meets arrays of slots by receivers: () or (1, n)."""
+    """Return a parameter () unchanged, or (n,) as (1, n), to broadcast against arrays (slots, receivers)."""
     value = jnp.asarray(parameter)
     return value[None, :] if value.ndim else value
 
@@ -141,18 +141,18 @@ def thermal_variance(receiver: ReceiverParameters) -> Array:
 
 
 def multipath_std(receiver: ReceiverParameters, slots: Slots) -> Array:
-    """Return the standard deviation (K, 1) or (K, n) [m] of the multipath of ranges."""
+    """Return the standard deviation (K, 1) or (K, n) [m] of range errors by multipath."""
     low = exp(slots.sight.elevation[:, None] * (-1.0 / math.radians(_MULTIPATH_DEG)))
     return across(receiver.multipath) * (_MULTIPATH_ALL + _MULTIPATH_LOW * low)
 
 
 def carrier_to_noise(receiver: ReceiverParameters, up: Array) -> Array:
-    """Return C/N0 [dB-Hz] of satellites of which the sine of the elevation is known, with nothing in between."""
+    """Return C/N0 [dB-Hz] of unobstructed satellites, by the sine of their elevation."""
     return across(receiver.cn0_zenith) - _CN0_FALL * (1.0 - up)
 
 
 def passed(receiver: ReceiverParameters, rate: Array | float, smoothing_time: Array | None = None) -> Array:
-    """Return the share of variance that both lags leave of a first-order process of a rate [1/s]."""
+    """Return the share of variance of a first-order process of a rate [1/s] that passes both low-pass filters."""
     second_time = receiver.smoothing_time if smoothing_time is None else smoothing_time
     first, second = 1.0 / jnp.asarray(receiver.loop_time), 1.0 / jnp.asarray(second_time)
     above = first * second * (rate + first + second)
@@ -175,7 +175,7 @@ def sights(receiver: ReceiverParameters, slots: Slots, position_ned: Vec3 | None
 
 
 def weakness(receiver: ReceiverParameters, slots: Slots, jam: Array | None = None, loss: Array | float = 0.0) -> Array:
-    """Return the inverse of the satellites' C/N0 (K, m), 1 at 45 dB-Hz.
+    """Return c/n0 of 45 dB-Hz divided by that of each satellite (K, m), as a ratio: larger for weaker signals.
 
     ``jam`` (n,) is what jammers add, ``loss`` (K, m) what C/N0 lacks [dB].
     """
@@ -190,19 +190,19 @@ def strengths(receiver: ReceiverParameters, slots: Slots, jam: Array | None = No
 
 
 def clear_weakness(receiver: ReceiverParameters) -> Array:
-    """Return the inverse of the C/N0 at the zenith without jammers, 1 at 45 dB-Hz."""
+    """Return c/n0 of 45 dB-Hz divided by that of an unjammed satellite at the zenith, as a ratio."""
     return exp((_CN0_STRONG - jnp.asarray(receiver.cn0_zenith)) * (0.1 * math.log(10.0)))
 
 
 def tracked(receiver: ReceiverParameters, slots: Slots, seen: Array, age: Array, jam: Array) -> Array:
-    """Return which satellites (K, n) are tracked of those seen, with ages (K, n) [s], by jammed receivers (n,)."""
+    """Return which of the satellites seen (K, n), with ages (K, n) [s], jammed receivers (n,) track: (K, n) bool."""
     weaker = weakness(receiver, slots, jam)
     strong = weaker < jnp.where(age > 0.5 * AWAY, LOST, FOUND)
     return seen & (strong | ~(jam > 0.0)[None, :])
 
 
 def aged(receiver: ReceiverParameters, seen: Array, same: Array, age: Array) -> Array:
-    """Return the ages (K, n) [s] of satellites a period later: seen or not, and the same (K, 1) as before or not."""
+    """Return tracking times (K, n) [s] one period later; out of view they are negative, coded by ``AWAY``."""
     period = receiver.period
     long = AWAY - age > _COLD_S
     found = across(receiver.acquisition) - jnp.where(
@@ -300,19 +300,19 @@ def geometry_of(
 
 
 def left_signal(receiver: ReceiverParameters) -> float:
-    """Return the share of satellite errors, without the ionosphere, that remains after corrections by SBAS."""
+    """Return the share of clock and ephemeris errors that remains after SBAS corrections, 1 without them."""
     return _left(receiver)[0]
 
 
 def _left(receiver: ReceiverParameters) -> tuple[float, float]:
-    """Return the shares of clock and ephemeris errors, and of the ionosphere, that remain after SBAS corrections."""
+    """Return the shares of clock and ephemeris errors and of ionospheric errors left after SBAS, 1 without it."""
     return (SBAS_SIGNAL, SBAS_DELAY) if receiver.corrections == "sbas" else (1.0, 1.0)
 
 
 def _own_variance(
     receiver: ReceiverParameters, multipath: Array, weaker: Array, smoothing_time: Array | None = None
 ) -> Array:
-    """Return the variance (K, m) [m^2] that both lags leave of a receiver's own errors of ranges."""
+    """Return the variance (K, m) [m^2] of a receiver's own range errors after both low-pass filters."""
     fast, slow = (passed(receiver, 1.0 / jnp.asarray(time), smoothing_time) for time in times(receiver))
     white = passed(receiver, 2.0 / receiver.period, smoothing_time)
     return multipath * multipath * across(0.5 * (fast + slow)) + across(thermal_variance(receiver) * white) * weaker
@@ -329,7 +329,7 @@ def _differential(
     weaker: Array,
     systems: list[Vec3],
 ) -> Differential | None:
-    """Return errors and accuracies with the corrections of a base station; None if the receiver takes none."""
+    """Return errors and accuracies with a base station's corrections, None if the receiver uses none."""
     if not receiver.takes_base:
         return None
     before = after = None
@@ -375,7 +375,7 @@ def _accuracies(
     weaker: Array,
     systems: list[Vec3],
 ) -> tuple[Array, Array, Array]:
-    """Return the standard deviations of horizontal error, height and velocity that receivers report."""
+    """Return the standard deviations of horizontal position [m], height [m] and velocity [m/s] to report."""
     sight, scales, which = slots.sight, slots.scales, column(receiver)
     signal, left = _left(receiver)
     own = _own_variance(receiver, multipath, weaker)

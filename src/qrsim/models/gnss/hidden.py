@@ -66,7 +66,7 @@ class Tracking:
         return jnp.where(self.since < AWAY, AWAY - self.since, 0.0)
 
     def placed(self, chosen: Array, fresh: Tracking) -> Tracking:
-        """Return the state with that of the ``chosen`` receivers (n,) from ``fresh``; shared parts are unchanged."""
+        """Return this state with the ``chosen`` receivers (n,) taken from ``fresh``; shared parts are unchanged."""
         own, new = (
             replace(each, knot=None, part=None, solution=replace(each.solution, knot=None)) for each in (self, fresh)
         )
@@ -87,7 +87,7 @@ def solved(
     slow: Array,
     effect: Effect | None = None,
 ) -> tuple[Geometry, Tracking]:
-    """Return the solutions of receivers (n,) among obstacles, new ones every ``obstacle_period``.
+    """Return solutions and tracking of receivers (n,) among obstacles, recomputed every ``obstacle_period``.
 
     Args:
         receiver: a ``Gnss``.
@@ -110,6 +110,7 @@ def solved(
     due = (slots.knot != before.knot) | (passed > receiver.obstacle_period - 0.5 * receiver.period)
 
     def fresh() -> Tracking:
+        """Return the tracking recomputed for the present positions."""
         return _looked(receiver, skyline, slots, whole, before, same, position_ned, fast, slow, passed, effect)
 
     # What interferes does so at every fix.
@@ -118,7 +119,7 @@ def solved(
 
 
 def _as_seen(receiver: ReceiverParameters, slots: Slots, whole: Geometry, tracking: Tracking) -> Geometry:
-    """Return the solutions that are remembered with all that need not be, and those of the open sky for the others."""
+    """Return the remembered solutions with the present satellite data; that of the open sky where nothing is hidden."""
     own = replace(
         tracking.solution.own,
         directions=slots.sight.line_of_sight.map(lambda axis: axis[:, None]),
@@ -129,10 +130,19 @@ def _as_seen(receiver: ReceiverParameters, slots: Slots, whole: Geometry, tracki
 
 
 def _looked(
-    receiver: ReceiverParameters, skyline: Skyline, slots: Slots, whole: Geometry, before: Tracking | None,
-    same: Array | None, position_ned: Vec3, fast: Array, slow: Array, passed: Array, effect: Effect | None,
-) -> Tracking:  # fmt: skip
-    """Return solutions that are new, ``passed`` () [s] after the last ones."""
+    receiver: ReceiverParameters,
+    skyline: Skyline,
+    slots: Slots,
+    whole: Geometry,
+    before: Tracking | None,
+    same: Array | None,
+    position_ned: Vec3,
+    fast: Array,
+    slow: Array,
+    passed: Array,
+    effect: Effect | None,
+) -> Tracking:
+    """Return new solutions among obstacles, ``passed`` () [s] after the last ones."""
     hides, detour = skyline.look(position_ned, slots.sight)
     there = jnp.broadcast_to(whole.age > 0.0, hides.shape)
     up = -slots.sight.line_of_sight.z[:, None]
@@ -171,14 +181,14 @@ def _looked(
 
 
 def weaker_by(slow: Array) -> Array:
-    """Return by how much reflections are weaker [dB], for slow multipath of unit variance."""
+    """Return the attenuation [dB] of reflected signals, for slow multipath of unit variance."""
     return _WEAKER - _SPREAD * slow
 
 
 def _tracked(
     receiver: ReceiverParameters, before: Tracking | None, same: Any, there: Array, blocked: Array, passed: Array
 ) -> tuple[Array, Array]:
-    """Return ``held`` and ``away`` (K, n) of ``Tracking``, ``passed`` () [s] later, with signals that are blocked."""
+    """Return ``held`` and ``away`` (K, n) of ``Tracking``, updated by ``passed`` () [s] and ``blocked`` signals."""
     blocked = there & blocked
     if before is None:
         long = jnp.full(blocked.shape, _LONG, passed.dtype)
@@ -193,7 +203,7 @@ def _tracked(
 
 
 def _either(chosen: Array, yes: Geometry, no: Geometry) -> Geometry:
-    """Choose between two geometries, receiver by receiver (n,)."""
+    """Return for each receiver (n,) the geometry ``yes`` where ``chosen``, else ``no``."""
 
     def pick(a: Array, b: Array) -> Array:
         """Return ``a`` for the chosen receivers, else ``b``."""

@@ -169,11 +169,11 @@ class Interference:
 
     @property
     def local(self) -> bool:
-        """True if it affects receivers by their position or by satellite, not only through common errors."""
+        """True if any interference acts by a receiver's position or by satellite, not only through common errors."""
         return bool(self.jammers or self.discs or self.spoofers or self.outages)
 
     def at(self, places: Array, seconds: Array, fraction: Array) -> Interfering | None:
-        """Return the interference at an epoch, for the satellites of numbers ``places`` (K,); None without any."""
+        """Return the interference at a time for the satellites numbered ``places`` (K,); None without any."""
         if not self.local:
             return None
 
@@ -194,14 +194,14 @@ class Interference:
         return Interfering(emitters, discs, lies, silent)
 
     def _lie(self, item: Spoofer, on: Array, seconds: Array, fraction: Array) -> Lie:
-        """Return what a spoofer makes receivers in its circle report at a time, or jams at first."""
+        """Return a spoofer's effect at a time: circle, whether it still jams, position and velocity offsets."""
         passed = since(item.start, seconds, fraction)
         rate = _vector(item.rate_ned)
         where = Circle(_vector(item.position_ned), jnp.where(on, jnp.asarray(item.radius), -1.0))
         return Lie(where, passed < item.jam_first - 1e-4, _vector(item.offset_ned) + rate * passed, rate)
 
     def stormy(self, common: CommonErrors, seconds: Array, fraction: Array) -> CommonErrors:
-        """Return common errors in the storms of a time."""
+        """Return common errors with the ionosphere's scaled by the storms of a time."""
         for item in self.storms:
             begun, ended = (jnp.clip(since(t, seconds, fraction) / _RAMP_S, 0.0, 1.0) for t in (item.start, item.end))
             factor = 1.0 + (item.factor - 1.0) * (begun - ended)
@@ -212,7 +212,7 @@ class Interference:
 
 
 def strength(power_w: object, band: str) -> Array:
-    """Return the increase of the inverse of C/N0 by a jammer at 1 m, relative to 45 dB-Hz (Kaplan and Hegarty).
+    """Return how much a jammer at 1 m raises the inverse of C/N0, which is 1 at 45 dB-Hz (Kaplan and Hegarty).
 
     1/(c/n0) = 1/(c/n0 without it) + (j/s)/(Q R_c), j by the power, free space and an antenna of no gain.
     """
@@ -227,7 +227,7 @@ def jammed(
     ground: Ground | None,
     skyline: Skyline | None = None,
 ) -> Array:
-    """Return the increase of the inverse of C/N0 of receivers (n,), relative to 45 dB-Hz.
+    """Return how much jammers raise the inverse of C/N0 of receivers (n,); the inverse is 1 at 45 dB-Hz.
 
     Args:
         now: the interference.
@@ -253,7 +253,7 @@ def jammed(
 
 
 def lied_to(now: Interfering, affected: Sequence[Array], position_ned: Vec3) -> tuple[Array, Vec3, Vec3]:
-    """Return which receivers (n,) believe a spoofer, and by how much it moves their positions and velocities."""
+    """Return which receivers (n,) follow a spoofer, and the offsets of their positions [m] and velocities [m/s]."""
     zero = jnp.zeros_like(position_ned.x)
     believed, offset, rate = zero > 0.0, Vec3(zero, zero, zero), Vec3(zero, zero, zero)
     for lie, chosen in zip(now.lies, affected, strict=True):

@@ -60,7 +60,7 @@ class Ephemeris(Protocol):
 
     @property
     def system_of(self) -> str:
-        """Letter of each satellite's system, S of them; that of GPS where nothing else is said."""
+        """System letter of each of the S satellites, G (GPS) by default."""
         return "G" * len(self.satellites)
 
     @property
@@ -143,7 +143,7 @@ class KeplerOrbits:
         return self._received(seconds, fraction, nearly.norm() * (1.0 / SPEED_OF_LIGHT))
 
     def _received(self, seconds: Array, fraction: Array, flight: Array | float) -> Vec3:
-        """Return positions in NED [m] for travel times [s], () or (S,)."""
+        """Return positions in NED [m] of satellites as received after travel times ``flight`` [s], () or (S,)."""
         sin_u, cos_u = sincos(self.argument.angle(seconds, fraction - flight))
         # While the signal travels the Earth turns on, and what is fixed in space falls back to the west.
         node = self.node.angle(seconds, fraction - flight) - EARTH_ROTATION_RATE * flight
@@ -181,7 +181,7 @@ _ARGUMENT_RATE = _MEAN_MOTION * (1.0 + _J2_FACTOR * (3.0 - 4.0 * math.sin(_INCLI
 
 
 def check_start(start_gps_seconds: float) -> None:
-    """Raise UsageError unless the time of tick 0 [GPS s] is finite."""
+    """Raise UsageError if the time of tick 0 [GPS s] is not finite."""
     if not math.isfinite(start_gps_seconds):
         raise UsageError(f"start_gps_seconds: {start_gps_seconds} is not a finite time")
 
@@ -246,7 +246,7 @@ class NominalConstellation(Ephemeris):
 
     @property
     def span_gps_seconds(self) -> tuple[float, float]:
-        """No limit."""
+        """First and last time [GPS s] with positions: minus and plus infinity."""
         return -math.inf, math.inf
 
     def positions_ecef(self, gps_seconds: npt.ArrayLike) -> Float64:
@@ -256,13 +256,13 @@ class NominalConstellation(Ephemeris):
 
     @property
     def satellite_ids(self) -> npt.NDArray[np.uint32]:
-        """Slot indices from 0; the upper byte marks them as not PRNs."""
+        """Slot indices (24,) from 0, with an upper byte that tells them from PRNs."""
         return np.arange(len(self.satellites), dtype=np.uint32) * np.uint32(256)
 
     def at(
         self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike, duration_s: float = math.inf
     ) -> KeplerOrbits:
-        """Return the orbits of a run.
+        """Return the orbits of a run's satellites as seen from a site.
 
         Args:
             site: where the signals are received.
@@ -322,7 +322,7 @@ def dilution_of_precision(line_of_sight_ned: npt.ArrayLike) -> tuple[float, floa
 
 
 def _vectors(name: str, values: npt.ArrayLike) -> Float64:
-    """Return an array (..., 3) as float64; raise UsageError, which names it, for other shapes."""
+    """Return an array (..., 3) as float64; raise UsageError, naming the argument, for other shapes."""
     array = np.asarray(values, np.float64)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise UsageError(f"{name}: expected an array of shape (..., 3), got {array.shape}")

@@ -75,5 +75,5 @@ PRESETS: Presets = {name: {**_COMMON, **own} for name, own in _OWN.items()}
 
 
 def default(name: str) -> object:
-    """Return a parameter's default, which is that of the default preset."""
+    """Return the value of a receiver parameter in the default preset, by the parameter's name."""
     return PRESETS[DEFAULT][name]

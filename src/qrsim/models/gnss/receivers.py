@@ -43,7 +43,7 @@ class OrnsteinUhlenbeckErrors(RangeErrors):
         return self.std * draw.normals(1)[0]
 
     def step(self, error: Array, draw: Draw, dt: float) -> Array:
-        """Advance the errors (S,) [m] by dt [s]."""
+        """Return the errors (S,) [m] dt [s] later."""
         return ou_step(error, draw.normals(1)[0], dt, self.std, self.time_constant)
 
     def value(self, error: Array) -> Array:
@@ -82,7 +82,7 @@ class SharedSky(Sky):
         return SkyState(start, error, jnp.zeros_like(error), memory, self.ids)
 
     def step(self, state: SkyState, draw: Draw, seconds: Array, fraction: Array) -> SkyState:
-        """Advance one period to ``seconds`` (whole, int32) plus ``fraction`` [s] since the start."""
+        """Return the sky one period later, at ``seconds`` (whole, int32) plus ``fraction`` [s] since the start."""
         memory = self.errors.step(state.memory, draw, self.period)
         error = self.errors.value(memory)
         rate = (error - state.range_error) * (1.0 / self.period)
@@ -111,7 +111,7 @@ class Fix:
 
 
 def solve_position(line_of_sight: Vec3, range_residual: Array, used: Array) -> Fix:
-    """Solve for position and receiver clock by least squares.
+    """Return the least-squares fix of position and receiver clock from range residuals.
 
     The residual form: rho_i - |p_i - p| = -u_i . d + c dt, with d the offset from the true position p in NED.
     The neglected term is d^2 / (2 rho): 1e-5 m at 20 m. The clock is eliminated by taking means over the used
@@ -164,7 +164,7 @@ def solve_position(line_of_sight: Vec3, range_residual: Array, used: Array) -> F
 
 
 def _inverse_symmetric(a: Array, b: Array, c: Array, d: Array, e: Array, f: Array) -> tuple[Array, ...]:
-    """Invert [[a, b, c], [b, d, e], [c, e, f]] by cofactors; returns the same six entries of the inverse."""
+    """Return the inverse of [[a, b, c], [b, d, e], [c, e, f]] by cofactors, as the same six entries."""
     co_a, co_b, co_c = d * f - e * e, c * e - b * f, b * e - c * d
     scale = 1.0 / (a * co_a + b * co_b + c * co_c)
     return (
@@ -236,7 +236,7 @@ class GnssReceiver(Sensor):
         position_low_ned: Vec3 | None = None,
         ground: Ground | None = None,
     ) -> tuple[ReceiverState, GnssReading]:
-        """Return the first fix, as if reported for some time already; its velocity is the true one."""
+        """Return state and first fix, as of a receiver that has been on for a while; its velocity is the true one."""
         listed = self._choose_listed(draw, sky) if self.satellites == "hand_list" else None
         fix, _ = self._solve(draw, position_ned, sky, listed, ground)
         position, true, low = _solution(position_ned, fix, position_low_ned)
@@ -254,7 +254,7 @@ class GnssReceiver(Sensor):
         position_low_ned: Vec3 | None = None,
         ground: Ground | None = None,
     ) -> tuple[ReceiverState, GnssReading]:
-        """Return the first fix of receivers at new places, ``since`` [s] after an epoch."""
+        """Return state and first fix of receivers at new places, ``since`` [s] after an epoch."""
         fresh, reading = self.init(draw, position_ned, velocity_ned, sky, position_low_ned, ground)
         # Where they would have been at that epoch, because the next velocity is that of a whole period.
         moved = velocity_ned * since
@@ -273,7 +273,7 @@ class GnssReceiver(Sensor):
         position_low_ned: Vec3 | None = None,
         ground: Ground | None = None,
     ) -> tuple[ReceiverState, GnssReading]:
-        """Compute a fix for receivers at position_ned (n,) and report the one of ``delay`` periods ago."""
+        """Compute a fix for receivers at position_ned (n,), and return the state and the fix ``delay`` periods old."""
         fix, velocity_error = self._solve(draw, position_ned, sky, state.listed, ground)
         position, true, low = _solution(position_ned, fix, position_low_ned)
         if velocity_error is not None:
@@ -290,7 +290,7 @@ class GnssReceiver(Sensor):
         return ReceiverState(position, true, queue[1:], state.listed, low), queue[0]
 
     def fix(self, draw: Draw, position_ned: Vec3, sky: SkyState) -> Fix:
-        """Solve for the position of each receiver (n,) from the satellites above the mask."""
+        """Return the position fix of each receiver (n,) from the satellites above the mask."""
         return self._solve(draw, position_ned, sky, None, None)[0]
 
     def _solve(
@@ -336,7 +336,7 @@ class GnssReceiver(Sensor):
 
 
 def _solution(position_ned: Vec3, fix: Fix, position_low_ned: Vec3 | None) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
-    """Return a solution (n,) in a state's parts: rounded position, true position, and the rounded-off rest.
+    """Return the fixed position as stored in a state: rounded fix, true position or None, rounding remainder or None.
 
     From a position of two parts comes a solution of two parts, which need not be taken apart into truth and error.
     """
@@ -357,7 +357,7 @@ class IdealGnss(Memoryless):
     draws_alone: ClassVar[bool] = True
 
     def init(self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState) -> tuple[None, GnssReading]:
-        """Return the true position and velocity, with all satellites of the sky and no dilution of precision."""
+        """Return no state, and the true position and velocity with all satellites of the sky and no dilution."""
         zero = jnp.zeros_like(position_ned.x)
         count = jnp.full_like(zero, sky.range_error.shape[0])
         return None, GnssReading(position_ned, velocity_ned, count, zero, zero)

@@ -25,7 +25,7 @@ def lagged(
     fixes: Array,
     got: Received | None = None,
 ) -> tuple[Vec3, Vec3]:
-    """Return the errors after both lags, which the carrier's change moves on; without corrections they wait."""
+    """Return the errors after one and after both low-pass filters, shifted by ``moved_on`` [m] of carrier phase."""
     started = 1.0 / jnp.maximum(fixes, 1.0)
     gains = [
         jnp.maximum(started, -jnp.expm1(-receiver.period / jnp.asarray(time)))
@@ -43,7 +43,7 @@ def lagged(
 
 
 def plain(receiver: ReceiverParameters, now: Geometry) -> Quality:
-    """Return the quality of fixes without a base station."""
+    """Return the quality of fixes without a base station's corrections."""
     return Quality(CORRECTED if receiver.corrections == "sbas" else SINGLE, now.horizontal, now.vertical)
 
 
@@ -57,7 +57,7 @@ def fix_of(
     coasting: Array,
     effect: Effect | None,
 ) -> GnssFix:
-    """Return the fix: computed, coasting on what is ``held``, or none."""
+    """Return the reading: the computed fix, the held one moved on while coasting, or NaN without a fix."""
     shape, enough = place.x.shape, now.enough
     grown = held.speed_accuracy + _COASTING * receiver.period
     wider = grown * receiver.period
@@ -88,7 +88,7 @@ def fix_of(
 
 
 def misled(effect: Effect | None, error: Vec3, velocity: Vec3) -> tuple[Vec3, Vec3]:
-    """Return errors of positions, and velocities, that spoofers have moved on."""
+    """Return position errors and velocities with the offsets of spoofers added."""
     if effect is None or effect.misled is None:
         return error, velocity
     return error + effect.offset_ned, velocity + effect.rate_ned

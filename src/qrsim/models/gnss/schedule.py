@@ -11,7 +11,7 @@ _HALF_STEP = 5e-5
 
 
 def since(start: object, seconds: Array, fraction: Array) -> Array:
-    """Return the time [s] since a start [s], at a time of whole seconds (int32) and a fraction."""
+    """Return the time [s] from ``start`` [s] to the time ``seconds`` (whole, int32) plus ``fraction`` [s]."""
     begin = jnp.asarray(start, fraction.dtype)
     whole = jnp.floor(begin)
     return (seconds - whole.astype(np.int32)).astype(fraction.dtype) + (fraction - (begin - whole))

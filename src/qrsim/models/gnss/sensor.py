@@ -68,7 +68,7 @@ class Gnss(ReceiverParameters, Sensor):
         ground: Ground | None = None,
         skyline: Skyline | None = None,
     ) -> tuple[GnssState, GnssFix]:
-        """Return the first fix of receivers that have long been running."""
+        """Return state and first fix of receivers that have been running for long."""
         return self._started(draw, position_ned, velocity_ned, sky, position_low_ned, ground, skyline, None)
 
     def restart(
@@ -83,13 +83,13 @@ class Gnss(ReceiverParameters, Sensor):
         ground: Ground | None = None,
         skyline: Skyline | None = None,
     ) -> tuple[GnssState, GnssFix]:
-        """Return the first fix of receivers at new places, ``since`` [s] after an epoch."""
+        """Return state and first fix of receivers at new places, ``since`` [s] after an epoch."""
         shared = state.geometry
         fresh, reading = self._started(draw, position_ned, velocity_ned, sky, position_low_ned, ground, skyline, shared)
         return replace(fresh, true_ned=fresh.true_ned - velocity_ned * since), reading
 
     def placed(self, chosen: Array, fresh: GnssState, before: GnssState) -> GnssState:
-        """Return the state in which only chosen receivers (n,) have new places; what all share stays."""
+        """Return ``before`` with the ``chosen`` receivers (n,) taken from ``fresh``; shared parts are unchanged."""
         shared: dict[str, object] = {"geometry": before.geometry, "ids": before.ids}
         if fresh.tracking is not None and before.tracking is not None:
             shared["tracking"] = before.tracking.placed(chosen, fresh.tracking)
@@ -109,7 +109,7 @@ class Gnss(ReceiverParameters, Sensor):
         ground: Ground | None = None,
         skyline: Skyline | None = None,
     ) -> tuple[GnssState, GnssFix]:
-        """Compute a fix of receivers at position_ned (n,), and report the one of ``delay`` periods ago."""
+        """Compute a fix of receivers at position_ned (n,), and return the state and the fix ``delay`` periods old."""
         slots: Slots = sky.slots
         same = slots.ids == state.ids
         age, effect = None, None
@@ -201,7 +201,7 @@ class Gnss(ReceiverParameters, Sensor):
         skyline: Skyline | None,
         shared: Geometry | None,
     ) -> tuple[GnssState, GnssFix]:
-        """Return state and reading of receivers whose filters have settled; ``shared`` is what they share already."""
+        """Return state and reading of receivers with settled filters; ``shared``: the common geometry, if known."""
         slots: Slots = sky.slots
         alike = (ground is None or not ground.hides) and slots.interference is None
         now, age, effect = shared, None, None
@@ -266,7 +266,7 @@ class Gnss(ReceiverParameters, Sensor):
     def _tracked(
         self, slots: Slots, position_ned: Vec3, ground: Ground | None, skyline: Skyline | None, age: Array
     ) -> tuple[Array, Effect | None]:
-        """Return the satellites (K, m) bool that receivers track, and the effect of interference, None without any.
+        """Return which satellites (K, m) receivers track, and the effect of interference, None without any.
 
         ``age``: time (K, m) [s] for which each satellite has been tracked.
         """
@@ -282,7 +282,7 @@ class Gnss(ReceiverParameters, Sensor):
         return kept, Effect(jam, misled, offset, rate, above, above - left)
 
     def _renewed(self, state: GnssState, slots: Slots) -> Geometry:
-        """Return the geometry of a new knot, that all receivers share."""
+        """Return the geometry at a new knot, common to all receivers."""
         before: Geometry = state.geometry
         passed_s = (slots.knot - before.knot).astype(before.age.dtype) * slots.knot_s
         same = (slots.ids == state.ids)[:, None]

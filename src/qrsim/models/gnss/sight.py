@@ -85,20 +85,20 @@ def sight_of(satellites_ned: Vec3) -> Sight:
 
 
 def without_ionosphere(signal: Array) -> CommonErrors:
-    """Return range errors (S,) [m] that know no ionosphere."""
+    """Return range errors (S,) [m] as common errors, with zero ionospheric delay."""
     zero = jnp.zeros_like(signal)
     return CommonErrors(signal, zero, zero, zero, zero, zero)
 
 
 def plain_scales(signal: object, like: Array) -> Scales:
-    """Return the scales of errors without terms: a std [m] of each satellite (S,)."""
+    """Return scales with the standard deviation ``signal`` [m] for each satellite (S,), and all other terms zero."""
     zero = jnp.zeros_like(jnp.asarray(signal))
     each = jnp.broadcast_to(jnp.asarray(signal), jnp.shape(like))
     return Scales(each, zero, (zero, zero), (zero, zero), (zero, zero), (zero, zero))
 
 
 def system_numbers(letters: str) -> NumpyArray:
-    """Return the numbers of satellites' systems, by their letters."""
+    """Return the system number (S,) of each satellite by its letter; the last number for unknown letters."""
     import numpy as np
 
     return np.array([max(LETTERS.find(letter), 0) if letter in LETTERS else len(LETTERS) - 1 for letter in letters])

@@ -43,19 +43,19 @@ class Skyline:
     )
 
     def sees(self, position_ned: Vec3, point_ned: Vec3) -> Array:
-        """Return whether no obstacle is between receivers (n,) and a place, exactly."""
+        """Return (n,) bool: no obstacle is between a receiver and a point [m], by exact rays."""
         if self.solids is None:
             return jnp.ones(position_ned.x.shape, bool)
         return line_of_sight(self.solids, position_ned, point_ned)
 
     def look(self, position_ned: Vec3, sight: Sight) -> tuple[Array, Array]:
-        """Return (K, n) whether obstacles hide satellites (K,) from receivers (n,), and the detour of the reflection.
+        """Return (K, n) bool, whether obstacles hide satellites (K,) from receivers (n,), and each reflection's detour.
 
         The detour is the extra path [m] divided by the cosine of the elevation; 0 without a reflection.
         """
         levels, count = jnp.asarray(self.levels), self.levels.shape[0]
         places = [(position_ned.x - self.corner[0]) / self.pitch, (position_ned.y - self.corner[1]) / self.pitch]
-        row, column = (_whole(place + 0.5, most) for place, most in zip(places, (self.rows, self.columns), strict=True))
+        row, column = (_bin(place + 0.5, most) for place, most in zip(places, (self.rows, self.columns), strict=True))
         height = -position_ned.z
         level, low, high = jnp.zeros_like(row), levels[0] + 0.0 * height, levels[1] + 0.0 * height
         for i in range(1, count - 1):
@@ -68,13 +68,14 @@ class Skyline:
         ray = sight.line_of_sight
         turn = jnp.arctan2(ray.y, ray.x) * (self.azimuths / (2.0 * math.pi))
         turn = jnp.where(turn < 0.0, turn + self.azimuths, turn)
-        azimuth = _whole(turn, self.azimuths)
+        azimuth = _bin(turn, self.azimuths)
         along = (turn - azimuth.astype(turn.dtype))[:, None]
         words = jnp.asarray(self.words)
         lower = words[first[None, :] + azimuth[:, None]]
         upper = words[(first + self.azimuths)[None, :] + azimuth[:, None]]
 
         def byte(word: Array, number: int) -> Array:
+            """Return byte ``number`` of a word, 0 the lowest, as a float."""
             return ((word >> (8 * number)) & 255).astype(turn.dtype)
 
         below, above_it = (byte(word, 0) + along * (byte(word, 1) - byte(word, 0)) for word in (lower, upper))
@@ -89,7 +90,7 @@ class Skyline:
         return hidden & near[None, :], jnp.where(reflected & near[None, :], detour, 0.0)
 
 
-def _whole(value: Array, count: int) -> Array:
-    """Return the number of the interval that a value is in, brought into range."""
+def _bin(value: Array, count: int) -> Array:
+    """Return the index int32 of the unit interval that contains a value, clipped to 0 to count - 1; NaN gives 0."""
     finite = jnp.where(jnp.isfinite(value), value, 0.0)
     return jnp.clip(jnp.floor(finite), 0.0, float(count - 1)).astype(np.int32)

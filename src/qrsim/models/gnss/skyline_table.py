@@ -106,7 +106,7 @@ def frame_of(
 
 
 def _levels(bottom: float, tallest: float) -> tuple[float, ...]:
-    """Return the heights over z = 0 [m] at which a table is made, the last one that of the highest roof."""
+    """Return the heights over z = 0 [m] of the table's levels, rising; the last is the height of the highest roof."""
     above, whole = list(LEVELS), tallest - bottom
     while above[-1] * GROWTH < whole:
         above.append(above[-1] * GROWTH)
@@ -114,7 +114,7 @@ def _levels(bottom: float, tallest: float) -> tuple[float, ...]:
 
 
 def make_table(walls: Walls, frame: Frame, lowest: float) -> Skyline:
-    """Make the table of walls; ``lowest`` is as in ``frame_of``."""
+    """Return the table of horizons, detours and ceilings by the walls; ``lowest`` is as in ``frame_of``."""
     shape = (frame.rows * frame.columns, len(frame.levels), frame.azimuths)
     tables = [np.zeros(shape, np.uint8) for _ in range(3)]
     slope = math.tan(lowest)
@@ -138,13 +138,13 @@ def make_table(walls: Walls, frame: Frame, lowest: float) -> Skyline:
 
 
 def skyline_of(words: npt.NDArray[np.int32], frame: Frame) -> Skyline:
-    """Return the table of a frame as receivers look into it."""
+    """Return the table ``words`` of a frame as the component that receivers query."""
     levels = np.array(frame.levels)
     return record_of(Skyline, words, levels, frame.corner, frame.pitch, frame.rows, frame.columns, frame.azimuths)
 
 
 def _near(walls: Walls, x: Float64, y: Float64, slope: float) -> npt.NDArray[np.bool_]:
-    """Return which walls are so high and so close to cells that they can hide a satellite from one of them."""
+    """Return (E,) bool: which walls are high and near enough to hide a satellite from one of the cells."""
     middle = np.array([0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())])
     around = math.hypot(x.max() - middle[0], y.max() - middle[1])
     edge, start = walls.last - walls.first, middle - walls.first
@@ -218,7 +218,7 @@ def _quantized(tangent: Float64) -> NumpyArray:
 
 
 def _outside(tables: list[Bytes], walls: Walls, frame: Frame, north: Float64, east: Float64) -> None:
-    """Give cells that are inside a solid what the nearest cell outside has, in place: who is there grazes a wall."""
+    """Copy the nearest outside cell's values into cells inside a solid, in place in ``tables``."""
     from scipy.ndimage import distance_transform_edt
 
     roof = np.full((frame.rows, frame.columns), -np.inf)

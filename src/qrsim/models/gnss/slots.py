@@ -94,7 +94,7 @@ class SlottedSky(Sky):
 
     @property
     def knot_ticks(self) -> int:
-        """Ticks from one knot to the next, a multiple of those of an epoch."""
+        """Ticks from one knot to the next, a multiple of the ticks of an epoch."""
         return max(1, round(self.period / self.time_step)) * max(1, round(KNOT_S / self.period))
 
     @property
@@ -120,7 +120,7 @@ class SlottedSky(Sky):
         return SkyState(here, error, jnp.zeros_like(error), memory, jnp.asarray(self.ids), slots)
 
     def step(self, state: SkyState, draw: Draw, seconds: Array, fraction: Array) -> SkyState:
-        """Advance one period to ``seconds`` (whole, int32) plus ``fraction`` [s] since the start."""
+        """Return the sky one period later, at ``seconds`` (whole, int32) plus ``fraction`` [s] since the start."""
         tick = draw.tick.astype(jnp.int32)
 
         def held() -> tuple[object, ...]:
@@ -150,7 +150,7 @@ class SlottedSky(Sky):
         return plain and self.errors.needs_sight and not self.each_epoch
 
     def step_by_parts(self, state: SkyState, draw: Draw, tick: Array) -> SkyState:
-        """Return the state at a tick () int32: a condition in another one would copy all of it at every epoch."""
+        """Return the state at a tick () int32, with branches that copy only the parts that change."""
         epoch = max(1, round(self.period / self.time_step))
 
         def held() -> tuple[object, ...]:
@@ -158,6 +158,7 @@ class SlottedSky(Sky):
             return state.memory, replace(state.slots, part=None), state.satellites_ned, state.range_error
 
         def knot() -> tuple[object, ...]:
+            """Return the sky at a new knot."""
             memory, slots, satellites, error = self._knot(state, draw)
             return memory, replace(slots, part=None), satellites, error
 
@@ -168,7 +169,7 @@ class SlottedSky(Sky):
         return SkyState(satellites, error, state.range_rate_error, memory, state.ids, slots)
 
     def _knot(self, state: SkyState, draw: Draw) -> tuple[object, ...]:
-        """Advance to a knot: the next one becomes the present one, and a new next one is computed."""
+        """Return memory, slots, satellites and range errors at a knot, with those of the next knot computed ahead."""
         memory, tick = state.memory, draw.tick.astype(jnp.int32)
         here = memory.after_ned
         ahead = self.orbits.positions_ned(*split_time(tick + self.knot_ticks, self.time_step, draw.like.dtype))
@@ -187,7 +188,7 @@ class SlottedSky(Sky):
     def _with_base(
         self, memory: SlottedMemory, slots: Slots, now: BaseState, later: BaseState
     ) -> tuple[SlottedMemory, Slots]:
-        """Return memory and slots with the base station, from a knot to the next."""
+        """Return memory and slots with the base station's data from this knot to the next."""
         assert self.base is not None
         seen, taken = self.base.seen(now, later), jnp.maximum(slots.places, 0)
         seen = replace(seen, code_before=seen.code_before[taken], code_after=seen.code_after[taken])
@@ -204,13 +205,13 @@ class SlottedSky(Sky):
         return slots
 
     def _advanced(self, errors: object, draw: Draw) -> object:
-        """Return errors at the next knot; those that are stepped at every epoch wait for theirs."""
+        """Return the errors at the next knot; unchanged if they are stepped at every epoch."""
         return self.errors.step(errors, draw, self.knot_s) if self.errors.needs_sight else errors
 
     def _from(
         self, errors: object, advanced: object, here: Vec3, later: Vec3, places: Array, knot: Array
     ) -> tuple[SlottedMemory, Slots, Array]:
-        """Return memory, slots and range errors (S,) from a knot on; satellites in view keep their slots."""
+        """Return memory, slots and range errors (S,) from knot ``knot`` on; satellites in view keep their slots."""
         sights = [sight_of(where) for where in (here, later)]
         system = jnp.asarray(self.system)
         common = [self.errors.seen(e, s, system) for e, s in zip((errors, advanced), sights, strict=True)]
@@ -224,6 +225,7 @@ class SlottedSky(Sky):
         taken, free = jnp.maximum(places, 0), places < 0
 
         def picked(leaf: Array) -> Array:
+            """Return the values of the satellites in the slots, 0.5 in free slots."""
             return jnp.where(free, 0.5, leaf[taken])
 
         slots = Slots(
@@ -247,12 +249,12 @@ class SlottedSky(Sky):
 
 
 def _between(first: Array, last: Array, part: Array) -> Array:
-    """Interpolate linearly: ``first`` at part 0, ``last`` at part 1."""
+    """Return the linear interpolation from ``first`` at part 0 to ``last`` at part 1."""
     return first + part * (last - first)
 
 
 def assigned(in_view: Array, highest: Array, places: Array) -> tuple[Array, Array]:
-    """Give slots to satellites that come into view, and take them from those that leave it.
+    """Return the satellite of each slot, new ones added and those out of view removed, and the number left out.
 
     Args:
         in_view: (S,) bool.

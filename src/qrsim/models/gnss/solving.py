@@ -42,13 +42,13 @@ class Solution:
     vdop: Array = quantity(unit="1", doc="(m,) vertical dilution of precision")
 
     def of(self, errors: Sequence[Array]) -> list[Vec3]:
-        """Return the errors (1,) or (n,) of the solution for several errors of ranges, each (K, 1) or (K, n)."""
+        """Return the position errors (1,) or (n,) [m] for each of several range errors (K, 1) or (K, n) [m]."""
         g = self.gain
         found = sums([axis * error for error in errors for axis in (g.x, g.y, g.z)])
         return [_times(self.inverse, *found[3 * i : 3 * i + 3]) for i in range(len(errors))]
 
     def rows(self) -> Vec3:
-        """Return the matrix (K, m) for each axis that takes errors of ranges to the solution."""
+        """Return, for each axis, the matrix (K, m) that turns range errors into a position error."""
         xx, xy, xz, yy, yz, zz = (entry[None, :] for entry in self.inverse)
         return _times((xx, xy, xz, yy, yz, zz), self.gain.x, self.gain.y, self.gain.z)
 
@@ -62,7 +62,7 @@ class Gains:
     inverse: Symmetric = quantity(unit="m^2", doc="(n,) of the normal matrix")
 
     def of(self, line_of_sight: Vec3, errors: Array) -> Vec3:
-        """Return the error (n,) of the solution for errors of ranges (K, 1) or (K, n), in directions (K, 1)."""
+        """Return the position error (n,) [m] for range errors (K, 1) or (K, n) [m] of satellites, directions (K, 1)."""
         weighted = self.weight * errors
         total, *along = sums([weighted, *(weighted * axis for axis in line_of_sight.axes)])
         about = (part - mean * total for part, mean in zip(along, self.mean.axes, strict=True))
@@ -76,7 +76,7 @@ def _times(inverse: Symmetric, x: Array, y: Array, z: Array) -> Vec3:
 
 
 def solve(line_of_sight: Vec3, weight: Array, used: Array) -> Solution:
-    """Solve for position and clock with weights.
+    """Return the weighted least-squares solution for position and receiver clock.
 
     Args:
         line_of_sight: unit vectors (K, 1) to the satellites.
@@ -103,7 +103,7 @@ def solve(line_of_sight: Vec3, weight: Array, used: Array) -> Solution:
 
 
 def robust(solution: Solution, line_of_sight: Vec3, weight: Array, used: Array, errors: Array, std: Array) -> Solution:
-    """Solve again, twice, with less weight for ranges that do not fit the others (Huber, and a cut at six sigma).
+    """Return the solution reweighted twice, with outlying ranges weighted less (Huber) and cut at six sigma.
 
     Args:
         solution: with the weights as they are.
@@ -140,7 +140,7 @@ def _reweighted(weight: Array, errors: Array, axes: Sequence[Array], moved: Vec3
 
 
 def _inverted(entries: Sequence[Array], enough: Array) -> tuple[Symmetric, Array]:
-    """Return the inverse of a symmetric matrix (m,) by cofactors, and whether it has one."""
+    """Return the inverse of a symmetric matrix (m,) by cofactors, and (m,) bool: the matrix is regular."""
     a, b, c, d, e, f = entries
     co_a, co_b, co_c = d * f - e * e, c * e - b * f, b * e - c * d
     determinant = a * co_a + b * co_b + c * co_c
@@ -165,7 +165,7 @@ def factor(rows: Vec3, variance: Array) -> Symmetric:
 
 
 def correlated(by: Symmetric, normals: tuple[Array, ...]) -> Vec3:
-    """Return a vector (n,) of the covariance that a factor is of, from three standard normals (n,)."""
+    """Return a random vector (n,) with the covariance of Cholesky factor ``by``, from three standard normals (n,)."""
     return Vec3(
         by[0] * normals[0],
         by[1] * normals[0] + by[2] * normals[1],

@@ -99,7 +99,7 @@ class Sp3Ephemeris(Ephemeris):
 
     @property
     def system_of(self) -> str:
-        """Letter of each satellite's system, S of them."""
+        """System letter of each of the S satellites."""
         return "".join(name[0] for name in self.satellites)
 
     @property
@@ -201,7 +201,7 @@ class Sp3Ephemeris(Ephemeris):
 
     @cached_property
     def _wanted(self) -> npt.NDArray[np.bool_]:
-        """Which of the file's satellites belong to the systems asked for."""
+        """(S of the file,) bool: the satellite's system is in ``systems``; raises UsageError for missing systems."""
         letters = self._letters
         if not letters or set(letters) - set(SYSTEMS):
             known = ", ".join(f"{letter} ({name})" for letter, name in SYSTEMS.items())
@@ -214,12 +214,12 @@ class Sp3Ephemeris(Ephemeris):
 
     @property
     def content(self) -> str:
-        """The systems of the file with their numbers of satellites, in words."""
+        """Satellite systems of the file with their numbers of satellites, as text for messages."""
         has = Counter(name[0] for name in self.data.satellites)
         return ", ".join(f"{letter} ({SYSTEMS[letter]}): {count}" for letter, count in has.items())
 
     def lacking(self, systems: str) -> str:
-        """Return the letters among these of systems that the file has no satellite of."""
+        """Return those letters of ``systems`` of which the file has no satellite."""
         there = {name[0] for name in self.data.satellites}
         return "".join(letter for letter in systems if letter not in there)
 
@@ -230,7 +230,7 @@ class Sp3Ephemeris(Ephemeris):
 
     @cached_property
     def _columns(self) -> npt.NDArray[np.intp]:
-        """Which of the file's satellites are used."""
+        """Indices (S,) of the file's satellites that are used; raises UsageError if none is."""
         usable = np.flatnonzero(self._wanted & (self._windows >= 0).any(axis=0))
         if not len(usable):
             raise UsageError(
@@ -241,7 +241,7 @@ class Sp3Ephemeris(Ephemeris):
 
     @cached_property
     def _windows(self) -> npt.NDArray[np.intp]:
-        """First of the 12 epochs (E - 1, all satellites) that an interval is interpolated from; -1: none."""
+        """Index (E - 1, all satellites) of the first of 12 epochs that interpolate each interval; -1: none."""
         present = np.isfinite(self.data.positions_ecef[..., 0])
         joined = present[1:] & present[:-1] & ~self.data.manoeuvre[1:]
         windows = np.full(joined.shape, -1, np.intp)

@@ -114,7 +114,7 @@ class _Lines:
         raise UsageError(f"{self.path}, line {line}: {words}")
 
     def number(self, line: int, first: int, end: int, what: str) -> float:
-        """Return the number in columns first + 1 to end."""
+        """Return the number in columns first + 1 to end of a line; raise UsageError, naming ``what``, for others."""
         words = self.text[line - 1][first:end]
         try:
             value = float(words)
@@ -126,7 +126,7 @@ class _Lines:
 
 
 def read_sp3(path: str | Path) -> Sp3File:
-    """Read an SP3 file of version a, c or d.
+    """Return the contents of an SP3 file of version a, c or d.
 
     A position of zeros and a clock of 999999 us mean a missing value; a satellite without a line at an epoch has
     none there, and an epoch left out of the regular spacing has none of any satellite. Notes and gaps record these.
@@ -183,7 +183,7 @@ def read_sp3(path: str | Path) -> Sp3File:
 
 
 def _version(lines: _Lines) -> str:
-    """Return the version letter of an SP3 file; raise UsageError for others than those supported."""
+    """Return the version letter of an SP3 file; raise UsageError for unsupported ones."""
     head = lines.text[0] if lines.text else ""
     if not head.startswith("#") or len(head) < 2:
         lines.fail(1, f"'{head[:20]}' is not the start of an SP3 file, which is '#c' or the like")
@@ -193,7 +193,7 @@ def _version(lines: _Lines) -> str:
 
 
 def _epochs(lines: _Lines) -> tuple[list[_Epoch], bool]:
-    """Return the epochs in the file's order, and whether an EOF line ends it."""
+    """Return the epochs in the file's order, and a bool: an EOF line ends the file."""
     found: list[_Epoch] = []
     time_system = ""
     for line, text in enumerate(lines.text, 1):
@@ -259,7 +259,7 @@ def _epoch_time(lines: _Lines, line: int, time_system: str) -> float:
 
 
 def _position(lines: _Lines, line: int) -> tuple[str, _Record]:
-    """Return the satellite of a position line, and what the line says."""
+    """Return satellite name, position and clock of a position line; raise UsageError for a damaged line."""
     text = lines.text[line - 1].rstrip()
     letter, digits = text[1:2].strip() or "G", text[2:4].strip()
     if letter not in SYSTEMS or not digits.isdecimal():
@@ -282,7 +282,7 @@ def _position(lines: _Lines, line: int) -> tuple[str, _Record]:
 
 
 def _grid(lines: _Lines, epochs: list[_Epoch]) -> tuple[int, list[int]]:
-    """Return the spacing of the epochs [s] and the place of each on the regular grid."""
+    """Return the epochs' spacing [s], and the index of each on the regular grid; raise UsageError if uneven."""
     for before, after in pairwise(epochs):
         if after.gps_seconds <= before.gps_seconds:
             which = "repeats" if after.gps_seconds == before.gps_seconds else "is before"
@@ -311,7 +311,7 @@ def _grid(lines: _Lines, epochs: list[_Epoch]) -> tuple[int, list[int]]:
 
 
 def _gap(path: str, epochs: list[_Epoch], name: str) -> str:
-    """Describe the missing data of a satellite, "" if complete."""
+    """Return a description of a satellite's missing data, "" if complete."""
     absent = [epoch for epoch in epochs if name not in epoch.records or not any(epoch.records[name].xyz_km)]
     moved = [epoch for epoch in epochs if name in epoch.records and epoch.records[name].moved]
     found = []
@@ -324,5 +324,5 @@ def _gap(path: str, epochs: list[_Epoch], name: str) -> str:
 
 
 def gps_text(gps_seconds: float) -> str:
-    """Format a GPS time, to the second, for messages."""
+    """Return a GPS time as text to the second, for messages."""
     return f"{GPS_EPOCH + timedelta(seconds=round(gps_seconds)):%Y-%m-%d %H:%M:%S} GPS"

@@ -11,7 +11,7 @@ from qrsim.models.scene.uniform import uniform
 
 
 def starts(mac: Mac, air: float, draw: Draw, wants: Array, audible: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return the start (n,) [s] of each vehicle's packet in the period, and whether it is sent.
+    """Return the start (n,) [s] of each vehicle's packet in the period, and (n,) bool: it is sent.
 
     Args:
         mac: the access to the channel.

@@ -31,15 +31,15 @@ class FleetRadios:
     works: Array = quantity(doc="bool: there is a radio")
 
     def power(self, usual: Array) -> Array:
-        """Return the transmitted power of each radio [dBm]."""
+        """Return the transmitted power (n,) [dBm] of each radio, ``usual`` for radios without a value."""
         return _or_usual(self.power_dbm, usual)
 
     def gain(self, usual: Array) -> Array:
-        """Return the gain of each antenna [dB]."""
+        """Return the antenna gain (n,) [dB] of each radio, ``usual`` for radios without a value."""
         return _or_usual(self.gain_db, usual)
 
     def noise(self, usual: Array) -> Array:
-        """Return the noise figure of each receiver [dB]."""
+        """Return the noise figure (n,) [dB] of each receiver, ``usual`` for radios without a value."""
         return _or_usual(self.noise_figure_db, usual)
 
 
@@ -102,12 +102,12 @@ class Channel:
 
     @property
     def latest(self) -> float:
-        """Longest time [s] from the beginning of a period until a packet of it is known."""
+        """Longest time [s] from the beginning of a period until a packet sent in it arrives."""
         begin = {"ideal": 0.0, "tdma": self.mac.period * (1.0 - 1.0 / self.mac.slots)}
         first = begin.get(self.mac.type, self.mac.period) + self.air_time
         return first + self.delay.fixed + self.delay.jitter * math.exp(JITTER_SIGMA * LARGEST_NORMAL)
 
     @property
     def periods_on_the_way(self) -> int:
-        """Number of periods (F) with packets that may still be on their way."""
+        """Number F of periods with packets that may not have arrived yet."""
         return max(1, math.ceil(self.latest / self.mac.period - 1e-9))

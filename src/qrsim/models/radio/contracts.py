@@ -106,15 +106,15 @@ class Radio(Protocol):
     @property
     @abstractmethod
     def field_ids(self) -> int:
-        """Number of what is drawn once an episode."""
+        """Number of random ids that ``init`` draws once an episode."""
 
     @abstractmethod
     def init(self, draw: Draw, keys: StreamKeys, like: Array) -> object:
-        """Return the state at the start of an episode, for vehicles (n,) as ``like``, without any message."""
+        """Return the state at the start of an episode, without any message, for vehicles (n,) as ``like``."""
 
     @abstractmethod
     def exchange(self, state: Any, now: Exchange) -> object:
-        """Queue the messages of a tick, and send those that are due; they arrive at the next tick at the earliest."""
+        """Return the state after a tick: new messages queued, due ones sent; they arrive at the next tick or later."""
 
     @abstractmethod
     def received(self, state: Any, tick: Array, time_step: float) -> Inbox:
@@ -122,10 +122,10 @@ class Radio(Protocol):
 
     @abstractmethod
     def heard(self, state: Any, tick: Array, time_step: float) -> Heard:
-        """Return the same as a table of messages, with the ticks at which each was sent and known."""
+        """Return the messages received by a tick as a table, with the ticks at which each was sent and arrived."""
 
     def last_heard(self, state: Any, senders: slice, tick: Array, time_step: float) -> Array:
-        """Return the tick (n,) int32 at which the newest known message of some senders was sent; -1 without one."""
+        """Return the tick (n,) int32 at which the newest message received from ``senders`` was sent; -1 without one."""
         heard = self.heard(state, tick, time_step)
         counts = (heard.sender >= senders.start) & (heard.sender < senders.stop)
         return jnp.max(jnp.where(counts, heard.sent, NOBODY), axis=0)
@@ -140,4 +140,4 @@ class Radio(Protocol):
 
     @abstractmethod
     def handed(self, state: Any, vehicle: int, payload: Any, to: int, tick: int) -> Any:
-        """Return a state, of arrays on the host, with a message of a vehicle behind those that wait."""
+        """Return a host state with a message appended to the send queue of ``vehicle``, addressed to ``to``."""

@@ -55,7 +55,7 @@ class Links:
 
 
 def powers(network: Channel, field: ShadowField, near: Neighbours, surfaces: Surfaces) -> Array:
-    """Return the power (K, n) [dBm] at which each vehicle receives those near it, if they send."""
+    """Return the power (K, n) [dBm] at which each vehicle would receive each of its neighbours."""
     way = network.path_loss
     there = jnp.maximum(near.index, 0)
     here = surfaces.position_ned.map(lambda axis: jnp.broadcast_to(axis[None], there.shape))
@@ -84,7 +84,7 @@ def powers(network: Channel, field: ShadowField, near: Neighbours, surfaces: Sur
 def _over_land(
     network: Channel, near: Neighbours, surfaces: Surfaces, squared: Array, apart: Array, lost: Array
 ) -> Array:
-    """Return the path loss (K, n) [dB]: of links between ground and air by the land use, of all others ``lost``.
+    """Return the path loss (K, n) [dB]: by land use for links between ground and air, ``lost`` for others.
 
     Args:
         network: the radio.
@@ -107,7 +107,7 @@ def _over_land(
 def outcomes(
     network: Channel, near: Neighbours, power: Array, begin: Array, sends: Array, to: Array, chance: Array
 ) -> Links:
-    """Return the links (K, n) of a period, and what becomes of its packets.
+    """Return the links (K, n) of a period, with the outcome of each packet.
 
     Args:
         network: the radio.
@@ -150,7 +150,7 @@ def outcomes(
 
 
 def error_rate(network: Channel, snr_db: Array, squared: Array) -> Array:
-    """Return the chance that a packet is lost, by signal to noise ratio or by distance alone."""
+    """Return the probability that a packet is lost, by signal-to-noise ratio [dB] or by squared distance [m^2]."""
     packet = network.packet
     bits = 8.0 * packet.bytes
     if packet.model == "threshold":
@@ -165,7 +165,7 @@ def error_rate(network: Channel, snr_db: Array, squared: Array) -> Array:
 def _disturbance(
     network: Channel, power: Array, begin: Array, sends: Array, there: Array, comes: Array
 ) -> tuple[Array, Array]:
-    """Return the power (K, n) [mW] of other packets during each packet, and whether its receiver sends then."""
+    """Return the power (K, n) [mW] of packets that overlap each packet, and whether its receiver sends meanwhile."""
     air, period = network.air_time, network.mac.period
     theirs = begin.at[there].get(mode="promise_in_bounds")
 

@@ -87,7 +87,7 @@ class Network(Channel, Radio):
         )
 
     def exchange(self, state: NetworkState, now: Exchange) -> NetworkState:
-        """Queue the messages of a tick, and send those that are due, once a period."""
+        """Return the state after a tick: new messages queued, and, once a period, due ones sent."""
         if now.said is not None:
             state = self._queued(state, now.said, now)
         ticks = max(1, round(self.mac.period / now.time_step))
@@ -108,13 +108,13 @@ class Network(Channel, Radio):
         )
 
     def heard(self, state: NetworkState, tick: Array, time_step: float) -> Heard:
-        """Return the newest known message of each sender, the newest first, without those that are forgotten."""
+        """Return the newest received message of each sender, newest first, none older than ``inbox.forget``."""
         both = state.coming.joined(state.table)
         fresh = (tick - both.sent) <= round(self.inbox.forget / time_step)
         return newest(both, both.known(tick) & fresh, self.inbox.size)
 
     def last_heard(self, state: NetworkState, senders: slice, tick: Array, time_step: float) -> Array:
-        """Return the tick (n,) int32 at which the newest known message of some senders was sent; -1 without one."""
+        """Return the tick (n,) int32 at which the newest message received from ``senders`` was sent; -1 without."""
         both = state.coming.joined(state.table)
         counts = both.known(tick) & (both.sender >= senders.start) & (both.sender < senders.stop)
         return jnp.max(jnp.where(counts, both.sent, NOBODY), axis=0)
@@ -128,7 +128,7 @@ class Network(Channel, Radio):
         return state.links
 
     def handed(self, state: NetworkState, vehicle: int, payload: object, to: int, tick: int) -> NetworkState:
-        """Return a state, of arrays on the host, with a message of a vehicle behind those that wait."""
+        """Return a host state with a message appended to the vehicle's send queue; a full queue drops its oldest."""
         words, receivers, since = (
             np.array(part) for part in (state.waiting.payload, state.waiting.to, state.waiting.since)
         )
@@ -144,7 +144,7 @@ class Network(Channel, Radio):
         return replace(state, waiting=waiting, counts=replace(state.counts, lost_queue=lost))
 
     def _queued(self, state: NetworkState, said: Outbox, now: Exchange) -> NetworkState:
-        """Append new messages to the send queues; a full queue drops its oldest message and counts it."""
+        """Return the state with new messages in the send queues; a full queue drops its oldest and counts it."""
         waiting, queue = state.waiting, self.mac.queue
         here = said.send & now.surfaces.works
         length = jnp.sum((waiting.since != NOBODY).astype(jnp.int32), axis=0, dtype=jnp.int32)
@@ -165,7 +165,7 @@ class Network(Channel, Radio):
         return replace(state, waiting=waiting, counts=counts)
 
     def _sent(self, state: NetworkState, now: Exchange, ticks: int) -> NetworkState:
-        """Send the oldest message of each vehicle, or its beacon, and put what is heard on its way."""
+        """Return the state after sending each vehicle's oldest message or beacon, received ones put in transit."""
         surfaces, limits = now.surfaces, self.inbox
         frame = jnp.asarray(now.tick, jnp.int32) // ticks
         x, y, z = (
@@ -198,7 +198,7 @@ class Network(Channel, Radio):
         )
 
     def _first(self, state: NetworkState, now: Exchange) -> tuple[Array, Array, Array, Array, Array]:
-        """Return payload (D, n), receiver and tick of each vehicle's next message, if it has waited, and if it is."""
+        """Return each vehicle's next message: payload (D, n), receiver, tick, and flags (n,): was queued, is sent."""
         waiting = state.waiting
         queued = waiting.since[0] != NOBODY
         payload, to, since = waiting.payload[0], waiting.to[0], waiting.since[0]
@@ -223,12 +223,12 @@ class Network(Channel, Radio):
 
     @staticmethod
     def _stream(keys: StreamKeys, which: int, ids: object, frame: object) -> Stream:
-        """Return the random stream of one purpose for senders in a frame."""
+        """Return the random stream with number ``which`` for senders ``ids`` in a frame."""
         low = keys.low[which] + jnp.asarray(frame).astype(jnp.uint32)
         return Stream(keys.high[which], low, jnp.asarray(ids, jnp.uint32))
 
     def _pair(self, keys: StreamKeys, which: int, near: Neighbours, ids: object, frame: Array) -> tuple[Stream, Array]:
-        """Return the stream of ordered pairs (K, n) in a period, and the ids of their senders, which are its ticks."""
+        """Return the random stream of ordered pairs (K, n) in a frame, and the senders' ids, used as its ticks."""
         ids = jnp.asarray(ids, jnp.uint32)
         sender = ids.at[jnp.maximum(near.index, 0)].get(mode="promise_in_bounds")
         receiver = jnp.broadcast_to(ids[None], sender.shape)
@@ -248,7 +248,7 @@ class Network(Channel, Radio):
         now: Exchange,
         frame: Array,
     ) -> Heard:
-        """Return the nearest heard packets with the ticks at which they arrive."""
+        """Return the received packets, those of the nearest senders first, with their ticks of arrival."""
         payload, since, begin = packets
         heard = links.outcome == Outcome.HEARD
         there = jnp.maximum(near.index, 0)
@@ -265,7 +265,7 @@ class Network(Channel, Radio):
         return replace(found, payload=jnp.where((found.sender != NOBODY)[:, None], words, 0.0))
 
     def _late(self, keys: StreamKeys, near: Neighbours, begin: Array, now: Exchange, frame: Array) -> Array:
-        """Return the time (K, n) [s] from the beginning of a period until packets are received."""
+        """Return the time (K, n) [s] from the beginning of a period until each packet arrives."""
         stream, sender = self._pair(keys, JITTER, near, now.ids, frame)
         (normal,) = stream.normals(sender, 1, near.squared.dtype)
         distance = jnp.sqrt(jnp.where(near.index >= 0, near.squared, 0.0))
@@ -274,7 +274,7 @@ class Network(Channel, Radio):
 
 
 def _shifted(rows: Array, where: Array) -> Array:
-    """Return rows without the first one, and with the last one twice, for vehicles in the mask ``where`` (n,)."""
+    """Return rows moved up by one, the last one repeated, for vehicles in the mask ``where`` (n,)."""
     moved = jnp.concatenate([rows[1:], rows[-1:]])
     return jnp.where(where[(None,) * (rows.ndim - 1)], moved, rows)
 
@@ -288,7 +288,7 @@ def _without_first(waiting: Waiting, gone: Array) -> Waiting:
 
 
 def _counted(counts: Counts, links: Links, near: Neighbours, sends: Array, wants: Array) -> Counts:
-    """Return the counts with the outcomes of a period's packets added."""
+    """Return the counts with a period's packets added by outcome."""
 
     def of(outcome: int) -> Array:
         """Return the number of links (n,) with an outcome."""

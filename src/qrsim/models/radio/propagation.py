@@ -24,12 +24,12 @@ _DB = 10.0 / math.log(10.0)
 
 
 def db(ratio: Array) -> Array:
-    """Return a positive ratio in decibels."""
+    """Return a positive ratio of powers in decibels."""
     return _DB * log(ratio)
 
 
 def ratio(decibels: Array) -> Array:
-    """Return the ratio of decibels."""
+    """Return the ratio of powers for a value in decibels."""
     return exp(decibels * (1.0 / _DB))
 
 
@@ -51,7 +51,7 @@ GROUND_WAVELENGTHS = 0.638
 
 
 def two_ray_loss(squared: Array, frequency_hz: Array, heights: tuple[Array, Array]) -> Array:
-    """Return the loss [dB] of links far along the ground, where the ray that it mirrors nearly cancels the direct one.
+    """Return the two-ray loss [dB] of long links along the ground; its reflection nearly cancels the direct ray.
 
     K. Bullington, "Radio propagation at frequencies above 30 megacycles", Proc. IRE 35, 1947: d^4/(h1 h2)^2, with
     heights that are not less than what the ground itself gives, of vertical antennas over land of permittivity 15.
@@ -87,7 +87,7 @@ def sight_chance(elevation: Array, land: str) -> Array:
 
 
 def air_to_ground_loss(squared: Array, frequency_hz: Array, elevation: Array, land: str) -> Array:
-    """Return the mean loss [dB] of links between the ground and the air: free space, and what buildings take.
+    """Return the mean loss [dB] of links between ground and air: free space plus the shadowing by buildings.
 
     Args:
         squared: lengths squared [m^2].
@@ -111,7 +111,7 @@ MAN_MADE = {"city": 76.8, "residential": 72.5, "rural": 67.2, "quiet_rural": 53.
 
 
 def with_man_made(noise_figure_db: Array, frequency_mhz: Array, land: str) -> Array:
-    """Return the noise figure [dB] of receivers together with man-made noise of a land, or of none.
+    """Return the noise figure [dB] of receivers with the man-made noise of a kind of land added; "none" adds nothing.
 
     Recommendation ITU-R P.372: c - d lg f, d = 27.7, in a quiet rural land 28.6; measured up to 250 MHz.
     """
@@ -131,7 +131,7 @@ class ShadowField:
 
     @staticmethod
     def drawn(draw: Draw) -> ShadowField:
-        """Draw the M waves of an episode, one for each id.
+        """Return a field of M random waves, one for each id of ``draw``.
 
         Wave numbers are normals over one common normal (Cauchy in six dimensions), so that the correlation of two links
         whose ends are d apart is exp(-d/correlation distance): Gudmundson, "Correlation model for shadow fading in
@@ -143,7 +143,7 @@ class ShadowField:
         return ShadowField(Vec3(*turns[:3]), Vec3(*turns[3:]), uniform(draw, 16))
 
     def between(self, one: Vec3, other: Vec3, correlation_distance: Array) -> Array:
-        """Return the shadowing (...) of links between places, with unit variance; the same from either end."""
+        """Return shadowing (...) of unit variance on links between places [m], equal in both directions."""
         inverse = 1.0 / correlation_distance
         shape = (-1,) + (1,) * other.x.ndim
         here, there = (end.map(lambda wave: jnp.reshape(wave * inverse, shape)) for end in (self.here, self.there))
@@ -176,17 +176,17 @@ def complementary_error(x: Array) -> Array:
 
 
 def fsk_bit_error(per_bit: Array) -> Array:
-    """Return the bit error rate of binary FSK, detected without phase, by its energy over the noise's."""
+    """Return the bit error rate of non-coherent binary FSK, by energy per bit over noise density."""
     return 0.5 * exp(-0.5 * per_bit)
 
 
 def bpsk_bit_error(per_bit: Array) -> Array:
-    """Return the bit error rate of BPSK, detected with phase."""
+    """Return the bit error rate of coherent BPSK, by energy per bit over noise density."""
     return 0.5 * complementary_error(jnp.sqrt(jnp.maximum(per_bit, 0.0)))
 
 
 def packet_error(bit_error: Array, bits: float) -> Array:
-    """Return the chance that one of a number of bits is wrong."""
+    """Return the probability that at least one of ``bits`` bits is wrong."""
     # What is left of one minus a small number is rounded; its logarithm is not.
     small = -bit_error * (1.0 + bit_error * (0.5 + bit_error * (1.0 / 3.0)))
     kept = jnp.where(bit_error < 0.01, small, log(1.0 - bit_error))
@@ -194,7 +194,7 @@ def packet_error(bit_error: Array, bits: float) -> Array:
 
 
 def threshold_error(snr_db: Array, snr50_db: Array, width_db: Array) -> Array:
-    """Return the chance of loss by a threshold: one half at ``snr50_db``, steeper the smaller ``width_db``."""
+    """Return a smooth threshold's loss probability: 0.5 at ``snr50_db``, steeper for a smaller ``width_db``."""
     return 1.0 / (1.0 + exp((snr_db - snr50_db) / width_db))
 
 

@@ -60,12 +60,12 @@ UNITS = {
 
 
 def reason_code(kind: str, field: str) -> int:
-    """Return the code of a reason."""
+    """Return the code of a reason for a stop, its index in REASONS."""
     return REASONS.index((kind, field))
 
 
 def reason_text(code: int, value: float) -> str:
-    """Describe a reason in words: kind, field, value and unit; "" for code 0."""
+    """Return a reason for a stop as text with kind, field, value and unit; "" for code 0."""
     if code == 0:
         return ""
     kind, field = REASONS[code]
@@ -85,7 +85,7 @@ class Violation:
 
     @staticmethod
     def first(checks: Sequence[tuple[int, Array, Array]], like: Array) -> Violation:
-        """Combine (code, value, broken) checks, the earliest in the list first."""
+        """Return the first broken one of (code, value, broken) checks, code 0 if none is."""
         code, value = jnp.zeros(like.shape, jnp.int32), jnp.zeros_like(like)
         for check_code, check_value, broken in reversed(checks):
             code = jnp.where(broken, check_code, code)
@@ -93,7 +93,7 @@ class Violation:
         return Violation(code, value)
 
     def or_else(self, other: Violation) -> Violation:
-        """Combine two violations; this one takes precedence."""
+        """Return this violation, and where it is empty (code 0) the other one."""
         here = self.code != 0
         return Violation(jnp.where(here, self.code, other.code), jnp.where(here, self.value, other.value))
 
@@ -111,7 +111,7 @@ class BoxArea(Area):
     is_box: ClassVar[bool] = True
 
     def check(self, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
-        """Return the checks (code, value, broken) of positions (n,)."""
+        """Return the checks of positions (n,) against the walls, each (code, value, broken)."""
         axes = (
             ("x", position_ned.x, self.x_min, self.x_max),
             ("y", position_ned.y, self.y_min, self.y_max),
@@ -166,7 +166,7 @@ class StateLimits:
     def check(
         self, attitude: Euler, velocity_body: Vec3, rates_body: Vec3, turns: Array | None = None
     ) -> list[tuple[int, Array, Array]]:
-        """Return the checks (code, value, broken) of states (n,).
+        """Return the checks of states (n,) against the limits, each (code, value, broken).
 
         Args:
             attitude: [rad], the yaw within -pi and pi.
@@ -188,7 +188,7 @@ class StateLimits:
 def collisions(
     position_ned: Vec3, collision_distance: Array, radius: Array | None = None, before_ned: Vec3 | None = None
 ) -> Violation:
-    """Return which vehicles (n,) of a world are closer to another than collision_distance [m].
+    """Return collisions of vehicles (n,) closer than ``collision_distance`` [m] to another, with the distance [m].
 
     Compares all positions together, so the result does not depend on the order of the vehicles, and counts
     vehicles that have already stopped.
@@ -212,7 +212,7 @@ def collisions(
 
 
 def _nearest_on_the_way(position_ned: Vec3, before_ned: Vec3, least: Array) -> Array:
-    """Return the squared distance (n,) [m^2] to the nearest other vehicle, while they are on their way.
+    """Return the smallest squared distance (n,) [m^2] to another vehicle on the straight ways of a tick.
 
     Two that move less than half of ``least`` to each other are 3 % of it nearer in between, at most: of them the ends
     of the ways are looked at.
@@ -224,6 +224,7 @@ def _nearest_on_the_way(position_ned: Vec3, before_ned: Vec3, least: Array) -> A
     nearest = nearest_squared(position_ned.x, position_ned.y, position_ned.z, reach)
 
     def by_pairs() -> Array:
+        """Return the squared distances (n,) computed from all pairs of ways."""
         start, end = (
             place.map(lambda axis: axis[:, None]) - place.map(lambda axis: axis[None, :])
             for place in (before_ned, position_ned)
@@ -237,7 +238,7 @@ def _nearest_on_the_way(position_ned: Vec3, before_ned: Vec3, least: Array) -> A
 
 
 def _overlaps(position_ned: Vec3, radius: Array, before_ned: Vec3 | None) -> Violation:
-    """Return which spheres (n,) reach into another, with the distance [m] to that into which they reach furthest."""
+    """Return collisions of spheres (n,) that overlap another, with the distance [m] to the one overlapped most."""
     start, end = (
         place.map(lambda axis: axis[:, None]) - place.map(lambda axis: axis[None, :])
         for place in (position_ned if before_ned is None else before_ned, position_ned)

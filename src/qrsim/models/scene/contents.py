@@ -35,7 +35,7 @@ class Contents:
 
     @property
     def random(self) -> bool:
-        """True if a component is drawn for each episode, as all but empty ones are."""
+        """True if plume, terrain or persons are drawn at random for each episode."""
         return bool(self.plume.random or self.terrain.random or self.persons.random)
 
 
@@ -73,7 +73,7 @@ class Surroundings:
         return over_ground(self.ground, position_ned)
 
     def carrying_wind(self, dtype: DTypeLike) -> Wind:
-        """Return the mean wind that carries a plume, that at the origin, in a floating-point type."""
+        """Return the mean wind at the origin, which carries a plume, in a floating-point type."""
         time, height = split_time(self.tick, self.time_step, dtype), jnp.full(1, WIND_HEIGHT, dtype)
         place = Vec3(jnp.zeros(1, dtype), jnp.zeros(1, dtype), -height)
         return Wind.of(mean_wind_at(self.wind, height, place, time).map(lambda axis: axis[0]))

@@ -34,10 +34,10 @@ class Area(Protocol):
 
     @abstractmethod
     def check(self, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
-        """Return the checks of positions (n,) [m]: code of a reason (area.py), value (n,), and whether it is broken."""
+        """Return the checks of positions (n,) [m], each (code of a reason (area.py), value (n,), broken (n,))."""
 
     def swept(self, before_ned: Vec3, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
-        """Return the checks of positions (n,) [m] that vehicles reached on straight ways, and of these ways.
+        """Return the checks of positions (n,) [m] and of the straight ways on which vehicles reached them.
 
         By default the positions alone are checked: no way between two points of a convex area leaves it.
         """
@@ -67,7 +67,7 @@ class Area(Protocol):
         )
 
     def height_agl(self, position_ned: Vec3) -> Array:
-        """Return the height (n,) [m] of positions above a ground at z = 0; any other ground says it itself."""
+        """Return the height (n,) [m] of positions above flat ground at z = 0; overridden for other grounds."""
         return -position_ned.z
 
 
@@ -94,7 +94,7 @@ class Ground(Protocol):
         return jnp.full(line_of_sight.z.shape, -1.0, line_of_sight.z.dtype)
 
     def line_of_sight(self, position_ned: Vec3, point_ned: Vec3) -> Array:
-        """Return whether a point () [m] is seen from positions (n,) [m]: (n,) bool; by default it is."""
+        """Return (n,) bool: the ground does not hide a point () [m] from positions (n,) [m]; here always True."""
         return jnp.ones(position_ned.x.shape, bool)
 
     @abstractmethod
@@ -102,7 +102,7 @@ class Ground(Protocol):
         """Return the down coordinate [m] of the ground below (or above) positions of any shape [m]."""
 
     def ray_distance(self, origin_ned: Vec3, direction: Vec3, reach: Array) -> Array:
-        """Return the distance [m] along rays (...) to the ground, 0 from below it, infinite beyond their reach.
+        """Return the distance [m] along rays (...) to the ground, 0 from below it, infinite beyond ``reach``.
 
         By default the ground is sampled every ``reach``/32, and the first crossing found there is narrowed down. A
         ridge between two samples can be missed.
@@ -132,6 +132,7 @@ def crossing(down: Callable[[Vec3], Array], origin_ned: Vec3, direction: Vec3, r
     origin, ray = (end.map(lambda axis: jnp.broadcast_to(axis, shape)) for end in (origin_ned, direction))
 
     def above(distance: Array) -> Array:
+        """Return the height [m] above the surface at distances along the rays, negative below."""
         wide = (1,) * (distance.ndim - len(shape)) + shape
         place = origin.map(lambda axis: axis.reshape(wide)) + ray.map(lambda axis: axis.reshape(wide)) * distance
         return down(place) - place.z
@@ -178,14 +179,14 @@ class Plume(Protocol):
     @property
     @abstractmethod
     def ids(self) -> int:
-        """Numbers of what is drawn for."""
+        """Number of random ids that ``init`` and ``step`` draw for."""
 
     def init(self, draw: Draw, area: object) -> object:
         """Return the state at the start of an episode; ``draw`` is for ``ids`` ids."""
         return None
 
     def step(self, state: Any, draw: Draw) -> object:
-        """Advance one period."""
+        """Return the state one period later."""
         return state
 
     @abstractmethod
@@ -204,7 +205,7 @@ class GroundCover(Protocol):
     random: ClassVar[bool] = True
 
     def init(self, draw: Draw) -> object:
-        """Return the ground of an episode; ``draw`` is for one id."""
+        """Return the land cover of an episode, drawn at random for one id."""
         return None
 
     @abstractmethod
@@ -237,7 +238,7 @@ class People(Protocol):
         return None
 
     def step(self, state: Any, position_ned: Vec3, speed: Array, valid: Array, tick: Array) -> object:
-        """Mark the persons that vehicles (n,) find at a tick."""
+        """Return the state with the persons marked that vehicles (n,) find at a tick."""
         return state
 
 
@@ -279,7 +280,7 @@ class Placement(Protocol):
         """
 
     def unplaced(self, size: int) -> str:
-        """Say, for an error, that no place was found for this many vehicles."""
+        """Return the error message for ``size`` vehicles without a place."""
         return f"no place for {size} vehicles; take another seed or fewer vehicles"
 
 

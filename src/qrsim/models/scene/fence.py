@@ -26,7 +26,7 @@ class PolygonArea(Area):
     z_max: Array = parameter(default=0.0, unit="m", doc="floor; 0 is the ground", maximum=0.0)
 
     def check(self, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
-        """Return the checks (code, value, broken) of positions (n,)."""
+        """Return the checks of positions (n,) against fence, floor and ceiling, each (code, value, broken)."""
         distance, z = self.distance_to_fence(position_ned), position_ned.z
         return [
             (reason_code("out_of_area", "fence"), distance, distance < 0.0),
@@ -34,7 +34,7 @@ class PolygonArea(Area):
         ]
 
     def swept(self, before_ned: Vec3, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
-        """Return the checks of positions (n,), of which a way that leaves the polygon and returns breaks the first."""
+        """Return the checks of positions (n,); a way that leaves the polygon and comes back counts as outside."""
         (code, distance, outside), vertical = self.check(position_ned)
         north, east = position_ned.x - before_ned.x, position_ned.y - before_ned.y
         # A way that is shorter than the distance from the nearest edge stays inside.
@@ -132,11 +132,12 @@ def polygon_problems(vertices: npt.ArrayLike) -> list[str]:
 
 
 def _cross(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the z component of the cross products of vectors (..., 2)."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
 def _crossing_edges(start: npt.NDArray[np.float64], end: npt.NDArray[np.float64]) -> list[tuple[int, int]]:
-    """Return the pairs of edges, each from start to end (V, 2), that meet anywhere but at the corner they share."""
+    """Return the index pairs of edges, from start to end (V, 2), that meet other than at a shared corner."""
     count, edge = len(start), end - start
     low, high = np.minimum(start, end), np.maximum(start, end)
     found = []

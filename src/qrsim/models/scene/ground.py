@@ -36,7 +36,7 @@ class FlatGround(Ground):
         return jnp.full_like(position_ned.z, 0.0 - self.height)
 
     def ray_distance(self, origin_ned: Vec3, direction: Vec3, reach: Array) -> Array:
-        """Return the distance [m] along rays (...) to the plane, infinite beyond their reach."""
+        """Return the distance [m] along rays (...) to the plane, infinite beyond ``reach``."""
         above = -self.height - origin_ned.z
         falls = direction.z > 0.0
         met = above / jnp.where(falls, direction.z, 1.0)
@@ -72,7 +72,7 @@ class GridGround(Ground):
         return south + a * (north - south)
 
     def line_of_sight(self, position_ned: Vec3, point_ned: Vec3) -> Array:
-        """Return whether a point () [m] is seen from positions (n,) [m], by the ground at places in between."""
+        """Return (n,) bool: the ground does not hide a point () [m] from positions (n,) [m], by samples between."""
         shape, dtype = self.grid.shape, position_ned.x.dtype
         ways = [b - a for a, b in zip(position_ned.axes, point_ned.axes, strict=True)]
         # Which part of the way is over the grid; of ridges there is nothing to be missed beyond.
@@ -101,7 +101,7 @@ class GridGround(Ground):
         return upward(north, east)
 
     def _cell(self, position_ned: Vec3) -> tuple[tuple[Array, Array], tuple[tuple[Array, Array], tuple[Array, Array]]]:
-        """Return the position in each cell, 0 to 1 north and east, and the cell's corners: ((sw, se), (nw, ne))."""
+        """Return positions in the cell, 0 to 1 north and east, and the heights of its corners: ((sw, se), (nw, ne))."""
         grid, parts, numbers = jnp.asarray(self.grid), [], []
         for axis, value in enumerate((position_ned.x, position_ned.y)):
             last = grid.shape[axis] - 1
@@ -111,8 +111,8 @@ class GridGround(Ground):
             parts.append(place - number)
             numbers.append(number.astype(jnp.int32))
         i, j = numbers
-        south, north = (tuple(grid[i + di, j + dj] for dj in (0, 1)) for di in (0, 1))
-        return (parts[0], parts[1]), (south, north)  # type: ignore[return-value]
+        south, north = ((grid[i + di, j], grid[i + di, j + 1]) for di in (0, 1))
+        return (parts[0], parts[1]), (south, north)
 
     def horizon_sine(self, position_ned: Vec3, line_of_sight: Vec3) -> Array:
         """Return the sine (S, n) of the elevation of the horizon below lines of sight (S, n) from positions (n,).

@@ -65,7 +65,7 @@ class Obstacles:
     prisms: Prisms | None = quantity(default=None, doc="prisms with their numbers; None without any")
 
     def nearest(self, position_ned: Vec3) -> tuple[Array, Array]:
-        """Return for positions (n,) the distance [m] of the nearest obstacle and its number in the scenario.
+        """Return the distance (n,) [m] of positions (n,) to the nearest obstacle, and its number in the scenario.
 
         Without any obstacle the distance is infinite and the number -1. A prism that is farther than ``prisms.reach``
         may be overlooked.
@@ -79,7 +79,7 @@ class Obstacles:
         return jnp.where(closer, other, distance), jnp.where(closer, its_number, number)
 
     def _nearest_plain(self, position_ned: Vec3) -> tuple[Array, Array]:
-        """Return distance and number of the nearest box or cylinder, as ``nearest`` does for all obstacles."""
+        """Return distance [m] and number of the nearest box or cylinder; infinite and -1 without any."""
         row = position_ned.map(lambda axis: axis[None, :])
         rows = [
             kind.distance(row) for kind in (_as_columns(self.boxes), _as_columns(self.cylinders)) if kind.z_min.shape[0]
@@ -94,7 +94,7 @@ class Obstacles:
 
 
 def _as_columns(item: T) -> T:
-    """Return a record of arrays (k,) with arrays (k, 1), to broadcast against vehicles."""
+    """Return the record with arrays (k,) reshaped to (k, 1), to broadcast against vehicles (n,)."""
     return jax.tree.map(lambda leaf: leaf[:, None], item)
 
 
@@ -105,5 +105,5 @@ def _beyond(value: Array, low: Array, high: Array) -> Array:
 
 
 def _length(x: Array, y: Array, z: Array) -> Array:
-    """Return the length of vectors, without a slope of NaN at zero."""
+    """Return the length of vectors, its gradient finite at zero."""
     return length_of(library_of(x), x * x + y * y + z * z)

@@ -25,7 +25,7 @@ class GivenPlaces(Placement):
     random: ClassVar[bool] = False
 
     def place(self, draw: Draw, start: StartT, area: object) -> tuple[StartT, Array]:
-        """Return the start that is given."""
+        """Return the given start unchanged, and True."""
         return start, jnp.ones((), bool)
 
 
@@ -41,10 +41,11 @@ class UniformPlaces(Placement):
     random: ClassVar[bool] = True
 
     def place(self, draw: Draw, start: StartT, area: object) -> tuple[StartT, Array]:
-        """Draw the start of vehicles (n,), and report whether one was found; see ``_first_apart``."""
+        """Return the start of vehicles (n,) at random places, and () bool: places far enough apart were found."""
         low, high = inner_box(area, self.inner)
 
         def candidate(number: Array) -> tuple[Array, Array]:
+            """Return random places (n,) north and east [m] of a numbered try."""
             return (
                 uniform(draw, 2 * number, low.x, high.x),
                 uniform(draw, 2 * number + 1, low.y, high.y),
@@ -57,7 +58,7 @@ class UniformPlaces(Placement):
         return replace(start, position_ned=Vec3(north, east, start.position_ned.z), attitude=attitude), found
 
     def unplaced(self, size: int) -> str:
-        """Say that no place was found; see ``_unplaced``."""
+        """Return the error message for ``size`` vehicles without a place; see ``_unplaced``."""
         return _unplaced(size, self.apart, self.tries)
 
 
@@ -74,9 +75,10 @@ class RingPlaces(Placement):
     random: ClassVar[bool] = True
 
     def place(self, draw: Draw, start: StartT, area: object) -> tuple[StartT, Array]:
-        """Draw the start of vehicles (n,), and report whether one was found; see ``_first_apart``."""
+        """Return the start of vehicles (n,) at random places, and () bool: places far enough apart were found."""
 
         def candidate(number: Array) -> tuple[Array, Array]:
+            """Return random places (n,) north and east [m] of a numbered try."""
             sine, cosine = sincos(uniform(draw, 2 * number, -math.pi, math.pi))
             distance = uniform(draw, 2 * number + 1, self.nearest, self.farthest)
             return self.north + distance * cosine, self.east + distance * sine
@@ -85,7 +87,7 @@ class RingPlaces(Placement):
         return replace(start, position_ned=Vec3(north, east, start.position_ned.z)), found
 
     def unplaced(self, size: int) -> str:
-        """Say that no place was found; see ``_unplaced``."""
+        """Return the error message for ``size`` vehicles without a place; see ``_unplaced``."""
         return _unplaced(size, self.apart, self.tries)
 
     def most_vehicles(self) -> int:
@@ -98,7 +100,7 @@ class RingPlaces(Placement):
 
 
 def _unplaced(size: int, apart: Array, tries: int) -> str:
-    """Say that a number of tries found no place for all vehicles, some distance [m] apart."""
+    """Return the error message for vehicles without places at least ``apart`` [m] apart after a number of tries."""
     return (
         f"no place for {size} vehicles at least {float(apart):g} m apart in {tries} tries; take another seed, fewer "
         "vehicles, more tries or less distance"
@@ -108,7 +110,7 @@ def _unplaced(size: int, apart: Array, tries: int) -> str:
 def _first_apart(
     candidate: Callable[[Array], tuple[Array, Array]], apart: Array, tries: int
 ) -> tuple[Array, Array, Array]:
-    """Return the first of some places of all vehicles together that are far enough apart.
+    """Return the first of several random placements of all vehicles with distances of at least ``apart`` [m].
 
     Args:
         candidate: from the number of a try to north and east (n,).
@@ -120,11 +122,13 @@ def _first_apart(
     """
 
     def far_enough(north: Array, east: Array) -> Array:
+        """Return () bool: every two vehicles (n,) are at least ``apart`` [m] apart."""
         square = (north[:, None] - north[None]) ** 2 + (east[:, None] - east[None]) ** 2
         itself = jnp.eye(north.shape[0], dtype=bool)
         return jnp.all(itself | (square >= apart * apart))
 
     def again(now: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Return the next try's number, and whether its places are far enough apart."""
         number = now[0] + 1
         return number, far_enough(*(lax.stop_gradient(axis) for axis in candidate(number)))
 

@@ -37,9 +37,10 @@ class Sources:
 
 
 def inner_box(area: Any, part: Array | float) -> tuple[Vec3, Vec3]:
-    """Return the lowest and the highest corner of the inner part of a box."""
+    """Return the lowest and the highest corner [m] of a box scaled by ``part`` about its centre."""
 
     def shrunk(low: Array, high: Array) -> tuple[Array, Array]:
+        """Return the interval [low, high] scaled by ``part`` about its middle."""
         middle, half = 0.5 * (low + high), 0.5 * part * (high - low)
         return middle - half, middle + half
 
@@ -48,7 +49,7 @@ def inner_box(area: Any, part: Array | float) -> tuple[Vec3, Vec3]:
 
 
 def _placed(draw: Draw, area: object, least: int, most: int) -> tuple[Vec3, Array]:
-    """Return positions (S,) in the inner part of the area, and which of the sources (S,) are there."""
+    """Return random positions (S,) in the inner part of the area, and (S,) bool: the source exists in this episode."""
     low, high = inner_box(area, INNER)
     position = Vec3(*(uniform(draw, i, getattr(low, axis), getattr(high, axis)) for i, axis in enumerate("xyz")))
     count = whole(draw, 3, least, most)[0]
@@ -65,7 +66,7 @@ class Wind:
 
     @staticmethod
     def of(velocity_ned: Vec3) -> Wind:
-        """Return the wind of a velocity () [m/s]."""
+        """Return speed and direction of the horizontal part of a velocity () [m/s]."""
         speed = jnp.sqrt(velocity_ned.x * velocity_ned.x + velocity_ned.y * velocity_ned.y)
         return Wind(speed, velocity_ned.x / speed, velocity_ned.y / speed)
 
@@ -76,15 +77,17 @@ class Wind:
 
 
 def _count(which: str) -> int:
-    """Return the declaration of a setting that is a number of sources."""
+    """Return the declaration of a setting for a number of sources."""
     return setting(default=1, unit="1", doc=f"{which} sources of an episode", minimum=1, maximum=100)
 
 
 def _spread_factor() -> Array:
+    """Return the declaration of the parameter a of the spread 2 a x'^b."""
     return parameter(default=0.33, unit="m^(2-b)", doc="a of the spread s = 2 a x'^b", above=0.0)
 
 
 def _spread_exponent() -> Array:
+    """Return the declaration of the parameter b of the spread 2 a x'^b."""
     return parameter(default=0.86, unit="1", doc="b of the spread s = 2 a x'^b", above=0.0, maximum=2.0)
 
 
@@ -96,7 +99,7 @@ class NoPlume(Plume):
 
     @property
     def ids(self) -> int:
-        """Nothing is drawn."""
+        """Number of random ids: 0."""
         return 0
 
     def concentration(self, state: None, position_ned: Vec3, wind: Wind, area: object, since: Array) -> Array:
@@ -147,27 +150,27 @@ class GaussianPlume(Plume):
         return jnp.sum(state.sources.strength[None] * exp(-0.5 * square), axis=-1)
 
     def mean(self, state: GaussianState, position_ned: Vec3, wind: Wind) -> Array:
-        """Return the mean over time of the concentration at positions (n,)."""
+        """Return the time-averaged concentration at positions (n,); here it is constant in time."""
         return self.concentration(state, position_ned, wind, None, jnp.zeros((), position_ned.x.dtype))
 
     def scale(self, state: GaussianState) -> Array:
-        """Return the scale of concentrations (): the peak."""
+        """Return the largest strength () of the episode's sources, the scale of concentrations."""
         return jnp.max(state.sources.strength)
 
 
 def _offsets(position_ned: Vec3, source_ned: Vec3) -> Vec3:
-    """Return positions (n,) seen from sources (S,), (n, S)."""
+    """Return vectors (n, S) [m] from sources (S,) to positions (n,)."""
     return Vec3(*(getattr(position_ned, axis)[:, None] - getattr(source_ned, axis)[None] for axis in "xyz"))
 
 
 def _reflected(position_ned: Vec3, source_ned: Vec3, spread: Array) -> Array:
-    """Return the vertical part of a field (n, S): what comes from the source and what the ground throws back."""
+    """Return the vertical factor (n, S) of a Gaussian field: the direct plume plus its reflection at the ground."""
     height, source = -position_ned.z[:, None], -source_ned.z[None]
     return exp(-((height - source) ** 2) / spread) + exp(-((height + source) ** 2) / spread)
 
 
 def _spread_at(factor: Array, exponent: Array, along: Array) -> Array:
-    """Return s = 2 a x'^b [m^2] for distances downwind; that of 1 mm for anything nearer, where no field is."""
+    """Return 2 a x'^b [m^2], twice the squared width of a plume, at downwind distances x' clipped to at least 1 mm."""
     return 2.0 * factor * exp(exponent * log(jnp.maximum(along, 1e-3)))
 
 
@@ -205,11 +208,11 @@ class DispersionPlume(Plume):
         return jnp.sum(jnp.where(along > 0.0, field, 0.0), axis=-1)
 
     def mean(self, state: Sources, position_ned: Vec3, wind: Wind) -> Array:
-        """Return the mean over time of the concentration at positions (n,)."""
+        """Return the time-averaged concentration at positions (n,); here it is constant in time."""
         return self.concentration(state, position_ned, wind, None, jnp.zeros((), position_ned.x.dtype))
 
     def scale(self, state: Sources) -> Array:
-        """Return the scale of concentrations (): the smallest rate of the episode."""
+        """Return the smallest emission rate () of the episode's sources, the scale of concentrations."""
         return jnp.min(jnp.where(state.strength > 0.0, state.strength, jnp.inf))
 
 
@@ -255,7 +258,7 @@ class PuffPlume(Plume):
         return self.most
 
     def init(self, draw: Draw, area: object) -> PuffState:
-        """Draw the sources (S,) of an episode, before their first release."""
+        """Return the random sources (S,) of an episode, before their first release."""
         position, there = _placed(draw, area, self.fewest, self.most)
         sources = Sources(position, there.astype(position.x.dtype))
         nothing = jnp.zeros((self.most, self.puffs), position.x.dtype)
@@ -263,7 +266,7 @@ class PuffPlume(Plume):
         return PuffState(sources, wait, jnp.zeros(self.most, jnp.int32), nothing, nothing)
 
     def step(self, state: PuffState, draw: Draw) -> PuffState:
-        """Advance one period."""
+        """Return the state one period later: puffs older, due ones released."""
         state = replace(state, wait=state.wait - self.period, age=state.age + self.period)
         place = jnp.arange(self.puffs, dtype=jnp.int32)[None]
         for number in range(RELEASES_PER_STEP):
@@ -281,7 +284,7 @@ class PuffPlume(Plume):
         return state
 
     def concentration(self, state: PuffState, position_ned: Vec3, wind: Wind, area: object, since: Array) -> Array:
-        """Return the concentration at positions (n,), ``since`` [s] the last step."""
+        """Return the concentration at positions (n,), ``since`` [s] after the last step."""
         source = state.sources.position_ned
         along, across = wind.along_across(_offsets(position_ned, source))
         spread = _spread_at(self.spread_factor, self.spread_exponent, along)
@@ -295,7 +298,7 @@ class PuffPlume(Plume):
         return jnp.sum(jnp.where(along > 0.0, field, 0.0), axis=-1)
 
     def mean(self, state: PuffState, position_ned: Vec3, wind: Wind) -> Array:
-        """Return the mean over time of the concentration at positions (n,), for the largest puffs."""
+        """Return the time-averaged concentration at positions (n,), as if all puffs were of the largest amount."""
         plume = DispersionPlume(spread_factor=self.spread_factor, spread_exponent=self.spread_exponent)
         rate = state.sources.strength * (self.amount_max / self.gap)
         return plume.mean(Sources(state.sources.position_ned, rate), position_ned, wind)
@@ -305,7 +308,7 @@ class PuffPlume(Plume):
         return jnp.ones((), state.age.dtype)
 
     def _in_box(self, source_ned: Vec3, flown: Array, wind: Wind, area: Any) -> Array:
-        """Return which puffs (S, K) that have flown so far [m] are not yet wholly beyond the box."""
+        """Return (S, K) bool: a puff that has travelled ``flown`` [m] still reaches into the box."""
         tail = flown - trail(self.spread_factor, self.spread_exponent, flown)
         north = source_ned.x[:, None] + wind.north * tail
         east = source_ned.y[:, None] + wind.east * tail
@@ -313,6 +316,6 @@ class PuffPlume(Plume):
         return inside | (tail <= 0.0)
 
 
-def trail(factor: Array | float, exponent: Array | float, flown: Array) -> Array:
-    """Return the distance [m] behind its centre within which a puff matters, after a distance flown [m]."""
+def trail(factor: Array | float, exponent: Array | float, flown: Array | float) -> Array:
+    """Return the radius [m] of a puff beyond which it is negligible, after ``flown`` [m] of travel."""
     return jnp.sqrt(-2.0 * math.log(NEGLIGIBLE) * factor * exp(exponent * log(jnp.maximum(flown, 1e-3))))

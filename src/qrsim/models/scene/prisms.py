@@ -47,7 +47,7 @@ class PrismObstacle:
     def of(
         corners_ned: npt.ArrayLike, z_min: float, z_max: float = 0.0, holes_ned: Sequence[npt.ArrayLike] = ()
     ) -> PrismObstacle:
-        """Return a prism from corners (V, 2), north and east [m], in order, and those of each of its holes."""
+        """Return a prism from the corners (V, 2) [m] of its outline, north and east, and of each of its holes."""
         first, last = edges_of([corners_ned, *holes_ned])
         parts = (first[:, 0], first[:, 1], last[:, 0], last[:, 1], z_min, z_max)
         return record_of(PrismObstacle, *parts)
@@ -83,7 +83,7 @@ def edges_of(rings: Sequence[npt.ArrayLike]) -> tuple[Float64, Float64]:
 
 
 def _to_segment(lib: ModuleType, x: Array, y: Array, along_x: Array, along_y: Array) -> Array:
-    """Return the squared distance of places, from where segments begin, to these segments."""
+    """Return the squared distance of points, relative to a segment's start, from the segment (along_x, along_y)."""
     square = along_x * along_x + along_y * along_y
     part = lib.clip((x * along_x + y * along_y) / lib.where(square > 0.0, square, 1.0), 0.0, 1.0)
     across_x, across_y = x - part * along_x, y - part * along_y
@@ -109,7 +109,7 @@ class Pieces:
     number: Array = quantity(doc="number of the obstacle in the scenario")
 
     def square(self, x: Array, y: Array, z: Array) -> Array:
-        """Return the squared distance [m^2] of places from the pieces, 0 inside; all of one shape."""
+        """Return the squared distance [m^2] of places from the pieces, 0 inside; arguments broadcast to one shape."""
         (w0, w1), (e0, e1) = self.west, self.east
         tall = self.north - self.south
         part = jnp.clip((x - self.south) / tall, 0.0, 1.0)
@@ -127,7 +127,7 @@ class Pieces:
         return jnp.where(inside, 0.0, flat) + above * above
 
     def over(self, x: Array, y: Array, slack: float = 0.0) -> Array:
-        """Return whether places are inside the sides of the pieces, or outside by up to ``slack`` [m]."""
+        """Return whether places are inside the vertical sides of the pieces, widened by ``slack`` [m]."""
         (w0, w1), (e0, e1) = self.west, self.east
         part = (x - self.south) / (self.north - self.south)
         level = (x >= self.south - slack) & (x <= self.north + slack)
@@ -135,7 +135,7 @@ class Pieces:
 
 
 def _beyond(value: Array, low: Array, high: Array) -> Array:
-    """Return the distance of values outside the range from low to high; 0 inside."""
+    """Return the distance of values from the interval [low, high]; 0 inside."""
     return jnp.maximum(jnp.maximum(low - value, value - high), 0.0)
 
 
@@ -172,7 +172,7 @@ class Prisms:
         return length_of(jnp, jnp.min(square, axis=0)), jnp.sum(chosen, axis=0)
 
     def pieces_near(self, position_ned: Vec3) -> Pieces:
-        """Return the pieces (K, n) or (K, 1) near positions (n,)."""
+        """Return the pieces (K, n) near positions (n,), or all pieces (K, 1) without a grid."""
         import jax
 
         lib = library_of(position_ned.x, self.pieces.south)
@@ -191,12 +191,12 @@ class Prisms:
 
 
 def _finite(lib: ModuleType, value: Array) -> Array:
-    """Return values with 0 where they are not finite."""
+    """Return values with 0 in place of NaN and infinities."""
     return lib.where(lib.isfinite(value), value, 0.0)
 
 
 def trapezoids(rings: Sequence[npt.ArrayLike]) -> Float64:
-    """Cut a polygon with holes into trapezoids with two sides along east.
+    """Return a polygon with holes cut into trapezoids with their parallel sides along east.
 
     Args:
         rings: corners (V, 2), north and east, of the outline and of each hole.
@@ -235,7 +235,7 @@ def prisms_of(
     reach: float | None = None,
     most_cells: int = MOST_CELLS,
 ) -> Prisms | None:
-    """Return the prisms of a world, in float64; None without any.
+    """Return the prisms of a world with their grid, in float64; None without any prism.
 
     Args:
         solids: the prisms.
@@ -288,7 +288,7 @@ def _pieces(flat: Float64, top: Float64, bottom: Float64, number: Float64) -> Pi
 def _near_cells(
     flat: Float64, within: float, corner: tuple[float, float], cell: float, rows: int, columns: int
 ) -> npt.NDArray[np.int32]:
-    """Return the numbers (C, most) of the pieces (T, 6) that are within a distance of the middle of each cell.
+    """Return the numbers (C, most) of the pieces (T, 6) within a distance [m] of the centre of each grid cell.
 
     Rows with fewer are filled with T.
     """

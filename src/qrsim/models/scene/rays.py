@@ -23,7 +23,7 @@ _ALONG = 1e-12
 
 
 def ray_distance(obstacles: Obstacles, origin_ned: Vec3, direction: Vec3) -> Array:
-    """Return the distance along rays (...) to the first obstacle, in lengths of ``direction``.
+    """Return the distance along rays (...) to the first obstacle, as a multiple of the length of ``direction``.
 
     It is 0 for a ray that begins inside an obstacle, and infinite for one that hits none.
 
@@ -40,7 +40,7 @@ def ray_distance(obstacles: Obstacles, origin_ned: Vec3, direction: Vec3) -> Arr
 
 
 def first_hit(obstacles: Obstacles, ground: Ground, origin_ned: Vec3, direction: Vec3, reach: Array) -> Array:
-    """Return the distance [m] along rays (...) to the first obstacle or the ground; infinite beyond their reach.
+    """Return the distance [m] along rays (...) to the first obstacle or the ground; infinite beyond ``reach``.
 
     Args:
         obstacles, ground: of the world.
@@ -54,18 +54,18 @@ def first_hit(obstacles: Obstacles, ground: Ground, origin_ned: Vec3, direction:
 
 
 def any_of(obstacles: Obstacles) -> bool:
-    """Return whether a world has any obstacle, which is known while a program is compiled."""
+    """Return whether a world has any obstacle, as a Python bool known at compile time."""
     kinds = (obstacles.boxes, obstacles.cylinders, None if obstacles.prisms is None else obstacles.prisms.pieces)
     return any(kind is not None and kind.z_min.shape[0] > 0 for kind in kinds)
 
 
 def can_hide(obstacles: Obstacles, ground: Ground) -> bool:
-    """Return whether anything can block the line between two points above the ground; known while compiling."""
+    """Return whether obstacles or terrain can block a line of sight, as a Python bool known at compile time."""
     return any_of(obstacles) or not ground.flat
 
 
 def _shape(origin_ned: Vec3, direction: Vec3) -> tuple[int, ...]:
-    """Return the common shape of the rays."""
+    """Return the broadcast shape of the rays."""
     return jnp.broadcast_shapes(origin_ned.x.shape, direction.x.shape)
 
 
@@ -90,7 +90,7 @@ def _crossings(obstacles: Obstacles, origin_ned: Vec3, direction: Vec3) -> Itera
 
 
 def line_of_sight(obstacles: Obstacles, from_ned: Vec3, to_ned: Vec3) -> Array:
-    """Return (...) bool: no obstacle is between two points (...) [m]; False if one of them is inside one."""
+    """Return (...) bool: no obstacle is between two points (...) [m]; False if a point is inside an obstacle."""
     return ray_distance(obstacles, from_ned, to_ned - from_ned) > 1.0
 
 
@@ -107,7 +107,7 @@ def walls_between(obstacles: Obstacles, from_ned: Vec3, to_ned: Vec3) -> Array:
 
 
 def _met_before(met: Array, owner: Array) -> Array:
-    """Return (T, ...) bool: an earlier piece of the same prism is hit; the pieces of a prism are consecutive rows."""
+    """Return (T, ...) bool: an earlier piece of the same prism is hit; pieces of a prism are consecutive rows."""
     place = jnp.arange(owner.shape[0], dtype=jnp.int32)
     begins = jnp.concatenate([jnp.ones(1, bool), owner[1:] != owner[:-1]])
     first = lax.cummax(jnp.where(begins, place, 0))
@@ -117,14 +117,14 @@ def _met_before(met: Array, owner: Array) -> Array:
 
 
 def _as_columns(solids: object, column: tuple[int, ...]) -> object:
-    """Return the arrays of solids in the shape ``column``, to broadcast against rays."""
+    """Return the arrays of solids reshaped to ``column``, to broadcast against rays."""
     import jax
 
     return jax.tree.map(lambda leaf: jnp.reshape(jnp.asarray(leaf), column), solids)
 
 
 def _between(start: Array, rate: Array, low: Array, high: Array) -> Span:
-    """Return the first and last t at which ``start`` + t ``rate`` is between two values; first > last if never."""
+    """Return the first and last t with low <= ``start`` + t ``rate`` <= high; first > last if no t is."""
     still = jnp.abs(rate) <= _ALONG
     inverse = 1.0 / jnp.where(still, 1.0, rate)
     first, last = (low - start) * inverse, (high - start) * inverse
@@ -136,7 +136,7 @@ def _between(start: Array, rate: Array, low: Array, high: Array) -> Span:
 
 
 def _above(start: Array, rate: Array) -> Span:
-    """Return the first and last t at which ``start`` + t ``rate`` is not negative."""
+    """Return the first and last t with ``start`` + t ``rate`` >= 0, +/- infinity if unbounded; first > last if none."""
     still = jnp.abs(rate) <= _ALONG
     root = -start / jnp.where(still, 1.0, rate)
     begin = jnp.where(rate > 0.0, root, -jnp.inf)
@@ -148,7 +148,7 @@ def _above(start: Array, rate: Array) -> Span:
 
 
 def _all(*spans: Span) -> Span:
-    """Return the intersection of spans: the part of each ray that is in all of them."""
+    """Return the intersection of intervals (low, high) along each ray; low > high if empty."""
     low, high = spans[0]
     for first, last in spans[1:]:
         low, high = jnp.maximum(low, first), jnp.minimum(high, last)

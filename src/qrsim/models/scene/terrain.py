@@ -77,12 +77,12 @@ class PatchyGround(GroundCover):
     random: ClassVar[bool] = True
 
     def init(self, draw: Draw) -> TerrainState:
-        """Return the ground of an episode; the draw is for one id."""
+        """Return the random land cover of an episode; the draw is for one id."""
         # Classes have no derivatives, and JAX cannot differentiate a loop of unknown length in reverse.
         return jax.tree.map(lax.stop_gradient, self)._grown(draw)
 
     def _grown(self, draw: Draw) -> TerrainState:
-        """Return the cells with patches of clutter, then of occlusion, grown to their shares."""
+        """Return land cover with random patches of clutter, then of occlusion, up to their shares of the cells."""
         cells = jnp.full((self.side, self.side), CLEAR, jnp.int32)
         first = jnp.int32(0)
         for number, share in ((CLUTTER, self.clutter_share), (OCCLUSION, self.occlusion_share)):
@@ -91,12 +91,13 @@ class PatchyGround(GroundCover):
         return TerrainState(cells)
 
     def _pour(self, draw: Draw, cells: Array, number: int, target: Array, first: Array) -> tuple[Array, Array]:
-        """Return the cells with a class in them, and how many draws were made so far."""
+        """Return the cells with ``target`` random cells set to class ``number``, and the count of draws so far."""
         corner = _cell(self._uniforms(draw, first), self.side)
         nothing = jnp.int32(0)
         start = _Pouring(cells, corner, corner, nothing, nothing, first + 1)
 
         def step(now: _Pouring) -> _Pouring:
+            """Return the state after one more draw: a drop moves on, or a new drop starts."""
             chance = self._uniforms(draw, now.draws)
             place = now.cells[now.drop[0], now.drop[1]] == number
             pouring = now.left > 0
@@ -117,7 +118,7 @@ class PatchyGround(GroundCover):
 
     @staticmethod
     def _uniforms(draw: Draw, index: Array) -> tuple[Array, Array, Array]:
-        """Return three uniform numbers () in (0, 1), by the number of the draw."""
+        """Return three uniform numbers () in (0, 1) for draw number ``index``."""
         first, second = draw.stream.words(draw.tick, index)
         # A word gives two: its halves are independent.
         words = (first[0] & 0xFFFF, second[0] >> 9, first[0] >> 16)
@@ -127,7 +128,7 @@ class PatchyGround(GroundCover):
         return found[0], found[1], found[2]
 
     def _jumped(self, centre: Array, chance: tuple[Array, Array, Array]) -> Array:
-        """Return the cell after a random jump; a jump beyond an edge continues from the opposite one."""
+        """Return the cell after a random jump from ``centre``, wrapped around at the edges."""
         length = -self.jump * log(chance[0])
         sine, cosine = sincos(2.0 * math.pi * chance[1])
         steps = jnp.round(jnp.stack([length * cosine, length * sine])).astype(jnp.int32)
@@ -140,6 +141,7 @@ class PatchyGround(GroundCover):
         """
 
         def number(value: Array, low: Array, high: Array) -> Array:
+            """Return the index of the cell that contains a coordinate, clipped to the grid."""
             metres = jnp.clip(jnp.floor(value - low), 0.0, jnp.ceil(high - low) - 1.0) + 0.5
             return jnp.clip(jnp.floor(metres * (self.side / (high - low))).astype(jnp.int32), 0, self.side - 1)
 
@@ -153,4 +155,5 @@ class PatchyGround(GroundCover):
 
 
 def _cell(chance: tuple[Array, Array, Array], side: int) -> Array:
+    """Return row and column (2,) int32 from the first two of three uniform numbers."""
     return jnp.stack([jnp.floor(side * part).astype(jnp.int32) for part in chance[:2]])

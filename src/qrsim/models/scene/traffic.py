@@ -27,10 +27,10 @@ class Traffic:
         return sum(self.sizes)
 
     def part(self, first: int, count: int) -> Traffic:
-        """Return only the vehicles of these numbers, of which the first is number 0 then."""
+        """Return the ``count`` vehicles from number ``first`` on, renumbered from 0 as one fleet."""
         chosen = jax.tree.map(lambda leaf: leaf[first : first + count], self)
         return replace(chosen, fleets=("",), sizes=(count,), first=0)
 
     def seen_by(self, fleet: str) -> Traffic:
-        """Return it for the sensors of a fleet."""
+        """Return the traffic as seen by the sensors of a fleet, with that fleet's first number as ``first``."""
         return replace(self, first=sum(self.sizes[: self.fleets.index(fleet)]))

@@ -48,7 +48,7 @@ class Zone:
 
     @cached_property
     def bounds(self) -> tuple[float, float, float, float]:
-        """South, north, west and east [m]."""
+        """South, north, west and east limit [m]."""
         if not self.rings:
             (north, east), radius = self.centre, self.radius
             return north - radius, north + radius, east - radius, east + radius
@@ -57,7 +57,7 @@ class Zone:
 
     @property
     def outline(self) -> tuple[Point, ...]:
-        """Corners (north, east) [m] for pictures; those of a circle lie on it."""
+        """Corners (north, east) [m] of the zone for pictures, points on it for a circle."""
         if self.rings:
             return self.rings[0]
         turns = (2.0 * math.pi * i / CIRCLE_CORNERS for i in range(CIRCLE_CORNERS))
@@ -95,7 +95,7 @@ class Zone:
         return min(_to_edge(begin, end, north, east) for ring in self.rings for begin, end in _edges(ring))
 
     def along(self, begin: Triple, end: Triple, ground: GroundDown | None = None) -> tuple[float, Triple | None]:
-        """Return the length [m] of the part of a straight way inside the zone, and where that begins.
+        """Return the length [m] of the part of a straight way in the zone, and where the part begins, None if empty.
 
         Args:
             begin, end: NED [m].
@@ -108,7 +108,7 @@ class Zone:
         return self.over(north, east) and self.level(height_of(self, north, east, down, ground))
 
     def cuts(self, begin: Triple, end: Triple) -> list[float]:
-        """Return the parts (0 to 1) of a way at which it may enter or leave the zone."""
+        """Return the parts of a way (0: begin, 1: end) at which the way may enter or leave the zone."""
         (x, y, z), (dx, dy, dz) = begin, (end[0] - begin[0], end[1] - begin[1], end[2] - begin[2])
         found = []
         if self.rings:
@@ -147,9 +147,10 @@ class Zones:
         self._barred = [zone for zone in zones if not zone.keep]
 
     def inside(self, north: float, east: float, down: float | None = None, ground: GroundDown | None = None) -> bool:
-        """Return whether a place NED [m] is allowed; without ``down`` the zones reach over all heights."""
+        """Return whether a place NED [m] is allowed by all zones; without ``down`` heights are ignored."""
 
         def holds(zone: Zone) -> bool:
+            """Return whether the place is in the zone."""
             return zone.over(north, east) if down is None else zone.holds(north, east, down, ground or self.ground)
 
         if self._kept and not any(map(holds, self._kept)):
@@ -157,12 +158,13 @@ class Zones:
         return not any(map(holds, self._barred))
 
     def outside(self, begin: Triple, end: Triple, ground: GroundDown | None = None) -> tuple[float, Triple | None]:
-        """Return the length [m] of the part of a way outside all zones to stay in, and where that begins NED [m]."""
+        """Return the length [m] of a way outside all zones to stay in, and where that part begins NED [m]."""
         if not self._kept:
             return 0.0, None
         cuts = [cut for zone in self._kept for cut in zone.cuts(begin, end)]
 
         def is_out(north: float, east: float, down: float) -> bool:
+            """Return whether a place is outside all zones to stay in."""
             return not any(zone.holds(north, east, down, ground or self.ground) for zone in self._kept)
 
         return _stretch(begin, end, cuts, is_out)
@@ -170,13 +172,14 @@ class Zones:
     def limit(
         self, north: float, east: float, down: float, ground: GroundDown | None = None
     ) -> tuple[float, Zone | None]:
-        """Return the distance [m] of a place from the limit that is nearest or worst broken, and that limit's zone.
+        """Return the distance [m] of a place from the zone limit that counts, negative if broken, and that zone.
 
         Negative where the place is not allowed. Of the zones to stay in, the one counts that holds the place best.
         """
         found: list[tuple[float, Zone | None]] = []
 
         def signed(zone: Zone) -> float:
+            """Return the distance [m] of the place from the zone's limits, negative outside."""
             return zone.signed(north, east, height_of(zone, north, east, down, ground or self.ground))
 
         if self._kept:
@@ -188,7 +191,7 @@ class Zones:
 def _stretch(
     begin: Triple, end: Triple, cuts: Sequence[float], counts: Callable[[float, float, float], bool]
 ) -> tuple[float, Triple | None]:
-    """Return the length [m] of the parts of a way that count, and where the first begins; by the middle of each part.
+    """Return the length [m] of the parts of a way that count, judged at their middles, and where the first begins.
 
     Args:
         begin, end: of the way, NED [m].

@@ -18,12 +18,12 @@ BESIDE = 1e-3
 
 
 def heights_of(zone: Zone) -> tuple[float, float]:
-    """Return top and bottom of a zone, down [m] from its level."""
+    """Return top and bottom of a zone as down coordinates [m] from its level."""
     return -min(zone.ceiling, OPEN), OPEN if zone.floor <= 0.0 else -zone.floor
 
 
 def sides_of(polygons: Sequence[Zone], zones: Sequence[Zone]) -> Floats:
-    """Return the sides (E, 7) of polygons that are limits.
+    """Return the sides (E, 7) of polygons, without the parts that another zone to stay in continues.
 
     Args:
         polygons: the zones with these sides.
@@ -49,13 +49,13 @@ def sides_of(polygons: Sequence[Zone], zones: Sequence[Zone]) -> Floats:
 
 
 def _covers(other: Zone, zone: Zone) -> bool:
-    """Return whether another zone reaches over all heights of a zone."""
+    """Return whether ``other`` extends over the whole range of heights of ``zone``, from the same level."""
     (top, bottom), (own_top, own_bottom) = heights_of(other), heights_of(zone)
     return other.terrain == zone.terrain and top <= own_top and bottom >= own_bottom
 
 
 def _limits(zone: Zone, begin: Point, end: Point, others: Sequence[Zone]) -> list[tuple[Point, Point]]:
-    """Return the parts of an edge of a zone [m] with none of the other zones just outside."""
+    """Return the parts of an edge [m] with none of the other zones just outside, each as (begin, end)."""
     near = [other for other in others if _meets(other, begin, end)]
     if not near:
         return [(begin, end)]
@@ -74,7 +74,7 @@ def _limits(zone: Zone, begin: Point, end: Point, others: Sequence[Zone]) -> lis
 
 
 def _meets(other: Zone, begin: Point, end: Point) -> bool:
-    """Return whether the box around an edge meets that around a zone."""
+    """Return whether the bounding box of an edge touches the bounding box of a zone."""
     south, north, west, east = other.bounds
     return (
         min(begin[0], end[0]) <= north + BESIDE

@@ -71,7 +71,7 @@ class Circles:
     z_max: Array = quantity(unit="m", doc="bottom")
 
     def spread(self, x: Array, y: Array) -> tuple[Circles, Array]:
-        """Return the circles as columns (C, 1), and how far places (n,) are inside each (C, n) [m]."""
+        """Return the circles as columns (C, 1), and the depth (C, n) [m] of places (n,) in each, negative outside."""
         lib = library_of(x, self.north)
         circles = Circles(*(value[:, None] for value in (getattr(self, name) for name in _CIRCLE)))
         north, east = x[None] - circles.north, y[None] - circles.east
@@ -92,7 +92,7 @@ class ZoneSet:
     terrain: bool = setting(doc="whether heights count from the ground below")
 
     def holds(self, place: Vec3) -> Array:
-        """Return whether places (n,), down [m] from the level of the set, are in one of the zones."""
+        """Return (n,) bool: a place, down [m] from the level of the set, is in one of the zones."""
         lib = library_of(place.x, *jax.tree.leaves(self))
         slack, found = SLACK if self.keep else 0.0, lib.zeros(place.x.shape, bool)
         z = place.z[None]
@@ -107,7 +107,7 @@ class ZoneSet:
         return found
 
     def distance(self, place: Vec3) -> Array:
-        """Return the distance (n,) [m] of places, as for ``holds``, from the nearest side, floor or ceiling."""
+        """Return the distance (n,) [m] of places from the nearest side, floor or ceiling; places as for ``holds``."""
         lib = library_of(place.x, *jax.tree.leaves(self))
         found = []
         z = place.z[None]
@@ -124,7 +124,7 @@ class ZoneSet:
         return functools.reduce(lib.minimum, found)
 
     def _gap(self, over: Array, z: Array, solids: Pieces | Circles) -> Array:
-        """Return the distance (n,) [m] from the nearest floor or ceiling of the zones (K, n) above and below places.
+        """Return the distance (n,) [m] of places from floors and ceilings of zones (K, n), where ``over`` is true.
 
         Of zones to stay in that hold the place, the one counts with the farthest floor and ceiling.
         """
@@ -202,13 +202,13 @@ class ZonesArea(Area):
         return replace(self, sets=sets_of(zones), ground=needed, outlines=_outlines(zones), names=names)
 
     def _placed(self, position_ned: Vec3, terrain: bool) -> Vec3:
-        """Return positions (n,) with the down coordinate from the level that heights of zones count from [m]."""
+        """Return positions (n,), with the down coordinate relative to the ground if ``terrain``."""
         if not terrain:
             return position_ned
         return Vec3(position_ned.x, position_ned.y, position_ned.z - self.ground.down(position_ned))
 
     def inside(self, position_ned: Vec3) -> Array:
-        """Return which positions (n,) [m] are in a zone to stay in, if there is any, and in none to stay out of."""
+        """Return (n,) bool: a position [m] is in a zone to stay in, if any, and in no zone to stay out of."""
         lib = library_of(position_ned.x, *jax.tree.leaves(self.sets))
         found = [(each.keep, each.holds(self._placed(position_ned, each.terrain))) for each in self.sets]
         kept = [holds for keep, holds in found if keep]
@@ -230,11 +230,11 @@ class ZonesArea(Area):
         return lib.where(self.inside(position_ned) if inside is None else inside, distance, -distance)
 
     def check(self, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
-        """Return the checks (code, value, broken) of positions (n,)."""
+        """Return the checks of positions (n,) against zones and heights, each (code, value, broken)."""
         return self._checks(position_ned, lambda inside: ~inside)
 
     def swept(self, before_ned: Vec3, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
-        """Return the checks of positions (n,), and of long ways to them at some places in between."""
+        """Return the checks of positions (n,), with long ways sampled between their ends."""
         north, east = position_ned.x - before_ned.x, position_ned.y - before_ned.y
         far = north * north + east * east > LONG_WAY * LONG_WAY
         return self._checks(
@@ -265,7 +265,7 @@ class ZonesArea(Area):
         return [(reason_code("out_of_area", "fence"), value, broken), vertical]
 
     def _leaves(self, before_ned: Vec3, position_ned: Vec3) -> Array:
-        """Return whether ways (n,) are outside at one of some places between their ends."""
+        """Return (n,) bool: a straight way is outside the zones at a sample between its ends."""
         part = jnp.arange(1, BETWEEN + 1, dtype=position_ned.x.dtype)[:, None] / (BETWEEN + 1)
         count = position_ned.x.shape[0]
         way = position_ned - before_ned
@@ -313,7 +313,7 @@ class ZonesArea(Area):
 
 
 def sets_of(zones: Sequence[Zone]) -> tuple[ZoneSet, ...]:
-    """Return zones in the form that the tick uses, in float64."""
+    """Return zones grouped by kind as records for the tick, in float64."""
     found = []
     for keep in (True, False):
         for terrain in (False, True):
@@ -342,7 +342,7 @@ def _circles(circles: Sequence[Zone]) -> Circles | None:
 
 
 def _outlines(zones: Sequence[Zone]) -> Outlines:
-    """Return corners, rings and numbers of all zones as arrays, for pictures and logs."""
+    """Return the corners, rings and numbers of all zones as arrays, for pictures and logs."""
     rings = [(i, ring) for i, zone in enumerate(zones) for ring in zone.rings]
     corners = np.array([corner for _, ring in rings for corner in ring], np.float64).reshape(-1, 2)
     sizes = [len(ring) for _, ring in rings]

@@ -28,10 +28,10 @@ AIRSPEEDS: Presets = {
 
 
 def default_altimeter(name: str) -> object:
-    """Return a parameter's default, which is that of the default preset."""
+    """Return the value of a parameter, by name, in the default preset of pressure altimeters."""
     return ALTIMETERS[DEFAULT_ALTIMETER][name]
 
 
 def default_airspeed(name: str) -> object:
-    """Return a parameter's default, which is that of the default preset."""
+    """Return the value of a parameter, by name, in the default preset of airspeed sensors."""
     return AIRSPEEDS[DEFAULT_AIRSPEED][name]

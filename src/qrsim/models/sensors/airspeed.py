@@ -18,7 +18,7 @@ from qrsim.models.sensors.quantization import quantized
 
 
 def _number(name: str, unit: str, doc: str) -> Array:
-    """Return the declaration of a parameter from 0, with the usual sensor's number as default."""
+    """Return the declaration of a parameter >= 0, its default taken from the default preset."""
     return parameter(default=default_airspeed(name), unit=unit, doc=doc, minimum=0.0)
 
 
@@ -35,7 +35,7 @@ class AirspeedReading(Explained):
     )
 
     def reason(self, vehicle: int) -> str:
-        """Return why a vehicle has no airspeed."""
+        """Return the reason why a vehicle has no airspeed, as text."""
         return "slower than a pitot tube can measure"
 
 
@@ -86,7 +86,7 @@ class Airspeed(Sensor):
     def init(
         self, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, wind_ned: Vec3
     ) -> tuple[AirspeedState, AirspeedReading]:
-        """Return the errors of sensors that have just been zeroed, and a first reading."""
+        """Return state and first reading of sensors that have just been zeroed."""
         white, offset, scale = draw.normals(3)
         state = AirspeedState(self.offset_std * offset, self.scale * scale)
         return state, self._measured(state, white, position_ned, attitude, velocity_body, wind_ned)
@@ -101,7 +101,7 @@ class Airspeed(Sensor):
         velocity_body: Vec3,
         wind_ned: Vec3,
     ) -> tuple[AirspeedState, AirspeedReading]:
-        """Return a reading of the same sensors on vehicles at new places."""
+        """Return state and reading of the same sensors on vehicles moved by ``set_state``."""
         white, _, _ = draw.normals(3)
         return state, self._measured(state, white, position_ned, attitude, velocity_body, wind_ned)
 
@@ -114,7 +114,7 @@ class Airspeed(Sensor):
         velocity_body: Vec3,
         wind_ned: Vec3,
     ) -> tuple[AirspeedState, AirspeedReading]:
-        """Return a reading."""
+        """Return the unchanged state and a new reading."""
         (white,) = draw.normals(1)
         return state, self._measured(state, white, position_ned, attitude, velocity_body, wind_ned)
 
@@ -152,7 +152,7 @@ class IdealAirspeed(Memoryless):
     def init(
         self, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, wind_ned: Vec3
     ) -> tuple[None, AirspeedReading]:
-        """Return the true airspeed and its pressure."""
+        """Return no state, and the true airspeed with its pressure."""
         speed = _ahead(attitude, velocity_body, wind_ned)
         density = air_above(-position_ned.z, self.site_temperature, self.site_pressure).density
         pressure = 0.5 * density * (speed * jnp.abs(speed))
@@ -160,5 +160,5 @@ class IdealAirspeed(Memoryless):
 
 
 def _ahead(attitude: Euler, velocity_body: Vec3, wind_ned: Vec3) -> Array:
-    """Return the speed (n,) [m/s] of the air from ahead."""
+    """Return the forward component (n,) [m/s] of the velocity through the air."""
     return velocity_body.x - rotation(attitude).forward.dot(wind_ned)

@@ -32,7 +32,7 @@ class TakesPictures(Protocol):
     """Method of sensors with ``takes_pictures``, in addition to their contract."""
 
     def develop(self, reading: object, around: Surroundings, stream: Stream, size: Array) -> Picture:
-        """Return the last picture of each vehicle (n,), see ``Camera.develop``."""
+        """Return the scores of the last picture of each vehicle (n,); see ``Camera.develop``."""
         ...
 
 
@@ -120,7 +120,7 @@ class PersonClassifier:
         return mean, std + jnp.where(ground == CLUTTER, self.clutter_std, 0.0)
 
     def ratio(self, score: Array, distance: Array, ground: Array) -> Array:
-        """Return ln N(score; person) - ln N(score; none)."""
+        """Return the log-likelihood ratio of a score: ln N(score; person) - ln N(score; none)."""
 
         def log_density(mean: Array, std: Array) -> Array:
             """Return the logarithm of a normal density at the score, without its constant."""
@@ -158,23 +158,23 @@ class Camera(Sensor):
     takes_pictures: ClassVar[bool] = True
 
     def init(self, draw: Noise, position_ned: Vec3, attitude: Euler) -> tuple[Array, CameraReading]:
-        """Return the number of the first picture, and where it was taken by vehicles (n,)."""
+        """Return the number of the first picture, 0, and the reading with the pose at which it was taken."""
         number = jnp.zeros_like(position_ned.x)
         return number, CameraReading(position_ned, attitude, number)
 
     def restart(
         self, state: Array, draw: Noise, since: Array, position_ned: Vec3, attitude: Euler
     ) -> tuple[Array, CameraReading]:
-        """Take the last picture again, from the new positions of the vehicles."""
+        """Return the last picture's number, and a reading taken again at the new poses."""
         return state, CameraReading(position_ned, attitude, state)
 
     def step(self, state: Array, draw: Noise, position_ned: Vec3, attitude: Euler) -> tuple[Array, CameraReading]:
-        """Take the next picture."""
+        """Return the next picture's number, and the reading with the pose at which it was taken."""
         number = state + 1.0
         return number, CameraReading(position_ned, attitude, number)
 
     def develop(self, reading: CameraReading, around: Surroundings, stream: Stream, size: Array) -> Picture:
-        """Return the last picture of each vehicle (n,).
+        """Return the last picture of each vehicle (n,): a score for each window of the ground.
 
         Args:
             reading: where and when.
@@ -185,6 +185,7 @@ class Camera(Sensor):
         tick = self.tick_of(reading, around)
 
         def one(camera: Camera, reading: CameraReading, tick: Array, identity: Array) -> Picture:
+            """Return the picture of one vehicle."""
             noise = jnp.zeros((self.most_rows * self.most_columns, 1), reading.picture.dtype)
             if self.noisy:
                 draw = Draw(Stream(stream.high, stream.low, identity[None]), tick, reading.picture)
@@ -194,7 +195,7 @@ class Camera(Sensor):
         return jax.vmap(one)(self.for_each(reading), reading, tick, stream.ids)
 
     def ratios(self, reading: CameraReading, around: Surroundings, stream: Stream, size: Array, to: Array) -> Array:
-        """Return the ratios (n, R, C) of ``develop`` alone, 0 beyond the grid, computed for windows of the grid only.
+        """Return the log-likelihood ratios (n, R, C) of ``develop`` alone, 0 beyond the grid of windows.
 
         Args:
             reading, around, stream, size: see ``develop``.
@@ -203,7 +204,7 @@ class Camera(Sensor):
         return camera_windows.ratios(self, reading, around, stream, size, to)
 
     def frame(self, reading: CameraReading, around: Surroundings, size: Array) -> tuple[Array, Array]:
-        """Return the grids (n, 2) int32 of the last pictures, and their corners (n, 4, 2).
+        """Return rows and columns (n, 2) int32 of the last pictures, and their corners (n, 4, 2) on the ground [m].
 
         The grid is rows and columns. Corners are north and east [m] on the ground: upper left, upper right, lower
         right, lower left. Those of a vehicle that has stopped are NaN, and its grid is 0.
@@ -213,6 +214,7 @@ class Camera(Sensor):
         """
 
         def one(camera: Camera, reading: CameraReading) -> tuple[Array, Array]:
+            """Return grid and corners of one vehicle's picture."""
             view = camera.view(reading, around, size)
             zero = jnp.zeros_like(view.rows)
             row = jnp.stack([zero, zero, view.rows, view.rows])
@@ -225,11 +227,11 @@ class Camera(Sensor):
         return jax.vmap(one)(self.for_each(reading), reading)
 
     def for_each(self, reading: CameraReading) -> Camera:
-        """Return the camera with one of each number for each vehicle (n,), because they may differ."""
+        """Return the camera with every parameter broadcast to (n,), one value for each vehicle."""
         return jax.tree.map(lambda leaf: jnp.broadcast_to(jnp.asarray(leaf), reading.picture.shape), self)
 
     def tick_of(self, reading: CameraReading, around: Surroundings) -> Array:
-        """Return the ticks (n,) int32 of the last pictures."""
+        """Return the ticks (n,) int32 at which the last pictures were taken."""
         ticks = max(1, round(self.period / around.time_step))
         # A vehicle that has stopped has no picture any more, and no number.
         number = jnp.where(jnp.isfinite(reading.picture), reading.picture, 0.0).astype(jnp.int32)
@@ -257,7 +259,7 @@ class Camera(Sensor):
         )
 
     def middle(self, view: View, row: Array, column: Array) -> tuple[Array, Array]:
-        """Return the pixels (x, y) of the middle of windows; rows and columns (...) as floating-point numbers."""
+        """Return the pixels (x, y) of the centres of windows; row and column (...) are floating-point numbers."""
         return view.left + (column + 0.5) * view.width, view.top + (row + 0.5) * view.height
 
     def ratio(self, view: View, around: Surroundings, x: Array, y: Array, present: Array, noise: Array) -> Array:
@@ -278,7 +280,7 @@ class Camera(Sensor):
         return self.classifier.ratio(score, distance, ground) + 0.0 * distance
 
     def view(self, reading: CameraReading, around: Surroundings, size: Array) -> View:
-        """Return the projection of one camera onto the ground, and its grid of windows."""
+        """Return the projection of one camera onto the ground, with its grid of windows of about ``size`` [m]."""
         position, direction = around.over_ground(reading.taken_at_ned), rotation(reading.taken_attitude)
         axis = position + direction.down * (-position.z / direction.down.z)
         pixels = [
@@ -301,7 +303,7 @@ class Camera(Sensor):
         return View(position, direction, rows, columns, width, height, left, top)
 
     def _in_picture(self, position: Vec3, direction: Rotation, north: Array, east: Array) -> tuple[Array, Array]:
-        """Return the pixels of points on the ground."""
+        """Return the pixels (x, y) of points on the ground."""
         seen = direction.to_body(Vec3(north - position.x, east - position.y, -position.z + 0.0 * north))
         return (
             self.principal_x + self.focal_length * seen.y / seen.z,
@@ -309,7 +311,7 @@ class Camera(Sensor):
         )
 
     def _on_ground(self, view: View, x: Array, y: Array) -> Vec3:
-        """Return the points of the ground that pixels show; x (1, C) or (R, C), y (R, 1) or (R, C)."""
+        """Return the points on the ground shown by pixels; x (1, C) or (R, C), y (R, 1) or (R, C)."""
         right = (x - self.principal_x) / self.focal_length + 0.0 * y
         ahead = -(y - self.principal_y) / self.focal_length + 0.0 * x
         ray = view.direction.to_ned(Vec3(ahead, right, jnp.ones_like(right)))
@@ -317,12 +319,12 @@ class Camera(Sensor):
         return Vec3(view.position.x + reach * ray.x, view.position.y + reach * ray.y, jnp.zeros_like(reach))
 
     def shows(self, view: View, persons: PersonsState, tick: Array) -> Array:
-        """Return () whether the middle of a person that was still missing is in the frame."""
+        """Return () bool: the centre of a person not found by ``tick`` is in the picture."""
         here = self._in_frame(*self._in_picture(view.position, view.direction, persons.north, persons.east))
         return jnp.any(here & persons.missing(tick))
 
     def winners(self, view: View, persons: PersonsState, tick: Array, size: Array) -> tuple[Array, Array, Array]:
-        """Return windows (Q,) by row and column, and whether the nearest person to the middle was still missing.
+        """Return windows (Q,) by row and column, and (Q,) bool: the person nearest its centre is not found yet.
 
         A window is named for each of nine points of each person; the nearest of them counts.
         """
@@ -332,7 +334,7 @@ class Camera(Sensor):
         return row, column, jnp.isfinite(nearness) & (nearness == nearest) & missing
 
     def _points(self, view: View, persons: PersonsState, tick: Array, size: Array) -> tuple[Array, Array, Array, Array]:
-        """Return of nine points of each person (Q,) row and column int32, the square distance to its middle, missing.
+        """Return row and column int32 of nine points of each person (Q,), squared distance to its centre, missing.
 
         Points that are in no window are infinitely far, in a row and a column beyond the last.
         """
@@ -362,7 +364,7 @@ class Camera(Sensor):
         return row, column, nearness, missing
 
     def _present(self, view: View, persons: PersonsState, tick: Array, size: Array) -> Array:
-        """Return in which windows (R, C) the nearest person to the middle is one that was still missing."""
+        """Return (R, C) bool: the person nearest a window's centre is one not found by ``tick``."""
         row, column, nearness, missing = self._points(view, persons, tick, size)
         window = row, column
         nearest = jnp.full((self.most_rows, self.most_columns), jnp.inf, nearness.dtype)
@@ -372,7 +374,7 @@ class Camera(Sensor):
         return jnp.zeros(nearest.shape, bool).at[window].max(wins, mode="drop")
 
     def _in_frame(self, x: Array, y: Array) -> Array:
-        """Return whether pixel coordinates are within the picture."""
+        """Return whether pixel coordinates are inside the picture."""
         return (x >= 0.0) & (x < self.width) & (y >= 0.0) & (y < self.height)
 
 

@@ -31,7 +31,7 @@ class _Shown(NamedTuple):
 
 
 def ratios(camera: Any, reading: Any, around: Surroundings, stream: Stream, size: Array, to: Array) -> Any:
-    """Return the ratios (n, R, C) of the last pictures, as ``Camera.develop`` does, but 0 beyond the grid.
+    """Return the log-likelihood ratios (n, R, C) of the last pictures, as ``Camera.develop``, but 0 beyond the grid.
 
     Args:
         camera: a ``Camera`` of vehicles (n,).
@@ -48,7 +48,7 @@ def ratios(camera: Any, reading: Any, around: Surroundings, stream: Stream, size
     vehicles, wide = to.shape[0], min(COLUMNS, camera.most_columns)
 
     def turn(now: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
-        """Compute one piece of one row of one picture."""
+        """Return the loop's state with one piece of one row of one picture computed."""
         vehicle, row, left, found = now
         # The last piece of the longest row ends with it.
         left_most = jnp.minimum(left, camera.most_columns - wide)
@@ -76,7 +76,7 @@ def ratios(camera: Any, reading: Any, around: Surroundings, stream: Stream, size
 
 
 def _noise(stream: Stream, tick: Array, window: Array, like: Array, count: int) -> Array:
-    """Return the normals of windows of a picture, of any shape, as ``Draw.normal_rows`` numbers them."""
+    """Return the standard normals of windows, any shape, numbered as by ``Draw.normal_rows``."""
     half = (count + 1) // 2
     pairs = jnp.where(window < half, window, window - half).astype(jnp.uint32)
     cosine, sine = stream.normals_of(tick, pairs, like.dtype)
@@ -84,7 +84,7 @@ def _noise(stream: Stream, tick: Array, window: Array, like: Array, count: int) 
 
 
 def _persons(own: Any, view: Any, around: Surroundings, tick: Array, size: Array) -> _Shown | None:
-    """Return where missing persons are in the pictures; None in a world without persons."""
+    """Return the windows that show missing persons in each picture; None in a world without persons."""
     persons = around.state.persons
     if persons is None:
         return None
@@ -105,10 +105,10 @@ def _persons(own: Any, view: Any, around: Surroundings, tick: Array, size: Array
 
 
 def _present(shown: _Shown, row: Array, column: Array) -> Array:
-    """Return in which windows (W,) of a row () a missing person is nearest."""
+    """Return (C,) bool: a missing person is nearest in a window of row ``row`` ()."""
 
     def compare() -> Array:
-        """Compare all windows with those of persons."""
+        """Return (C,) bool by comparing each window with those of all persons."""
         here = shown.wins & (shown.row == row)
         return jnp.any(here[:, None] & (shown.column[:, None] == column[None]), axis=0)
 

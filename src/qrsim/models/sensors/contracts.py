@@ -37,7 +37,7 @@ class Explained:
     """Base of readings that can say what they lack."""
 
     def reason(self, vehicle: int) -> str:
-        """Return why the reading of a vehicle is not complete."""
+        """Return the reason why a vehicle's reading is incomplete, as text."""
         raise NotImplementedError
 
 
@@ -70,7 +70,7 @@ class Sensor(Protocol):
 
     @property
     def wants_traffic(self) -> bool:
-        """True if a sensor with ``traffic`` in ``reads`` uses it; the world passes None if no sensor does."""
+        """True if the sensor uses other vehicles; ``traffic`` in ``reads`` is None if no sensor of the world does."""
         return True
 
     @abstractmethod
@@ -79,40 +79,40 @@ class Sensor(Protocol):
 
     @abstractmethod
     def step(self, state: Any, draw: Any, *args: Any, **reads: Any) -> tuple[object, Record]:
-        """Advance one period, and return the state and the reading (n,) that is delivered now."""
+        """Return state and reading (n,) one period later."""
 
     def restart(self, state: Any, draw: Any, since: Array, *args: Any, **reads: Any) -> tuple[object, Record]:
-        """Return state and reading of vehicles that were put elsewhere ``since`` () [s] after a reading."""
+        """Return state and reading of vehicles moved by ``set_state``, ``since`` () [s] after a reading."""
         return self.init(draw, *args, **reads)
 
     def biases(self, state: Any) -> dict[str, Any]:
-        """Return the true slow error (n,) of each vector of its reading, by name, of those that are known."""
+        """Return the true slowly varying errors (n,) of the reading, by vector name; empty if unknown."""
         return {}
 
     def white_noise(self) -> dict[str, Array]:
-        """Return the std of white noise of each reading, for each field or vector with one std.
+        """Return the standard deviation of white noise by field or vector; only of those with one number.
 
         The fault ``noisy`` can be a multiple of it.
         """
         return {}
 
     def overfull(self, state: Any) -> Array | None:
-        """Return the looks (n,) int32 so far in which it may have missed others, for want of room; None: there is room.
+        """Return the number (n,) int32 of searches so far with an overflow of the neighbour list; None if impossible.
 
         Room is what ``neighbours`` of core/neighbours.py has for those around a vehicle.
         """
         return None
 
     def placed(self, chosen: Array, fresh: Any, before: Any) -> Any:
-        """Return the state in which chosen vehicles (n,) have been put elsewhere; ``fresh``: as if all had been."""
+        """Return ``before`` with the ``chosen`` vehicles (n,) taken from ``fresh``."""
         return select(chosen, fresh, before)
 
     def fresh(self, tick: Array, time_step: float) -> Array:
-        """Return () whether a reading is delivered at a tick, rather than held since an earlier one."""
+        """Return () bool: a new reading is delivered at a tick; between these ticks the last one is held."""
         return tick % max(1, round(self.period / time_step)) == 0
 
     def time_of_reading(self, tick: Array, time_step: float) -> Array:
-        """Return () the tick at which what is held at a tick was true; 0 where the delay has not passed since then."""
+        """Return the tick () at which the reading held at a tick was taken; 0 before the first delay is over."""
         ticks = max(1, round(self.period / time_step))
         since = tick // ticks - self.delay
         return ticks * since * (since > 0)
@@ -122,5 +122,5 @@ class Memoryless(Sensor):
     """Base of sensors without a state: all readings are made as the first one is."""
 
     def step(self, state: object, draw: object, *args: Any, **reads: Any) -> tuple[object, Record]:
-        """Return the reading (n,) of now, as ``init`` does."""
+        """Return the unchanged state, None, and the present reading (n,), as ``init`` does."""
         return self.init(draw, *args, **reads)

@@ -26,12 +26,12 @@ _FILES = {2010: "WMM_2010", 2015: "WMM_2015v2", 2020: "WMM_2020", 2025: "WMM_202
 
 
 def years() -> str:
-    """Return the dates that the models are for, for people."""
+    """Return the range of dates of the magnetic models as text."""
     return f"{FIRST_YEAR}-01-01 to {END_YEAR - 1}-12-31"
 
 
 def covers(when: datetime) -> bool:
-    """Return whether there is a model for a time with a time zone."""
+    """Return whether a magnetic model covers a time (with time zone)."""
     return FIRST_YEAR <= when.astimezone(UTC).year < END_YEAR
 
 
@@ -63,7 +63,7 @@ def earth_field_ned(site: Site, when: datetime) -> npt.NDArray[np.float64]:
 
 
 def _within_half_turn(degrees: float) -> float:
-    """Return an angle [deg] in [-180, 180)."""
+    """Return an angle [deg] wrapped to [-180, 180)."""
     return (degrees + 180.0) % 360.0 - 180.0
 
 

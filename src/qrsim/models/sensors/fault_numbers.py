@@ -44,19 +44,25 @@ OF_FIELDS = ("bias", "scale", "rate", "std", "times", "range")
 # Smallest and largest value. What has no other is a number that single precision holds.
 _ANY = 1e15
 _BOUNDS = {
-    "limit": (0.0, _ANY), "std": (0.0, _ANY), "times": (1.0, 1e6),
-    "range": (0.0, _ANY), "every": (1, 1_000_000), "by": (0.0, 600.0),
-    "share": (0.0, 1.0), "on": (0.0, 1e6), "off": (0.0, 1e6),
-}  # fmt: skip
+    "limit": (0.0, _ANY),
+    "std": (0.0, _ANY),
+    "times": (1.0, 1e6),
+    "range": (0.0, _ANY),
+    "every": (1, 1_000_000),
+    "by": (0.0, 600.0),
+    "share": (0.0, 1.0),
+    "on": (0.0, 1e6),
+    "off": (0.0, 1e6),
+}
 
 
 def kind_of(word: str) -> Kind:
-    """Return a kind by its name of today."""
+    """Return the current name of a kind of fault, given its current or an old name."""
     return OLD_NAMES.get(word, word)  # type: ignore[arg-type]
 
 
 def chosen_fields(field: str | None, fields: Sequence[str]) -> tuple[str, ...]:
-    """Return the fields that a name is of: ``position_ned`` is all of its axes; none where there is no such field."""
+    """Return the fields that a name selects, ``position_ned`` all of its axes; () for an unknown name or None."""
     return tuple(name for name in fields if field is not None and (name == field or name.startswith(f"{field}.")))
 
 
@@ -67,7 +73,7 @@ def number_problems(
     fields: Sequence[str],
     white: Mapping[str, Any] | None = None,
 ) -> Iterator[tuple[str, str]]:
-    """Yield the name and the fault of each number, and of the field, that a kind ``word`` cannot be made with.
+    """Yield (name, problem as text) for each number, and for the field, that does not suit a kind of fault.
 
     ``white`` is the white noise of the sensor, see ``Sensor.white_noise``.
     """
@@ -114,7 +120,7 @@ def fault_numbers(
     ticks: int,
     white: Mapping[str, Any] | None = None,
 ) -> FaultNumbers:
-    """Return the numbers of a fault.
+    """Return the numbers of a fault as the tick uses them, missing ones by default.
 
     Args:
         word: its kind.
@@ -150,7 +156,7 @@ def fault_numbers(
 
 
 def _white(name: str, white: Mapping[str, Any]) -> float | None:
-    """Return the white noise of a field; None where the sensor does not state one number."""
+    """Return the standard deviation of a field's white noise; None unless the sensor states one number."""
     found = next((value for part, value in white.items() if name == part or name.startswith(f"{part}.")), None)
     if found is None or np.ndim(found):
         return None
@@ -159,7 +165,7 @@ def _white(name: str, white: Mapping[str, Any]) -> float | None:
 
 
 def empty_slot(count: int, sensor: str, fields: tuple[str, ...], ticks: int, dt: float, remembered: int) -> FaultSlot:
-    """Return a slot of a sensor of ``count`` vehicles in which there is no fault; see ``FaultSlot``."""
+    """Return a slot for faults of a sensor of ``count`` vehicles, with no fault in it; see ``FaultSlot``."""
     never, nobody = np.full(count, LAST_TICK, np.int32), np.zeros(count, bool)
     numbers = map_tree(lambda leaf: np.full(count, leaf), fault_numbers("off", {}, (), fields, dt, ticks))  # type: ignore
     kinds = np.zeros(count, np.int32)

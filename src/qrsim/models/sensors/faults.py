@@ -89,11 +89,11 @@ class _Fault:
     only: tuple[str, ...] | None = setting(default=None, doc="fields that it changes; None: those with amounts")
 
     def active(self, tick: Array) -> Array:
-        """Return (n,) bool: the vehicle has the fault at a tick."""
+        """Return (n,) bool: the fault acts on a vehicle at a tick."""
         return self.affected & (tick >= self.start_tick) & (tick < self.end_tick)
 
     def begin(self, reading: T) -> FaultMemory | None:
-        """Return the state at the start, from the first reading, which a sensor that is stuck then keeps."""
+        """Return the fault's memory at the start, filled with the first reading; None if the kind needs no memory."""
         if not (self._repeats or self.remembered):
             return None
         return FaultMemory(
@@ -102,7 +102,7 @@ class _Fault:
 
     @property
     def _repeats(self) -> bool:
-        """True if the fault can hold a reading back, so that the last ones must be kept."""
+        """True if this kind of fault can repeat an earlier reading, so that past ones must be kept."""
         raise NotImplementedError
 
     def _delivered(
@@ -113,7 +113,7 @@ class _Fault:
         late: Late | None,
         choose: Callable[[FaultMemory | None], T],
     ) -> tuple[T, FaultMemory | None]:
-        """Return the output that ``choose`` computes from the state with past readings shifted, and the next state."""
+        """Return the faulty reading computed by ``choose``, and the memory shifted by one reading."""
         if memory is None:
             return choose(None), None
         if memory.past:
@@ -128,17 +128,17 @@ class _Fault:
 
     @property
     def _order(self) -> int:
-        """Number of the fault among those of its sensor, for its random numbers."""
+        """Number of the fault among the faults of its sensor, which keeps their random numbers apart."""
         return 0
 
     # ---- output while it is active ----
 
     def _is(self, kind: Kind) -> bool | Array:
-        """Return whether the fault is of a kind; (n,) in a slot, whose kind is data."""
+        """Return whether the fault is of a kind: a Python bool, or (n,) in a slot with its kind as data."""
         raise NotImplementedError
 
     def _output(self, reading: T, memory: FaultMemory | None, tick: Array, draw: Draw | None) -> T:
-        """Return the output for a reading taken at a tick: changed, late, held or lost (NaN), by the kind."""
+        """Return the faulty reading at a tick, by kind: changed, delayed, repeated, or NaN if lost."""
         numbers, output = self.numbers, reading
         if memory is not None and self._is("delayed") is not False:
             for number, old in enumerate(memory.past, 1):
@@ -170,6 +170,7 @@ class _Fault:
         seconds = rounded(jnp.maximum(tick - self.start_tick, 0).astype(_dtype(reading)) * self.time_step)
 
         def change(x: Array, i: int) -> Array:
+            """Return field number ``i`` scaled, with the fault's amount added."""
             times: Any = _pick(drift, seconds, 1.0)
             if normals is not None:
                 times = _pick(noisy, normals[i], times)
@@ -185,7 +186,7 @@ class _Fault:
         return _at_fields(reading, "", places, change)
 
     def _of_reading(self, draw: Draw | None, tick: Array) -> Draw:
-        """Return a draw by the tick of the reading, so that its numbers stay the same while the reading is held.
+        """Return the random numbers of a reading's own tick, the same as long as the reading is held.
 
         Faults that begin at different times draw independently, so do scenario faults of different ``order``.
         """
@@ -206,10 +207,12 @@ class Fault(_Fault):
 
     @property
     def _order(self) -> int:
+        """Number of the fault among those of its sensor, as given."""
         return self.order
 
     @property
     def _repeats(self) -> bool:
+        """True if this kind of fault can repeat an earlier reading."""
         return self.kind in _REPEATING
 
     @property
@@ -222,7 +225,7 @@ class Fault(_Fault):
         return self.kind == kind
 
     def kinds_of(self, count: int) -> list[Kind]:
-        """Return the kind of each of ``count`` vehicles."""
+        """Return the fault's kind (count,), repeated for each of ``count`` vehicles."""
         return [self.kind] * count
 
     def apply(
@@ -233,7 +236,7 @@ class Fault(_Fault):
         draw: Draw | None = None,
         late: Late | None = None,
     ) -> tuple[T, FaultMemory | None]:
-        """Return its output, for the next fault of the sensor or for the user, and its memory.
+        """Return the faulty reading and the memory of the fault at a tick.
 
         Args:
             reading: of the sensor at ``tick``, or the output of the fault before this one.
@@ -263,13 +266,13 @@ class FaultSlot(_Fault):
     _repeats = True
 
     def _is(self, kind: Kind) -> bool | Array:
-        """Return for each vehicle (n,) whether its fault is of a kind."""
+        """Return (n,) bool: the vehicle's fault is of a kind."""
         if kind == "delayed" and not self.remembered:
             return False
         return self.kinds == KINDS.index(kind)
 
     def kinds_of(self, count: int) -> list[Kind]:
-        """Return the kind of each of ``count`` vehicles."""
+        """Return the kind (count,) of each vehicle's fault."""
         return [KINDS[int(number)] for number in self.kinds]
 
     def apply(
@@ -280,7 +283,7 @@ class FaultSlot(_Fault):
         draw: Draw | None = None,
         late: Late | None = None,
     ) -> tuple[T, FaultMemory | None]:
-        """Return its output and its memory, see ``Fault.apply``. Without any fault it costs almost nothing."""
+        """Return the faulty reading and the memory, see ``Fault.apply``; almost free if no vehicle has a fault."""
         active, of = self.active(tick), tick if late is None else late.taken
 
         def choose(known: FaultMemory | None) -> T:
@@ -293,19 +296,19 @@ class FaultSlot(_Fault):
 
 
 def _dtype(reading: Any) -> Any:
-    """Return the type of the first array in a reading."""
+    """Return the dtype of the first array in a reading."""
     return jax.tree.leaves(reading)[0].dtype
 
 
 def _pick(condition: bool | Array, yes: Any, no: Any) -> Any:
-    """Return one of two numbers; without an operation where the condition is known."""
+    """Return ``yes`` or ``no`` by a condition; without an array operation for a Python bool."""
     if isinstance(condition, bool):
         return yes if condition else no
     return jnp.where(condition, yes, no)
 
 
 def _at_fields(item: Any, path: str, places: dict[str, int], change: Callable[[Array, int], Array]) -> Any:
-    """Return a record with the leaves at some paths changed; a tuple has one path for all of its parts."""
+    """Return a record with ``change`` applied to the leaves named in ``places``; a tuple's parts share one path."""
     if isinstance(item, tuple):
         return tuple(_at_fields(part, path, places, change) for part in item)
     if item is None:

@@ -47,12 +47,12 @@ Six = tuple[Array, ...]
 
 
 def _number(name: str, unit: str, doc: str) -> Array:
-    """Return the declaration of a parameter from 0, with the usual sensor's number as default."""
+    """Return the declaration of a parameter >= 0, its default taken from the default preset."""
     return parameter(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
 def _structure(name: str, unit: str, doc: str) -> float:
-    """Return the declaration of a setting from 0, with the usual sensor's number as default."""
+    """Return the declaration of a setting >= 0, its default taken from the default preset."""
     return setting(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
@@ -141,17 +141,17 @@ class Imu(Sensor):
 
     @computed
     def normals(self) -> int:
-        """Standard normals of a step, for each vehicle: white noise, and the slow errors of one axis."""
+        """Number of standard normals of a step for each vehicle: white noise, and one axis' slow errors."""
         return AXES * self.subsamples + _SLOW
 
     @computed
     def first_normals(self) -> int:
-        """Standard normals of a start."""
+        """Number of standard normals of a start for each vehicle."""
         return _START + AXES * self.subsamples
 
     @property
     def bias_scale(self) -> Six:
-        """Std of each process of bias instability of each axis, in its unit."""
+        """Standard deviation of each bias-instability process, by axis, in [rad/s] and [m/s^2]."""
         found = (self.gyroscope_bias_instability,) * 3 + (self.accelerometer_bias_instability,) * 3
         return tuple(SHARE * b for b in found)
 
@@ -172,14 +172,14 @@ class Imu(Sensor):
         }
 
     def white_noise(self) -> dict[str, Array]:
-        """Return the std of white noise of each reading, by field."""
+        """Return the standard deviation of the white noise of a reading, by field."""
         return {
             "rates_body": self.gyroscope_noise / math.sqrt(self.period),
             "specific_force": self.accelerometer_noise / math.sqrt(self.period),
         }
 
     def init(self, draw: Noise, rates_body: Vec3, specific_force: Vec3, load: Load) -> tuple[ImuState, ImuReading]:
-        """Return the state of chips that have just been turned on, and a first reading."""
+        """Return state and first reading of chips that have just been switched on."""
         normals = draw.normals(self.first_normals)
         given = iter(normals)
         turned_on = (self.gyroscope_turn_on_bias,) * 3 + (self.accelerometer_turn_on_bias,) * 3
@@ -209,7 +209,7 @@ class Imu(Sensor):
     def restart(
         self, state: ImuState, draw: Noise, since: Array, rates_body: Vec3, specific_force: Vec3, load: Load
     ) -> tuple[ImuState, ImuReading]:
-        """Return state and reading of the same chips at new places: they stay turned on, with their bias."""
+        """Return state and reading of the same chips at new places: they stay switched on and keep their bias."""
         zero = jnp.zeros_like(rates_body.x)
         moved = replace(state, rates=rates_body, angle=Vec3(zero, zero, zero))
         normals = draw.normals(self.first_normals)[_START:]
@@ -218,7 +218,7 @@ class Imu(Sensor):
     def step(
         self, state: ImuState, draw: Noise, rates_body: Vec3, specific_force: Vec3, load: Load
     ) -> tuple[ImuState, ImuReading]:
-        """Advance one period: measure, with the bias moved on."""
+        """Return state and reading one period later, with the bias drifted."""
         normals = draw.normals(self.normals)
         wandering, walk = self._moved_on(state, normals[AXES * self.subsamples :])
         last = state.turn > AXES - 1.5
@@ -226,7 +226,7 @@ class Imu(Sensor):
         return self._measure(state, normals, rates_body, specific_force, load)
 
     def _moved_on(self, state: ImuState, normals: tuple[Array, ...]) -> tuple[tuple[Six, ...], Six]:
-        """Return bias instability and walk, six periods later for the axis that is due."""
+        """Return bias instability and random walk, with the axis due this period advanced by six periods."""
         span = AXES * self.period
         root = math.sqrt(span)
         steps = (self.gyroscope_random_walk,) * 3 + (self.accelerometer_random_walk,) * 3
@@ -245,7 +245,7 @@ class Imu(Sensor):
 
     @property
     def _shakes(self) -> bool:
-        """True if the sensor vibrates."""
+        """True if vibration is simulated."""
         return self.vibration != "none"
 
     def _measure(
@@ -257,7 +257,7 @@ class Imu(Sensor):
         load: Load,
         settled: bool = False,
     ) -> tuple[ImuState, ImuReading]:
-        """Return the reading over a period; ``settled``: the filter starts in rest."""
+        """Return state and reading over a period; ``settled``: the low-pass filter starts at steady state."""
         parts = self.subsamples
         dt = self.period / parts
         levels = measured() if self.vibration == "measured" else self.vibration_levels
@@ -294,7 +294,7 @@ class Imu(Sensor):
         return replace(state, rates=rates_body, angle=last, low_pass=low_pass, phase=phase), reading
 
     def _spreads(self, levels: Vibration, thrust: Array, dt: float) -> Six:
-        """Return the std of white noise of each axis in a part of dt [s], that of vibration with it."""
+        """Return the standard deviation of white noise of each axis over dt [s], broadband vibration included."""
         rate = 1.0 / math.sqrt(dt)
         white = [rate * jnp.asarray(self.gyroscope_noise)] * 3 + [rate * jnp.asarray(self.accelerometer_noise)] * 3
         if not self._shakes:
@@ -303,20 +303,20 @@ class Imu(Sensor):
         return tuple(jnp.sqrt(a * a + b * b) for a, b in zip(white, shaken, strict=True))
 
     def _low_pass(self, dt: float) -> tuple[float, float, float]:
-        """Return b0, a1, a2 of the filter, made by the bilinear transform with its -3 dB where they belong."""
+        """Return b0, a1, a2 of the second-order low-pass filter (bilinear transform, -3 dB at ``bandwidth_hz``)."""
         k = math.tan(math.pi * self.bandwidth_hz * dt)
         norm = 1.0 / (1.0 + math.sqrt(2.0) * k + k * k)
         return k * k * norm, 2.0 * (k * k - 1.0) * norm, (1.0 - math.sqrt(2.0) * k + k * k) * norm
 
     def _at_rest(self, values: Six) -> tuple[tuple[Array, Array], ...]:
-        """Return the state of the low-pass filter after long constant input, for each of six values."""
+        """Return the state of the low-pass filter in steady state, for six constant inputs."""
         b0, _, a2 = self._low_pass(self.period / self.subsamples)
         return tuple((x * (1.0 - b0), x * (b0 - a2)) for x in values)
 
     def _filtered(
         self, values: Six, memory: tuple[tuple[Array, Array], ...], dt: float
     ) -> tuple[Six, tuple[tuple[Array, Array], ...]]:
-        """Return the values behind the low-pass (transposed direct form II), and its memory."""
+        """Return the six low-pass outputs (transposed direct form II), and the new state of the filter."""
         b0, a1, a2 = self._low_pass(dt)
         passed, after = [], []
         for x, (first, second) in zip(values, memory, strict=True):
@@ -326,7 +326,7 @@ class Imu(Sensor):
         return tuple(passed), tuple(after)
 
     def _converted(self, values: Six, dt: float) -> Six:
-        """Return values (n,) within the range and in steps."""
+        """Return values (n,) clipped to the range and rounded to the resolution."""
         samples = max(1.0, self.sample_rate * dt)
         kinds = [(self.gyroscope_range, self.gyroscope_resolution)] * 3
         kinds += [(self.accelerometer_range, self.accelerometer_resolution)] * 3
@@ -346,24 +346,24 @@ class IdealImu(Sensor):
     reads: ClassVar[tuple[str, ...]] = ("rates_body", "specific_force", "load")
 
     def init(self, draw: Noise, rates_body: Vec3, specific_force: Vec3, load: Load) -> tuple[Vec3, ImuReading]:
-        """Return the true rates, and the first reading."""
+        """Return the true rates as state, and the first reading."""
         return self.step(rates_body, draw, rates_body, specific_force, load)
 
     def step(
         self, state: Vec3, draw: Noise, rates_body: Vec3, specific_force: Vec3, load: Load
     ) -> tuple[Vec3, ImuReading]:
-        """Return the true rates, and the truth over a period in which they changed linearly."""
+        """Return the true rates as state, and the true reading, for rates that changed linearly over the period."""
         angle = (state + rates_body) * (0.5 * self.period)
         angle = angle + state.cross(rates_body) * (self.period * self.period / 12.0)
         return rates_body, ImuReading(rates_body, specific_force, angle, specific_force * self.period)
 
 
-def _rows(given: Iterator[Array], diagonal: Array, beside: Array) -> tuple[Vec3, Vec3, Vec3]:
-    """Return the rows of a matrix with independent elements of the two spreads."""
-    rows = [Vec3(*((diagonal if i == j else beside) * next(given) for j in range(3))) for i in range(3)]
+def _rows(given: Iterator[Array], diagonal: Array, off_diagonal: Array) -> tuple[Vec3, Vec3, Vec3]:
+    """Return the rows of a random 3 x 3 matrix, standard deviation ``diagonal``, or ``off_diagonal``."""
+    rows = [Vec3(*((diagonal if i == j else off_diagonal) * next(given) for j in range(3))) for i in range(3)]
     return cast(tuple[Vec3, Vec3, Vec3], tuple(rows))
 
 
 def _times(rows: tuple[Vec3, Vec3, Vec3], vector: Vec3) -> Vec3:
-    """Return the product of a matrix, given by its rows, and a vector."""
+    """Return the product of a 3 x 3 matrix, given by its rows, and a vector."""
     return Vec3(*(row.dot(vector) for row in rows))

@@ -25,11 +25,20 @@ _WALK = math.sqrt(3.0 / 500.0)
 
 
 def _chip(
-    gyroscope_density_deg: float, accelerometer_density_ug: float, zero_rate_deg: float, zero_g_mg: float,
-    floor_deg_per_hour: float, floor_ug: float, scale: tuple[float, float], misalignment: tuple[float, float],
-    g_sensitivity_deg: float, ranges: tuple[float, float], steps: tuple[float, float], sample_rate: float = 1000.0,
-) -> dict[str, object]:  # fmt: skip
-    """Return the parameters of a chip.
+    gyroscope_density_deg: float,
+    accelerometer_density_ug: float,
+    zero_rate_deg: float,
+    zero_g_mg: float,
+    floor_deg_per_hour: float,
+    floor_ug: float,
+    scale: tuple[float, float],
+    misalignment: tuple[float, float],
+    g_sensitivity_deg: float,
+    ranges: tuple[float, float],
+    steps: tuple[float, float],
+    sample_rate: float = 1000.0,
+) -> dict[str, object]:
+    """Return the parameters of an IMU chip in SI units, from the numbers of its data sheet.
 
     Args:
         gyroscope_density_deg, accelerometer_density_ug: one-sided [deg/s/sqrt(Hz)], [ug/sqrt(Hz)].
@@ -100,5 +109,5 @@ PRESETS: Presets = {
 
 
 def default(name: str) -> object:
-    """Return a parameter's default, which is that of the default preset."""
+    """Return the value of a parameter, by name, in the default preset of IMUs."""
     return PRESETS[DEFAULT][name]

@@ -44,15 +44,15 @@ class Gyroscope(Memoryless):
     normals: ClassVar[int] = 3
 
     def biases(self, state: None) -> dict[str, float]:
-        """Return none: its errors are white."""
+        """Return {}: all errors are white."""
         return {"rates_body": 0.0}
 
     def white_noise(self) -> dict[str, Array]:
-        """Return the std of white noise of each reading, by field."""
+        """Return the standard deviation of the white noise of a reading, by field."""
         return {"rates_body": self.white_std}
 
     def init(self, draw: Noise, rates_body: Vec3) -> tuple[None, GyroscopeReading]:
-        """Return the first reading."""
+        """Return no state, and the first reading."""
         return None, GyroscopeReading(_with_white(rates_body, self.white_std, draw))
 
 
@@ -66,7 +66,7 @@ class IdealGyroscope(Memoryless):
     reads: ClassVar[tuple[str, ...]] = ("rates_body",)
 
     def init(self, draw: Noise, rates_body: Vec3) -> tuple[None, GyroscopeReading]:
-        """Return the true rates."""
+        """Return no state, and the true rates."""
         return None, GyroscopeReading(rates_body)
 
 
@@ -82,15 +82,15 @@ class Accelerometer(Memoryless):
     normals: ClassVar[int] = 3
 
     def biases(self, state: None) -> dict[str, float]:
-        """Return none: its errors are white."""
+        """Return {}: all errors are white."""
         return {"specific_force": 0.0}
 
     def white_noise(self) -> dict[str, Array]:
-        """Return the std of white noise of each reading, by field."""
+        """Return the standard deviation of the white noise of a reading, by field."""
         return {"specific_force": self.white_std}
 
     def init(self, draw: Noise, specific_force: Vec3) -> tuple[None, AccelerometerReading]:
-        """Return the first reading."""
+        """Return no state, and the first reading."""
         return None, AccelerometerReading(_with_white(specific_force, self.white_std, draw))
 
 
@@ -104,5 +104,5 @@ class IdealAccelerometer(Memoryless):
     reads: ClassVar[tuple[str, ...]] = ("specific_force",)
 
     def init(self, draw: Noise, specific_force: Vec3) -> tuple[None, AccelerometerReading]:
-        """Return the true specific force."""
+        """Return no state, and the true specific force."""
         return None, AccelerometerReading(specific_force)

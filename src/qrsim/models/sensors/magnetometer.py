@@ -35,12 +35,12 @@ Rows = tuple[Vec3, Vec3, Vec3]
 
 
 def _number(name: str, unit: str, doc: str) -> Array:
-    """Return the declaration of a parameter from 0, with the usual sensor's number as default."""
+    """Return the declaration of a parameter >= 0, its default taken from the default preset."""
     return parameter(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
 def _structure(name: str, unit: str, doc: str) -> float:
-    """Return the declaration of a setting from 0, with the usual sensor's number as default."""
+    """Return the declaration of a setting >= 0, its default taken from the default preset."""
     return setting(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
@@ -137,13 +137,13 @@ class Magnetometer(Sensor):
     presets: ClassVar[Presets] = PRESETS
 
     def white_noise(self) -> dict[str, Array]:
-        """Return the std of white noise of each reading, by field."""
+        """Return the standard deviation of the white noise of a reading, by field."""
         return {"field_body": self.noise / math.sqrt(self.period)}
 
     def init(
         self, draw: Noise, position_ned: Vec3, attitude: Euler, load: Load
     ) -> tuple[MagnetometerState, MagnetometerReading]:
-        """Return the state of chips that have just been turned on, and a first reading."""
+        """Return state and first reading of chips that have just been switched on."""
         normals = draw.normals(self.first_normals)
         given = iter(normals)
         offset = _vector(given, self.hard_iron)
@@ -165,7 +165,7 @@ class Magnetometer(Sensor):
     def step(
         self, state: MagnetometerState, draw: Noise, position_ned: Vec3, attitude: Euler, load: Load
     ) -> tuple[MagnetometerState, MagnetometerReading]:
-        """Advance one period: measure, with the slow error moved on."""
+        """Return state and reading one period later, with the slow error drifted."""
         normals = draw.normals(self.normals)
         drift = Vec3(
             *(
@@ -177,7 +177,7 @@ class Magnetometer(Sensor):
         return state, self._measured(state, normals, position_ned, attitude, load)
 
     def _errors(self, given: Iterator[Array]) -> Rows:
-        """Draw the rows of E: soft iron, which is symmetric, and the chip's scale and misalignment."""
+        """Return the rows of a random error matrix: symmetric soft iron, plus the chip's scale and misalignment."""
         xx, yy, zz, xy, xz, yz = (self.soft_iron * next(given) for _ in range(6))
         rows = []
         for i, soft in enumerate(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))):
@@ -220,7 +220,7 @@ class IdealMagnetometer(Memoryless):
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "load")
 
     def init(self, draw: Noise, position_ned: Vec3, attitude: Euler, load: Load) -> tuple[None, MagnetometerReading]:
-        """Return the true field."""
+        """Return no state, and the true field."""
         return None, MagnetometerReading(true_field_body(self.earth_field_ned, self.steel, position_ned, attitude))
 
 
@@ -234,5 +234,5 @@ def true_field_body(earth: Vec3, steel: Steel | None, position_ned: Vec3, attitu
 
 
 def _vector(given: Iterator[Array], std: Array | float) -> Vec3:
-    """Return a vector of the next three normals times a standard deviation."""
+    """Return a vector of the next three normals of ``given`` times a standard deviation."""
     return Vec3(*(std * next(given) for _ in range(_AXES)))

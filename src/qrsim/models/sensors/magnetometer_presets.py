@@ -18,7 +18,7 @@ _MILLIGAUSS = 0.1
 def _chip(
     rms: float, rate: float, step: float, largest: float, scale: float, cross_axis: float, drift: float
 ) -> dict[str, object]:
-    """Return the parameters of a chip.
+    """Return the parameters of a ``Magnetometer`` from the numbers of a chip's data sheet.
 
     Args:
         rms, rate: noise of a sample [uT], and samples a second [Hz].
@@ -50,5 +50,5 @@ PRESETS: Presets = {
 
 
 def default(name: str) -> object:
-    """Return a parameter's default, which is that of the default preset."""
+    """Return the value of a parameter, by name, in the default preset of magnetometers."""
     return PRESETS[DEFAULT][name]

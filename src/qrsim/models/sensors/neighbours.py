@@ -49,12 +49,12 @@ class NeighboursReading(Explained):
     )
 
     def reason(self, vehicle: int) -> str:
-        """Return the number of neighbours in view (n,)."""
+        """Return the number of neighbours that a vehicle sees, and of slots for them, as text."""
         return f"sees {float(self.count[vehicle]):.0f}, and has room for {len(self.distance)}"
 
 
 def _slots() -> int:
-    """Return the declaration of the setting K, the number of neighbours in a reading."""
+    """Return the declaration of the setting K, the largest number of neighbours in a reading."""
     return setting(default=4, unit="1", doc="largest number of neighbours in a reading (K)", minimum=1, maximum=MOST)
 
 
@@ -75,7 +75,7 @@ class Looking(Sensor):
     def init(
         self, draw: object, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground, traffic: Traffic
     ) -> tuple[Array | None, NeighboursReading]:
-        """Return the neighbours in view of vehicles (n,)."""
+        """Return state and neighbours in view of vehicles (n,); the state counts overflows, None if none can occur."""
         start = None
         if not always_room(traffic.count, self.slots, ROOM):
             start = jnp.zeros(position_ned.x.shape, jnp.int32)
@@ -91,7 +91,7 @@ class Looking(Sensor):
         ground: Ground,
         traffic: Traffic,
     ) -> tuple[Array | None, NeighboursReading]:
-        """Return the neighbours in view of vehicles (n,)."""
+        """Return state and neighbours in view of vehicles (n,)."""
         reading, crowded = self.look(draw, position_ned, attitude, obstacles, ground, traffic)
         return None if state is None else state + crowded.astype(jnp.int32), reading
 
@@ -102,7 +102,7 @@ class Looking(Sensor):
         return self.step(state, draw, *args, **scene)
 
     def overfull(self, state: Array | None) -> Array | None:
-        """Return the number of readings (n,) with an overflow of the search; None: it cannot overflow."""
+        """Return the number (n,) int32 of readings so far with an overflow of the search; None if it cannot."""
         return state
 
     @abstractmethod
@@ -222,7 +222,7 @@ class IdealNeighbours(Looking):
 
 
 def _nearest(slots: int, reach: Array, position_ned: Vec3, traffic: Traffic) -> tuple[Array, Array, Array]:
-    """Return the numbers (K, n) int32 of the nearest others, whether there is one, and who (n,) is in a crowd."""
+    """Return the indices (K, n) int32 of the nearest others, a mask (K, n) of used ones, and overflow flags (n,)."""
     place = traffic.position_ned.map(lambda axis: jnp.where(traffic.flies, axis, jnp.nan))
     near = neighbours(*place.axes, reach, slots, ROOM)
     mine, crowded = near.index, near.overfull
@@ -235,7 +235,7 @@ def _nearest(slots: int, reach: Array, position_ned: Vec3, traffic: Traffic) -> 
 
 
 def _rows(position_ned: Vec3, traffic: Traffic) -> Array:
-    """Return the numbers (n,) of the observing vehicles."""
+    """Return the indices (n,) of the observing vehicles in the traffic."""
     own = jnp.arange(position_ned.x.shape[0], dtype=jnp.int32) + traffic.first
     return jnp.minimum(own, traffic.count - 1)
 
@@ -259,17 +259,17 @@ def _relative_velocities(who: Array, direction: Rotation, velocity_ned: Vec3, tr
 
 
 def _in_axes(direction: Rotation, vector_ned: Vec3) -> Vec3:
-    """Return vectors (K, n) in the sensor's axes."""
+    """Return NED vectors (K, n) in the sensor's axes."""
     return _for_rows(direction).to_body(vector_ned)
 
 
 def _joined(one: Vec3, other: Vec3) -> Vec3:
-    """Return two vectors of arrays, one array behind the other."""
+    """Return two vectors of arrays concatenated, array by array."""
     return Vec3(*(jnp.concatenate(both) for both in zip(one.axes, other.axes, strict=True)))
 
 
 def _for_rows(direction: Rotation) -> Rotation:
-    """Return rotations (n,) such that they go with rows (K, n)."""
+    """Return rotations (n,) reshaped to broadcast against rows (K, n)."""
     return map_tree(lambda part: part[None, :], direction)
 
 
@@ -284,7 +284,7 @@ def _in_view(
     ground: Ground,
     traffic: Traffic,
 ) -> tuple[Array, Vec3, Array]:
-    """Return which of others (K, n) are in view, the unit vectors to them in the sensor's axes, and distances [m]."""
+    """Return which candidates (K, n) are in view, unit vectors to them in the sensor's axes, and distances [m]."""
     apart = _relative_positions(who, direction, position_ned, traffic)
     distance = root(apart.dot(apart))
     unit = apart * (1.0 / jnp.where(distance > 0.0, distance, 1.0))
@@ -296,7 +296,7 @@ def _in_view(
 
 
 def _deflected(unit: Vec3, first: Array, second: Array) -> Vec3:
-    """Return unit vectors moved by two small angles across them."""
+    """Return unit vectors rotated by two small angles [rad] about perpendicular axes."""
     # Any direction across: of forward, unless it is about along that, then of right.
     ahead = jnp.abs(unit.x) < 0.9
     zero = jnp.zeros_like(unit.x)
@@ -308,7 +308,7 @@ def _deflected(unit: Vec3, first: Array, second: Array) -> Vec3:
 
 
 def _random_places(chances: Array, field_of_view_rad: float, reach: Array) -> Vec3:
-    """Return places (n,) [m] in the sensor's axes, even over the directions of its cone and over distances."""
+    """Return random places (n,) [m] in the sensor's axes, uniform in direction within its cone and in distance."""
     lowest = math.cos(0.5 * field_of_view_rad)
     ahead = lowest + (1.0 - lowest) * chances[0]
     side = jnp.sqrt(jnp.maximum(1.0 - ahead * ahead, 1e-12))
@@ -336,6 +336,7 @@ def _in_order(slots: int, distance: Array, place: Vec3, number: Array, velocity:
         selected, valid = row == first[None, :], nearest < jnp.inf
 
         def chosen(rows: Array, selected: Array = selected, valid: Array = valid) -> Array:
+            """Return the row of the selected candidate, NaN for vehicles without one."""
             return jnp.where(valid, jnp.sum(jnp.where(selected, rows, 0.0), axis=0), jnp.nan)
 
         places.append(place.map(chosen))

@@ -37,7 +37,7 @@ PRESETS: Presets = {
 
 
 def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
-    """Return the declaration of a parameter, with the PMW3901's number as default."""
+    """Return the declaration of a parameter, its default that of the PMW3901."""
     return parameter(default=PRESETS["pmw3901"][name], unit=unit, doc=doc, **bounds)
 
 
@@ -54,7 +54,7 @@ class OpticalFlowReading(Explained):
     )
 
     def reason(self, vehicle: int) -> str:
-        """Return why a vehicle has no flow."""
+        """Return the reason why a vehicle has no flow, as text."""
         return WHY.get(float(self.status[vehicle]), "not available")
 
 
@@ -119,7 +119,7 @@ class OpticalFlow(Sensor):
         obstacles: Obstacles,
         ground: Ground,
     ) -> tuple[OpticalFlowState, OpticalFlowReading]:
-        """Return the first reading, as if the motion of now had lasted a period."""
+        """Return state and first reading, as if the present motion had lasted a period."""
         distance = distance_along_z(obstacles, ground, position_ned, attitude, self.range_max)
         state = OpticalFlowState(flow_rates(distance, velocity_body, rates_body), rates_body)
         return self.step(state, draw, position_ned, attitude, velocity_body, rates_body, obstacles, ground)
@@ -135,7 +135,7 @@ class OpticalFlow(Sensor):
         obstacles: Obstacles,
         ground: Ground,
     ) -> tuple[OpticalFlowState, OpticalFlowReading]:
-        """Return the flow and the rotation (n,) integrated since the last reading."""
+        """Return state and reading: flow and rotation (n,) [rad] integrated since the last one."""
         normals = draw.normals(5)
         distance = distance_along_z(obstacles, ground, position_ned, attitude, self.range_max)
         seen = jnp.isfinite(distance)
@@ -188,7 +188,7 @@ class IdealOpticalFlow(Sensor):
         obstacles: Obstacles,
         ground: Ground,
     ) -> tuple[OpticalFlowState, OpticalFlowReading]:
-        """Return the first reading, as if the motion of now had lasted a period."""
+        """Return state and first reading, as if the present motion had lasted a period."""
         reach = jnp.full_like(position_ned.x, FARTHEST)
         distance = distance_along_z(obstacles, ground, position_ned, attitude, reach)
         state = OpticalFlowState(flow_rates(distance, velocity_body, rates_body), rates_body)
@@ -205,7 +205,7 @@ class IdealOpticalFlow(Sensor):
         obstacles: Obstacles,
         ground: Ground,
     ) -> tuple[OpticalFlowState, OpticalFlowReading]:
-        """Return the flow and the rotation (n,) integrated since the last reading."""
+        """Return state and reading: flow and rotation (n,) [rad] integrated since the last one."""
         reach = jnp.full_like(position_ned.x, FARTHEST)
         distance = distance_along_z(obstacles, ground, position_ned, attitude, reach)
         now = flow_rates(distance, velocity_body, rates_body)
@@ -218,7 +218,7 @@ class IdealOpticalFlow(Sensor):
 
 
 def distance_along_z(obstacles: Obstacles, ground: Ground, position_ned: Vec3, attitude: Euler, reach: Array) -> Array:
-    """Return the distance (n,) [m] of what is seen along the sensor's z axis, infinite beyond its reach."""
+    """Return the distance (n,) [m] to the first surface along the sensor's z axis, infinite beyond ``reach``."""
     return first_hit(obstacles, ground, position_ned, rotation(attitude).down, reach)
 
 

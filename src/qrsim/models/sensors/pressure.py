@@ -23,7 +23,7 @@ from qrsim.models.vehicles.contracts import Load
 
 
 def _port(side: str) -> Array:
-    """Return the declaration of the pressure coefficient of the port for air from one side."""
+    """Return the declaration of the static port's pressure coefficient for air from one side."""
     return parameter(
         default=-0.1, unit="1", doc=f"pressure at the port relative to the dynamic pressure, for air {side}"
     )
@@ -124,7 +124,7 @@ class PressureAltimeter(Sensor):
         load: Load,
         ground: Ground,
     ) -> tuple[PressureState, PressureReading]:
-        """Return a stationary first drift, the chip's offset, and a reading with the true rate."""
+        """Return state and first reading with a stationary drift and a chip's offset; the height rate is true."""
         white, drift, offset = draw.normals(3)
         state = PressureState(self.drift_std * drift, self.offset_std * offset, drift, drift)
         flow = (position_ned, attitude, velocity_body, wind_ned, load, ground)
@@ -145,7 +145,7 @@ class PressureAltimeter(Sensor):
         load: Load,
         ground: Ground,
     ) -> tuple[PressureState, PressureReading]:
-        """Return state and reading of the same altimeters, in the same weather, on vehicles at new places."""
+        """Return state and reading of the same altimeters in the same weather, on vehicles at new places."""
         white, _, _ = draw.normals(3)
         flow = (position_ned, attitude, velocity_body, wind_ned, load, ground)
         height, pressure, warmth = self._measured(state, white, *flow)
@@ -166,7 +166,7 @@ class PressureAltimeter(Sensor):
         load: Load,
         ground: Ground,
     ) -> tuple[PressureState, PressureReading]:
-        """Advance one period."""
+        """Return state and reading one period later."""
         white, normal = draw.normals(2)
         drift = ou_step(state.drift, normal, self.period, self.drift_std, self.drift_time_constant)
         flow = (position_ned, attitude, velocity_body, wind_ned, load, ground)
@@ -186,7 +186,7 @@ class PressureAltimeter(Sensor):
         load: Load,
         ground: Ground,
     ) -> tuple[Array, Array, Array]:
-        """Return height [m], pressure [Pa] and temperature of the air [K] (n,)."""
+        """Return measured height [m], pressure [Pa] and air temperature [K], each (n,)."""
         base, above = jnp.asarray(self.site_temperature), -position_ned.z
         warmer = self.warmer + self.site_warmer
         # On a warmer day the air is thinner: a metre is less pressure.
@@ -201,14 +201,14 @@ class PressureAltimeter(Sensor):
         return height, air.pressure + felt + state.offset, base - LAPSE * above + warmer
 
     def _ports(self, flow: Vec3) -> Array:
-        """Return the pressure (n,) at the static port over half the air's density, by the flow (n,) [m/s]."""
+        """Return the static port's pressure error (n,) over half the air density, by the flow (n,) [m/s]."""
         x, y, z = flow.axes
         along = jnp.where(x > 0.0, self.port_forward, self.port_backward) * (x * x)
         across = jnp.where(y > 0.0, self.port_right, self.port_left) * (y * y)
         return along + across + self.port_vertical * (z * jnp.abs(z))
 
     def _by_rotors(self, clearance: Array) -> Array:
-        """Return the pressure (n,) [Pa] by rotors in hover, so far above the ground (n,) [m]."""
+        """Return the pressure (n,) [Pa] caused by rotors in hover at a height (n,) [m] above ground."""
         diameter = jnp.asarray(self.rotor_diameter)
         diameter = jnp.where(diameter > 0.0, diameter, self.vehicle_rotor)
         near = jnp.clip(1.0 - clearance / diameter, 0.0, 1.0)
@@ -236,6 +236,6 @@ class IdealPressureAltimeter(Memoryless):
         wind_ned: Vec3,
         load: Load,
     ) -> tuple[None, PressureReading]:
-        """Return the true height and its rate, and the air there."""
+        """Return no state, and the true height, its rate, and the air's pressure and temperature."""
         air = air_above(-position_ned.z, self.site_temperature, self.site_pressure)
         return None, PressureReading(-position_ned.z, -velocity_ned.z, air.pressure, air.temperature)

@@ -45,10 +45,10 @@ SCANS: Presets = {
 
 
 def default_rangefinder(name: str) -> object:
-    """Return a parameter's default, which is that of the default preset."""
+    """Return the value of a parameter, by name, in the default preset of rangefinders."""
     return RANGEFINDERS["generic"][name]
 
 
 def default_scan(name: str) -> Any:
-    """Return a parameter's default of a scan, which is that of the default preset."""
+    """Return the value of a parameter, by name, in the default preset of laser scanners."""
     return SCANS["generic"][name]

@@ -34,7 +34,7 @@ _STEEPEST = 30.0
 
 
 def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
-    """Return the declaration of a parameter, with the usual sensor's number as default."""
+    """Return the declaration of a parameter, its default taken from the default preset."""
     return parameter(default=default(name), unit=unit, doc=doc, **bounds)
 
 
@@ -51,7 +51,7 @@ class RangingReading(Explained):
     )
 
     def reason(self, vehicle: int) -> str:
-        """Return the number of ranges that a vehicle lacks, as text."""
+        """Return the number of missing ranges of a vehicle, as text."""
         ranges = [*(self.beacon_range or ()), *(self.vehicle_range or ())]
         lacking = sum(not math.isfinite(float(found[vehicle])) for found in ranges)
         # To itself it needs none.
@@ -109,13 +109,13 @@ class Ranging(Sensor):
 
     @property
     def wants_traffic(self) -> bool:
-        """True if the sensor measures other vehicles."""
+        """True if the sensor measures ranges to other vehicles."""
         return self.vehicles != "none"
 
     def init(
         self, draw: Draw, position_ned: Vec3, obstacles: Obstacles, ground: Ground, traffic: Traffic | None
     ) -> tuple[RangingState, RangingReading]:
-        """Return the first ranges of vehicles (n,), with the processes of the paths in their steady state."""
+        """Return state and first ranges of vehicles (n,), the error processes in their steady state."""
         rows = len(_partners(self, position_ned, traffic))
         paths = None
         if can_hide(obstacles, ground):
@@ -133,7 +133,7 @@ class Ranging(Sensor):
         ground: Ground,
         traffic: Traffic | None,
     ) -> tuple[RangingState, RangingReading]:
-        """Return the ranges of vehicles (n,), a period later."""
+        """Return state and ranges of vehicles (n,) one period later."""
         paths = state.paths
         if paths is not None:
             rows = len(paths[0])
@@ -155,7 +155,7 @@ class Ranging(Sensor):
         ground: Ground,
         traffic: Traffic | None,
     ) -> tuple[RangingState, RangingReading]:
-        """Return the state with the next turn, and the ranges of vehicles (n,) to their P partners, NaN if missing.
+        """Return the state with the turn advanced, and the ranges of vehicles (n,) to P partners, NaN if missing.
 
         All arrays are (P, n): beacons first, then vehicles. ``heard`` is the probability that an exchange succeeds. On
         a shared channel, only the ``exchanges`` from ``turn`` on take place in a period.
@@ -199,20 +199,20 @@ class IdealRanging(Memoryless):
 
     @property
     def wants_traffic(self) -> bool:
-        """True if the sensor measures other vehicles."""
+        """True if the sensor measures ranges to other vehicles."""
         return self.vehicles != "none"
 
     def init(
         self, draw: object, position_ned: Vec3, obstacles: Obstacles, ground: Ground, traffic: Traffic | None
     ) -> tuple[None, RangingReading]:
-        """Return the true distances."""
+        """Return no state, and the true distances."""
         partners = _partners(self, position_ned, traffic)
         ranges = jnp.where(partners.there | partners.itself, partners.distance, jnp.nan)
         return None, partners.reading(ranges)
 
 
 def noisy_ranges(distance: Any, noise: Any, taken: Any) -> Any:
-    """Return distances with noise [m] where they are taken, NaN elsewhere; of NumPy's arrays as well as JAX's."""
+    """Return ``distance`` + ``noise`` [m] where ``taken``, NaN elsewhere, for NumPy and JAX arrays."""
     return library_of(distance).where(taken, distance + noise, math.nan)
 
 
@@ -231,7 +231,7 @@ class Partners:
         return int(self.distance.shape[0])
 
     def exchange(self) -> tuple[Array, int]:
-        """Return the number (P, n) of each exchange in a round, and the length of a round; without one to itself."""
+        """Return the number (P, n) of each exchange within a round, and the number of exchanges in a round."""
         rows, vehicles = self.distance.shape
         others = rows - self.beacons
         each = self.beacons + max(others - 1, 0)
@@ -242,13 +242,13 @@ class Partners:
         return number + each * jnp.arange(vehicles, dtype=jnp.int32)[None, :], each * vehicles
 
     def reading(self, ranges: Array) -> RangingReading:
-        """Return ranges (P, n) as a reading."""
+        """Return ranges (P, n) [m] as a reading, split into beacons and vehicles."""
         found, count = _tuple(ranges), self.beacons
         return RangingReading(found[:count] or None, found[count:] or None)
 
 
 def _partners(sensor: Ranging | IdealRanging, position_ned: Vec3, traffic: Traffic | None) -> Partners:
-    """Return the partners of vehicles (n,)."""
+    """Return the beacons and vehicles to which vehicles (n,) measure ranges."""
     like, places, flies = position_ned.x, [], []
     own = jnp.arange(like.shape[0], dtype=jnp.int32)
     beacons = 0 if sensor.beacon_ned is None else sensor.beacon_ned.x.shape[0]
@@ -288,5 +288,5 @@ def behind(obstacles: Obstacles, ground: Ground, position_ned: Vec3, partners: P
 
 
 def _tuple(rows: Array) -> tuple[Array, ...]:
-    """Return an array (k, n) as k arrays (n,)."""
+    """Return the rows of an array (k, n) as a tuple of k arrays (n,)."""
     return tuple(rows[i] for i in range(rows.shape[0]))

@@ -24,5 +24,5 @@ PRESETS: Presets = {
 
 
 def default(name: str) -> Any:
-    """Return a parameter's default, which is that of the default preset."""
+    """Return the value of a parameter, by name, in the default preset of ranging radios."""
     return PRESETS["generic"][name]

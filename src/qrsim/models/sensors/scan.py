@@ -31,17 +31,17 @@ MOST_RAYS = 720
 
 
 def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
-    """Return the declaration of a parameter, with the usual scanner's number as default."""
+    """Return the declaration of a parameter, its default taken from the default preset."""
     return parameter(default=default_scan(name), unit=unit, doc=doc, **bounds)
 
 
 def _rays(default: int) -> int:
-    """Return the declaration of the setting that is the number of rays."""
+    """Return the declaration of the setting for the number of rays."""
     return setting(default=default, unit="1", doc="rays of a scan", minimum=1, maximum=MOST_RAYS)
 
 
 def _field_of_view(default: float) -> float:
-    """Return the declaration of the setting that is the angle of all rays [rad]."""
+    """Return the declaration of the setting for the total angle of the scan [rad]."""
     return setting(
         default=default,
         unit="rad",
@@ -92,7 +92,7 @@ class Scan(Memoryless):
 
     @property
     def wants_traffic(self) -> bool:
-        """True if the sensor measures other vehicles."""
+        """True if scans include other vehicles."""
         return self.sees_vehicles
 
     def init(
@@ -104,7 +104,7 @@ class Scan(Memoryless):
         ground: Ground,
         traffic: Traffic | None,
     ) -> tuple[None, ScanReading]:
-        """Return a scan of vehicles (n,)."""
+        """Return no state, and a scan of vehicles (n,)."""
         seen = traffic if self.sees_vehicles else None
         beam = beams(attitude, self.rays, self.field_of_view_rad)
         distance = met_by(obstacles, ground, seen, position_ned, beam, self.range_max)
@@ -131,7 +131,7 @@ class IdealScan(Memoryless):
 
     @property
     def wants_traffic(self) -> bool:
-        """True if the sensor measures other vehicles."""
+        """True if scans include other vehicles."""
         return self.sees_vehicles
 
     def init(
@@ -143,7 +143,7 @@ class IdealScan(Memoryless):
         ground: Ground,
         traffic: Traffic | None,
     ) -> tuple[None, ScanReading]:
-        """Return the true scan."""
+        """Return no state, and the true scan."""
         seen = traffic if self.sees_vehicles else None
         beam = beams(attitude, self.rays, self.field_of_view_rad)
         distance = met_by(obstacles, ground, seen, position_ned, beam, jnp.full_like(position_ned.x, FARTHEST))
@@ -156,7 +156,7 @@ def ray_angles(rays: int, field_of_view_rad: float) -> NumpyArray:
 
 
 def beams(attitude: Euler, rays: int, field_of_view_rad: float) -> Vec3:
-    """Return unit vectors (R, n) along the rays of vehicles (n,)."""
+    """Return unit vectors (R, n) NED along the rays of vehicles (n,)."""
     direction, angles = rotation(attitude), ray_angles(rays, field_of_view_rad)
     dtype = attitude.roll.dtype
     ahead, aside = (jnp.asarray(part[:, None], dtype) for part in (np.cos(angles), np.sin(angles)))
@@ -167,7 +167,7 @@ def beams(attitude: Euler, rays: int, field_of_view_rad: float) -> Vec3:
 def met_by(
     obstacles: Obstacles, ground: Ground, traffic: Traffic | None, position_ned: Vec3, beam: Vec3, reach: Array
 ) -> Array:
-    """Return the distance [m] to the first hit along rays (R, n) of vehicles; infinite beyond their reach."""
+    """Return the distance (R, n) [m] along rays to the first hit; infinite beyond ``reach``."""
     limit = jnp.broadcast_to(jnp.asarray(reach, beam.x.dtype), position_ned.x.shape)[None, :]
     origin = position_ned.map(lambda axis: axis[None, :])
     distance = first_hit(obstacles, ground, origin, beam, limit)
@@ -178,7 +178,7 @@ def met_by(
 
 
 def spheres_met(traffic: Traffic, position_ned: Vec3, beam: Vec3) -> Array:
-    """Return the distance [m] along rays (R, n) of the vehicles to the nearest other one; inf if none is hit."""
+    """Return the distance (R, n) [m] along rays to the nearest other vehicle; infinite if none is hit."""
     to_centre = Vec3(
         *(
             (other[:, None] - own[None, :])[:, None, :]
@@ -197,5 +197,5 @@ def spheres_met(traffic: Traffic, position_ned: Vec3, beam: Vec3) -> Array:
 
 
 def _reading(rows: Array) -> ScanReading:
-    """Return the reading from distances (rays, n) [m]."""
+    """Return distances (R, n) [m] as a reading."""
     return ScanReading(tuple(rows[i] for i in range(rows.shape[0])))

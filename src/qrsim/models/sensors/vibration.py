@@ -37,21 +37,21 @@ class Vibration:
 
     @property
     def gyroscope(self) -> Vec3:
-        """Rms in hover [rad/s]."""
+        """Root mean square of the vibration at the gyroscope in hover [rad/s]."""
         return Vec3(self.gyroscope_x, self.gyroscope_y, self.gyroscope_z)
 
     @property
     def accelerometer(self) -> Vec3:
-        """Rms in hover [m/s^2]."""
+        """Root mean square of the vibration at the accelerometer in hover [m/s^2]."""
         return Vec3(self.accelerometer_x, self.accelerometer_y, self.accelerometer_z)
 
     def turned(self, phase: Array, thrust: Array, dt: float) -> Array:
-        """Return the phase (n,) [turns], within half a turn, dt [s] later at a thrust (n,) per weight."""
+        """Return the rotor phase (n,) [turns] dt [s] later at a thrust (n,) per weight, wrapped to +/- half a turn."""
         after = phase + self.rotor_frequency * jnp.sqrt(jnp.maximum(thrust, 0.0)) * dt
         return after - jnp.round(after)
 
     def harmonics(self, phase: Array, thrust: Array) -> tuple[Vec3, Vec3]:
-        """Return the harmonics (n,) at the gyroscope [rad/s] and the accelerometer [m/s^2], by phase [turns]."""
+        """Return the harmonic vibration (n,) at gyroscope [rad/s] and accelerometer [m/s^2] at a phase [turns]."""
         scale = jnp.sqrt(2.0 * (1.0 - jnp.asarray(self.broadband))) * (_WEIGHT * thrust)
         # The axes are a third of a turn apart, so that they do not peak together.
         waves = Vec3(*(scale * _summed(phase + third / 3.0) for third in range(3)))
@@ -60,7 +60,7 @@ class Vibration:
         return gyroscope, accelerometer
 
     def spreads(self, thrust: Array) -> tuple[Vec3, Vec3]:
-        """Return the std (n,) of the broadband noise at the gyroscope [rad/s] and the accelerometer [m/s^2]."""
+        """Return the standard deviation (n,) of broadband noise at gyroscope [rad/s] and accelerometer [m/s^2]."""
         scale = jnp.sqrt(jnp.asarray(self.broadband)) * jnp.maximum(thrust, 0.0)
         return self.gyroscope * scale, self.accelerometer * scale
 
@@ -77,12 +77,12 @@ def measured() -> Vibration:
 
 
 def _by_axes(level: Vec3, wave: Vec3) -> Vec3:
-    """Return the product of two vectors, axis by axis."""
+    """Return the elementwise product of two vectors."""
     return Vec3(level.x * wave.x, level.y * wave.y, level.z * wave.z)
 
 
 def _summed(phase: Array) -> Array:
-    """Return the sum of the harmonics' sines (n,), by sin h x = 2 cos x sin (h - 1) x - sin (h - 2) x."""
+    """Return the sum (n,) of sin(2 pi h phase)/h over the harmonics h, for a phase [turns]."""
     sine, cosine = sincos_turns(phase)
     before, now = jnp.zeros_like(sine), sine
     total = sine

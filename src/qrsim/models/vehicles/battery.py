@@ -33,7 +33,7 @@ class GivenVoltage(Battery):
         return state
 
     def voltage(self, state: NoCharge, load: Load) -> None:
-        """Return None: the voltage is the commanded one."""
+        """Return None: the command's own voltage applies."""
 
 
 @record
@@ -69,11 +69,11 @@ class LithiumPolymer(Battery):
     drains: ClassVar[bool] = True
 
     def init(self, like: Array) -> Charge:
-        """Return the state at the start; ``like`` is any array (n,)."""
+        """Return the state (n,) at the initial charge; ``like`` is any array (n,)."""
         return Charge(jnp.broadcast_to(jnp.asarray(self.initial_charge), like.shape))
 
     def step(self, state: Charge, load: Load, dt: float) -> Charge:
-        """Drain for dt [s] at the thrust (n,) of a vehicle of given weight."""
+        """Return the state after dt [s] of discharge at the load's thrust (n,)."""
         drain = _current(load) * (dt / self.endurance)
         return Charge(jnp.maximum(state.charge - drain, 0.0))
 
@@ -91,11 +91,11 @@ class LithiumPolymer(Battery):
 
 
 def _within(voltage: Array) -> Array:
-    """Return whether a voltage is one of the packs that the thrust model was identified with."""
+    """Return whether a voltage [V] is within the range for which the thrust model was identified."""
     return (jnp.asarray(voltage) >= LOWEST) & (jnp.asarray(voltage) <= HIGHEST)
 
 
 def _current(load: Load) -> Array:
-    """Return the current as a multiple of that of hover at sea level."""
+    """Return the current as a multiple of the current in hover at sea level."""
     current = exp(1.5 * log(jnp.maximum(load.thrust / load.weight, 1e-6)))
     return current if load.density_ratio is None else current / jnp.sqrt(load.density_ratio)

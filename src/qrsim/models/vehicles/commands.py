@@ -16,7 +16,7 @@ C = TypeVar("C")
 
 
 def fields_of(command_type: type) -> tuple[str, ...]:
-    """Return the names of the fields of a command record, in their order."""
+    """Return the field names of a command record, in their order."""
     return tuple(field.name for field in dataclasses.fields(command_type))
 
 
@@ -31,7 +31,7 @@ def limits_of(command_type: type) -> dict[str, tuple[float, float]]:
 
 
 def clipped(command: C, without: tuple[str, ...] = ()) -> tuple[C, Array]:
-    """Bring a command into the limits of its fields; also say, with a bool (n,), whether that changed it.
+    """Return a command clipped to the limits of its fields, and (n,) bool: clipping changed it.
 
     Args:
         command: record of arrays (n,).

@@ -46,7 +46,7 @@ class Load:
     )
 
     def per_weight(self, like: Array) -> Array:
-        """Return the thrust (n,) per weight; 1 for a vehicle that knows none. ``like`` is any array (n,)."""
+        """Return the thrust (n,) over the weight, 1 where either is unknown (NaN); ``like`` is any array (n,)."""
         ratio = jnp.broadcast_to(jnp.asarray(self.thrust / self.weight, like.dtype), like.shape)
         return jnp.where(jnp.isfinite(ratio), ratio, 1.0)
 
@@ -88,7 +88,7 @@ class Handling:
 
 
 def smaller(a: object, b: object) -> Any:
-    """Return the smaller of two numbers or arrays; NumPy's where both are, as on the host."""
+    """Return the elementwise minimum of two numbers or arrays, by NumPy unless one is a JAX array."""
     return (jnp if isinstance(a, Array) or isinstance(b, Array) else np).minimum(a, b)
 
 
@@ -181,7 +181,7 @@ class Vehicle(Protocol):
     downwash: Any = "felt"
 
     def prepared(self, duration: float) -> Vehicle:
-        """Return the vehicle of a run of a length [s], with the files read that it names.
+        """Return the vehicle ready for a run of ``duration`` [s], with the files that it names read.
 
         Raises:
             UsageError: a file cannot be used.
@@ -189,7 +189,7 @@ class Vehicle(Protocol):
         return self
 
     def in_air(self, air: SiteAir) -> Vehicle:
-        """Return the vehicle at a site, where what it takes to fly depends on the density of the air there."""
+        """Return the vehicle in the air of a site, changed if its model depends on air density."""
         return self
 
     @abstractmethod
@@ -202,7 +202,7 @@ class Vehicle(Protocol):
         return found
 
     def with_thrust(self, state: Any, thrust: Array) -> VehicleState:
-        """Return a state at a thrust (n,) [N], if it has one; NaN leaves it unchanged."""
+        """Return the state with its thrust set to (n,) [N]; NaN, or a state without thrust, is left unchanged."""
         return state
 
     @abstractmethod
@@ -210,7 +210,7 @@ class Vehicle(Protocol):
         """Return the command (n,) before the first one: hover, trim or zero; ``like`` is any array (n,)."""
 
     def clip(self, command: Any, powered: bool = False) -> tuple[object, Array]:
-        """Bring a command into the limits of its fields; also say, with a bool (n,), whether that changed it.
+        """Return a command clipped to the limits of its fields, and (n,) bool: clipping changed it.
 
         Args:
             command: one of ``actions``.
@@ -219,19 +219,19 @@ class Vehicle(Protocol):
         return clipped(command)
 
     def powered(self, command: Any, voltage: Array | None) -> object:
-        """Return a command at a battery's voltage (n,) [V]; None: whatever voltage the command itself has."""
+        """Return a command with a battery's voltage (n,) [V] set; None keeps the command's own voltage."""
         return command
 
     def shown(self, command: object) -> object:
-        """Return a command as a world's state keeps it: one structure for all of ``actions``."""
+        """Return a command in the one structure in which a world's state keeps every kind of ``actions``."""
         return command
 
     def handling(self) -> Handling | None:
-        """Return the numbers that a controller of tilt and throttle uses, None if it takes no such commands."""
+        """Return the numbers that a tilt-and-throttle controller needs, None if the vehicle takes no such commands."""
         return None
 
     def tilt_command(self, pitch: Array, roll: Array, throttle: Array, yaw_rate: Array) -> object:
-        """Return its own command (n,) of tilt [rad], throttle [0, 1] and yaw rate [rad/s]; only where it has handling.
+        """Return the vehicle's command (n,) for tilt [rad], throttle [0, 1] and yaw rate [rad/s], if it has handling.
 
         Raises:
             TypeError: it has none.
@@ -239,30 +239,30 @@ class Vehicle(Protocol):
         raise TypeError(f"{type(self).__name__} takes no tilt and throttle; it has no tilt_command")
 
     def leaning(self, tilt: NumpyArray) -> tuple[npt.ArrayLike, npt.ArrayLike] | None:
-        """Return the airspeed [m/s] and the thrust [N] at which it stays where it is, leaning by tilt (n,) [rad].
+        """Return the airspeed [m/s] and thrust [N] of steady flight at a tilt (n,) [rad], None without a formula.
 
         None where no formula says so; then envelope.py looks for them. Arguments and results are NumPy's.
         """
         return None
 
     def wake(self) -> Wake | None:
-        """Return the parameters of its wake, None without a wake; the thrust is that of its ``load``."""
+        """Return the parameters of the vehicle's wake, None without a wake; the thrust comes from ``load``."""
         return None
 
     def wake_points(self) -> tuple[Point, ...]:
-        """Return the points in body axes [m], evenly about them, over which the wakes of others are averaged."""
+        """Return points in body axes [m] over which the wakes of other vehicles are averaged."""
         return ((0.0, 0.0, 0.0),)
 
     @abstractmethod
     def load(self, state: Any) -> Load:
-        """Return the load on its battery."""
+        """Return the load on the vehicle's battery: thrust, weight, power."""
 
     @abstractmethod
     def pose(self, state: Any) -> Pose:
-        """Return position, attitude, velocity and rates (n,)."""
+        """Return position, attitude, velocity and body rates (n,)."""
 
     def draw_noise(self, draw: Noise, dt: float) -> object:
-        """Draw the process noise of one step of dt [s] from ``normals`` normals."""
+        """Return the random process noise of one step of dt [s], from ``normals`` standard normals."""
         return None
 
     @abstractmethod
@@ -275,7 +275,7 @@ class Vehicle(Protocol):
         dt: float,
         around: Around | None = None,
     ) -> tuple[VehicleState, Vec3]:
-        """Advance one step.
+        """Return the state one step later, and the mean specific force (n,) [m/s^2] in body axes.
 
         Args:
             state: before it, arrays (n,).
@@ -304,41 +304,41 @@ class Vehicle(Protocol):
 
     @abstractmethod
     def stopped(self, state: Any) -> VehicleState:
-        """Return the state of vehicles that are held where they are, at rest."""
+        """Return the state with all motion set to zero, for vehicles that are stopped in place."""
 
     def upright_share(self, command: Any) -> Array | float:
-        """Return the vertical part (n,) of the thrust, 1 where all of it, at the settled tilt of a command."""
+        """Return the vertical share (n,) of the thrust at the tilt to which a command settles, 0 to 1."""
         return 1.0
 
     def on_ground(self, state: Any) -> Array | None:
-        """Return which vehicles (n,) are on the ground by their own contact model, bool; None: they have none."""
+        """Return (n,) bool: a vehicle is on the ground by its contact model; None without a contact model."""
         return None
 
     def standing_height(self) -> Array | float:
-        """Return the height [m] of the origin above level ground while the vehicle rests on its feet, () or (n,)."""
+        """Return the height [m], () or (n,), of the origin above level ground when standing on its feet."""
         return 0.0
 
     def stood(self, state: Any, ground: Callable[[Vec3], tuple[Array, Vec3]]) -> VehicleState:
-        """Return the state at a start, in which vehicles with a contact model stand on the ground; see ``Around``."""
+        """Return the state at a start with vehicles that have a contact model put on the ground; see ``Around``."""
         found: VehicleState = state
         return found
 
     def launched(self, state: Any, air_ned: Vec3) -> VehicleState:
-        """Return the state at a start in a mean wind (n,) [m/s] NED, where it ``launches``."""
+        """Return the start state for a mean wind (n,) [m/s] NED, changed for vehicles that start in flight."""
         found: VehicleState = state
         return found
 
     def pushed(self, state: Any, change_body: Vec3) -> VehicleState:
-        """Return the state after a change of velocity (n,) [m/s] in body axes; it is 0 where not ``pushable``."""
+        """Return the state after a velocity change (n,) [m/s] in body axes, 0 along axes not ``pushable``."""
         found: VehicleState = replace(state, velocity_body=state.velocity_body + change_body)
         return found
 
     def outline(self) -> Outline | None:
-        """Return the outline that pictures show; None: a quadrotor with a rotor ahead."""
+        """Return the outline for pictures, None for a default quadrotor with a rotor ahead."""
         return None
 
     def own_checks(self, state: Any) -> list[Check]:
-        """Return the vehicle's own stop conditions (n,), in addition to area, limits and collisions."""
+        """Return the vehicle's own stop conditions (n,), each (code, value, broken)."""
         return []
 
 
@@ -371,14 +371,14 @@ class Battery(Protocol):
 
     @abstractmethod
     def step(self, state: Any, load: Load, dt: float) -> object:
-        """Advance by dt [s] under a load (n,)."""
+        """Return the state after dt [s] under a load (n,)."""
 
     @abstractmethod
     def voltage(self, state: Any, load: Load) -> Array | None:
-        """Return the voltage under load (n,) [V], None for that of the command."""
+        """Return the voltage under load (n,) [V]; None: the command's own voltage applies."""
 
     def own_checks(self, state: Any) -> list[Check]:
-        """Return its own stop conditions (n,), in addition to that of an empty battery."""
+        """Return the battery's stop conditions (n,), without that of an empty battery."""
         return []
 
 

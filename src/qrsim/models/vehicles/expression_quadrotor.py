@@ -55,7 +55,7 @@ class ExpressionQuadrotor(Quadrotor):
         return evaluated(self.thrust_law, {"throttle": throttle})
 
     def handling(self) -> Handling | None:
-        """Return the handling by the laws about rest; None where a law does not answer to its command there."""
+        """Return the handling by the laws linearised at rest; None if a law does not follow its command there."""
         found = Quadrotor.handling(self)
         assert found is not None
         if self.thrust_law:
@@ -92,7 +92,7 @@ class ExpressionQuadrotor(Quadrotor):
 
 @functools.cache
 def checked(name: str, law: str, leaves: tuple[str, ...]) -> ast.expr:
-    """Parse a law to a tree.
+    """Return a law parsed to a syntax tree.
 
     Raises:
         UsageError: it is no expression of the allowed kind; says what is wrong.
@@ -118,7 +118,7 @@ def checked(name: str, law: str, leaves: tuple[str, ...]) -> ast.expr:
 
 
 def _quadratic(law: str) -> tuple[Array, Array, Array] | None:
-    """Return c0, c1, c2 of c0 + c1 u + c2 u^2 next to a law of throttle u, None where it has no value or falls."""
+    """Return c0, c1, c2 of the fit c0 + c1 u + c2 u^2 to a law of throttle u; None if undefined or not increasing."""
     throttle = np.linspace(0.0, 1.0, 41)
     thrust = np.array([value_at(law, {"throttle": float(u)}) for u in throttle])
     if not np.isfinite(thrust).all():
@@ -129,7 +129,7 @@ def _quadratic(law: str) -> tuple[Array, Array, Array] | None:
 
 
 def _settled(law: str, leaves: tuple[str, ...]) -> float | None:
-    """Return by how much the angle (else the rate) settles per unit of command, None where it does not follow it."""
+    """Return the steady-state gain from command to angle (or rate) of a law at rest, None unless it is positive."""
     slope, step = {}, 1e-4
     for leaf in ("command", leaves[1]):
         ends = [value_at(law, dict.fromkeys(leaves, 0.0) | {leaf: x}) for x in (-step, step)]
@@ -139,18 +139,18 @@ def _settled(law: str, leaves: tuple[str, ...]) -> float | None:
 
 
 def _whole(node: ast.expr) -> bool:
-    """Return whether a node of an expression is an integer from 0 to 9."""
+    """Return whether a syntax node is an integer constant from 0 to 9."""
     return isinstance(node, ast.Constant) and isinstance(node.value, int) and 0 <= node.value <= 9
 
 
 def evaluated(law: str, leaves: Mapping[str, Array]) -> Array:
-    """Evaluate a law (n,) at its leaves (n,)."""
+    """Return the value (n,) of a law, with arrays (n,) for its names."""
     like = next(iter(leaves.values()))
     return jnp.broadcast_to(jnp.asarray(_value(checked("law", law, tuple(leaves)), leaves), like.dtype), like.shape)
 
 
 def value_at(law: str, leaves: dict[str, Any]) -> float:
-    """Evaluate a law at numbers; NaN if undefined, as for a division by zero."""
+    """Return the value of a law, with numbers for its names; NaN if undefined, as a division by zero."""
     try:
         return float(_value(checked("law", law, tuple(leaves)), leaves))
     except (OverflowError, ZeroDivisionError):

@@ -35,7 +35,7 @@ class FixedPoint(Uncommanded):
     adds_position: ClassVar[bool] = True
 
     def prepared(self, duration: float) -> Vehicle:
-        """Return itself, or the point that its path carries.
+        """Return this point, or a moving point (``CarriedPoint``) if it has the file of a path.
 
         Raises:
             UsageError: the file of the path cannot be used.
@@ -45,7 +45,7 @@ class FixedPoint(Uncommanded):
     def initial_state(
         self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
     ) -> FixedPointState:
-        """Return the state at a place; of the attitude only the heading counts, and nothing moves."""
+        """Return the state at a place with the heading of ``attitude``; velocity and rates are ignored."""
         return FixedPointState(position_ned, attitude.yaw)
 
     def pose(self, state: FixedPointState) -> Pose:
@@ -63,7 +63,7 @@ class FixedPoint(Uncommanded):
         dt: float,
         around: Around | None = None,
     ) -> tuple[FixedPointState, Vec3]:
-        """Return the state unchanged, and the specific force at rest: (0, 0, -g)."""
+        """Return the state unchanged, and the specific force at rest (0, 0, -g) [m/s^2]."""
         zero = jnp.zeros_like(state.heading)
         return state, Vec3(zero, zero, zero - self.gravity)
 

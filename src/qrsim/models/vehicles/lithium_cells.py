@@ -40,7 +40,7 @@ class LithiumCells(Battery):
     needs_power: ClassVar[bool] = True
 
     def init(self, like: Array) -> CellsState:
-        """Return the state at the start; ``like`` is any array (n,)."""
+        """Return the state (n,) at the initial charge; ``like`` is any array (n,)."""
         zero = jnp.zeros_like(like)
         return CellsState(jnp.broadcast_to(jnp.asarray(self.initial_charge), like.shape), zero, zero)
 
@@ -51,7 +51,7 @@ class LithiumCells(Battery):
         return self.cells * cell
 
     def step(self, state: CellsState, load: Load, dt: float) -> CellsState:
-        """Drain for dt [s] at the power of a load (n,) (V27)."""
+        """Return the state after dt [s] of discharge at the power of a load (n,) (V27)."""
         asked = _power(load)
         current = asked / self.voltage(state, load)
         charge = state.charge - current * (dt / 3600.0) / self.capacity
@@ -59,24 +59,24 @@ class LithiumCells(Battery):
         return CellsState(jnp.maximum(charge, 0.0), current, overload)
 
     def voltage(self, state: CellsState, load: Load) -> Array:
-        """Return the voltage under load (n,) [V]: that at which it gives the power, or half the open-circuit one."""
+        """Return the voltage (n,) [V] under load; half the open-circuit voltage beyond the largest power."""
         open_circuit = self.open_circuit(state.charge)
         resistance = self.cells * self.cell_resistance
         root = jnp.sqrt(jnp.maximum(open_circuit * open_circuit - 4.0 * resistance * _power(load), 0.0))
         return 0.5 * (open_circuit + root)
 
     def own_checks(self, state: CellsState) -> list[Check]:
-        """Return the check of a pack that cannot give the power that it is asked for."""
+        """Return the stop condition (n,) of a pack that cannot deliver the demanded power."""
         return [(reason_code("brown_out", "power"), state.overload, state.overload > 0.0)]
 
     def _most(self, state: CellsState) -> Array:
-        """Return the largest power (n,) [W] that it can give."""
+        """Return the largest power (n,) [W] that the pack can deliver."""
         open_circuit = self.open_circuit(state.charge)
         return open_circuit * open_circuit / (4.0 * self.cells * self.cell_resistance)
 
 
 def _power(load: Load) -> Array:
-    """Return the electric power [W] of a load; the vehicle must state one."""
+    """Return the electric power [W] of a load, which must state one."""
     # A scenario with another vehicle is refused.
     assert load.power is not None
     return load.power

@@ -24,18 +24,18 @@ class Uncommanded(Vehicle):
     default_controller: ClassVar[str] = "none"
 
     def idle_command(self, like: Array) -> NoCommand:
-        """Return the command without fields."""
+        """Return the command, which has no fields."""
         return NoCommand()
 
     def clip(self, command: NoCommand, powered: bool = False) -> tuple[NoCommand, Array]:
-        """Return the command: there is nothing that could be out of its limits."""
+        """Return the command unchanged, and False: it has no limits."""
         return command, jnp.zeros((), bool)
 
     def load(self, state: Any) -> Load:
-        """Return that it has neither thrust nor a weight that one would carry."""
+        """Return a load of NaN: no thrust, and no weight that thrust would carry."""
         nothing = jnp.full_like(state.heading, jnp.nan)
         return Load(nothing, nothing)
 
     def outline(self) -> Outline:
-        """Return a mast."""
+        """Return the outline of a mast, for pictures."""
         return Outline()

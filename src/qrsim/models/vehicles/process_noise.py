@@ -24,7 +24,7 @@ class ProcessNoise:
 
 
 def white_accelerations(draw: Noise, std: Array | float, dt: float) -> ProcessNoise:
-    """Draw the process noise of one step of dt [s]: a white spectral density, sigma(T) = sigma sqrt(0.02/T).
+    """Return one step's random process noise: a white spectral density, sigma(T) = sigma sqrt(0.02/T).
 
     Args:
         draw: source of NORMALS normals.

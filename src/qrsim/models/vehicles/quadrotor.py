@@ -114,30 +114,30 @@ class Quadrotor(Vehicle):
     def initial_state(
         self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
     ) -> QuadrotorState:
-        """Return a state with a thrust that carries the weight."""
+        """Return the state at a pose, with a thrust that carries the weight."""
         weight = jnp.asarray(self.mass * self.gravity)
         thrust = jnp.broadcast_to(weight, position_ned.x.shape)
         return QuadrotorState(position_ned, attitude, velocity_body, rates_body, thrust)
 
     def with_wrapped_yaw(self, state: QuadrotorState) -> QuadrotorState:
-        """Return a state with its yaw within -pi and pi."""
+        """Return the state with its yaw wrapped to [-pi, pi]."""
         return replace(state, attitude=replace(state.attitude, yaw=wrap_angle(state.attitude.yaw)))
 
     def with_thrust(self, state: QuadrotorState, thrust: Array) -> QuadrotorState:
-        """Return a state at a thrust (n,) [N]; a NaN leaves it unchanged."""
+        """Return the state with its thrust set to (n,) [N]; NaN leaves it unchanged."""
         return replace(state, thrust=jnp.where(jnp.isfinite(thrust), thrust, state.thrust))
 
     def idle_command(self, like: Array) -> Command:
-        """Return level hover at the published throttle and voltage."""
+        """Return the command for level hover at the published throttle and voltage."""
         zero = jnp.zeros_like(like)
         return Command(zero, zero, jnp.full_like(like, IDLE_THROTTLE), zero, jnp.full_like(like, IDLE_BATTERY))
 
     def clip(self, command: Command, powered: bool = False) -> tuple[Command, Array]:
-        """Bring a command into its limits; the voltage of a battery stays, whatever may be commanded."""
+        """Return a command clipped to its limits, and (n,) bool: clipping changed it; a battery's voltage is kept."""
         return clipped(command, ("battery",) if powered else ())
 
     def powered(self, command: Command, voltage: Array | None) -> Command:
-        """Return a command at a battery's voltage (n,) [V]; None: at the commanded one."""
+        """Return a command with a battery's voltage (n,) [V] set; None keeps the commanded one."""
         return command if voltage is None else replace(command, battery=voltage)
 
     def handling(self) -> Handling | None:
@@ -155,11 +155,11 @@ class Quadrotor(Vehicle):
         )
 
     def tilt_command(self, pitch: Array, roll: Array, throttle: Array, yaw_rate: Array) -> Command:
-        """Return the command (n,) at the highest voltage that the thrust was identified for."""
+        """Return the command (n,) for tilt [rad], throttle and yaw rate [rad/s], at the highest identified voltage."""
         return Command(pitch, roll, throttle, yaw_rate, jnp.full_like(pitch, IDLE_BATTERY))
 
     def leaning(self, tilt: NumpyArray) -> tuple[npt.ArrayLike, npt.ArrayLike]:
-        """Return airspeed [m/s] and thrust [N] at rest, leaning by tilt (n,) [rad] (eq. 6 with nothing moving).
+        """Return airspeed [m/s] and thrust [N] of steady flight at a tilt (n,) [rad] (eq. 6 in equilibrium).
 
         Drag across the body pushes it down as well: kw w is larger than kuv u.
         """
@@ -171,12 +171,12 @@ class Quadrotor(Vehicle):
         return airspeed, self.mass * (self.gravity + down) / np.cos(tilt)
 
     def wake(self) -> Wake:
-        """Return the wake of the Pelican: rotors of 10 inches, 0.42 m apart."""
+        """Return the wake of the Pelican: 10-inch rotors, 0.42 m apart."""
         one = jnp.ones_like(jnp.asarray(self.mass))
         return Wake(SIZE * one, 4.0 * math.pi * 0.127**2 * one)
 
     def wake_points(self) -> tuple[Point, ...]:
-        """Return the hubs of the Pelican's rotors."""
+        """Return the positions of the Pelican's rotor hubs, in body axes [m]."""
         arm = 0.5 * SIZE
         return ((arm, 0.0, 0.0), (0.0, arm, 0.0), (-arm, 0.0, 0.0), (0.0, -arm, 0.0))
 
@@ -186,15 +186,15 @@ class Quadrotor(Vehicle):
         return sincos(gain * command.pitch)[1] * sincos(gain * command.roll)[1]
 
     def load(self, state: QuadrotorState) -> Load:
-        """Return thrust and weight; the model has no power."""
+        """Return thrust and weight as load; the model has no power."""
         return Load(state.thrust, self.mass * self.gravity)
 
     def pose(self, state: QuadrotorState) -> Pose:
-        """Return position, attitude, velocity and rates (n,)."""
+        """Return position, attitude, velocity and body rates (n,)."""
         return Pose(state.position_ned, state.attitude, state.velocity_body, state.rates_body)
 
     def stopped(self, state: QuadrotorState) -> QuadrotorState:
-        """Return the state at rest; the thrust stays."""
+        """Return the state with all motion set to zero; the thrust is kept."""
         rest = Vec3.zeros(state.thrust.shape, state.thrust.dtype)
         return replace(state, velocity_body=rest, rates_body=rest)
 
@@ -211,7 +211,7 @@ class Quadrotor(Vehicle):
         return self.derivative(state, command, air_velocity, noise, dt)[1]
 
     def draw_noise(self, draw: Noise, dt: float) -> ProcessNoise:
-        """Draw the process noise of one step: a white spectral density, sigma(T) = sigma sqrt(0.02/T)."""
+        """Return one step's random process noise: a white spectral density, sigma(T) = sigma sqrt(0.02/T)."""
         return white_accelerations(draw, self.process_noise, dt)
 
     def step(
@@ -223,7 +223,7 @@ class Quadrotor(Vehicle):
         dt: float,
         around: Around | None = None,
     ) -> tuple[QuadrotorState, Vec3]:
-        """Advance one step.
+        """Return the state one step later, and the mean specific force (n,) [m/s^2] in body axes.
 
         Args:
             state: arrays of shape (n,).
@@ -238,6 +238,7 @@ class Quadrotor(Vehicle):
         """
 
         def slope(current: QuadrotorState) -> tuple[QuadrotorState, Vec3]:
+            """Return the time derivative of a state, and the specific force."""
             return self.derivative(current, command, air_velocity, noise, dt)
 
         return INTEGRATORS[self.integrator](slope, state, dt)  # type: ignore[return-value]
@@ -250,7 +251,7 @@ class Quadrotor(Vehicle):
         noise: ProcessNoise,
         dt: float,
     ) -> tuple[QuadrotorState, Vec3]:
-        """Return the state's slope and the specific force (eqs. 1-6)."""
+        """Return the time derivative of the state, and the specific force [m/s^2] (eqs. 1-6)."""
         trig = AttitudeTrig.of(state.attitude)
         direction = trig.rotation()
         thrust_rate = self.thrust_rate(state.thrust, command.throttle, command.battery, dt)
@@ -300,13 +301,13 @@ class Quadrotor(Vehicle):
         )
 
     def _rate_limited(self, acceleration: Array, rate: Array) -> Array:
-        """Stop only what would drive a rate further beyond the limit; the paper's form would freeze it there."""
+        """Return the angular acceleration, 0 where it would drive a rate further beyond ``rate_max``."""
         outward = (jnp.abs(rate) >= self.rate_max) & (acceleration * rate > 0.0)
         return jnp.where(outward, 0.0, acceleration)
 
 
 def raw_to_command(pitch: Array, roll: Array, throttle: Array, yaw: Array, battery: Array) -> Command:
-    """Convert recorded raw units (docs/howto/identify_from_logs.md) to SI."""
+    """Return a command in SI units from recorded raw units (docs/howto/identify_from_logs.md)."""
     return Command(
         pitch * PITCH_ROLL_RAD_PER_RAW,
         roll * PITCH_ROLL_RAD_PER_RAW,

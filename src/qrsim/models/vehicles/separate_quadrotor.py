@@ -22,7 +22,7 @@ class SeparateQuadrotor(Quadrotor):
     adds_position: ClassVar[bool] = True
 
     def handling(self) -> Handling | None:
-        """Return the handling of the quadrotor, with its own gain of pitch."""
+        """Return the handling of the quadrotor, with a separate gain for pitch."""
         both = Quadrotor.handling(self)
         assert both is not None
         return replace(both, pitch_gain=self.kq0 * (1.0 / PITCH_ROLL_RAD_PER_RAW))

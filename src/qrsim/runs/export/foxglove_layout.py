@@ -15,7 +15,7 @@ ENDING = ".layout.json"
 
 
 def layout_path(path: Path) -> Path:
-    """Return where the layout of an MCAP file is."""
+    """Return the path of the Foxglove layout that belongs to an MCAP file."""
     return path.with_name(path.stem + ENDING)
 
 
@@ -30,7 +30,7 @@ def write_layout(run: Run, path: Path) -> None:
 
 
 def layout(run: Run) -> dict[str, object]:
-    """Return the layout."""
+    """Return the Foxglove layout as a dict for JSON."""
     topics = [f"/{quote(name, safe='')}" for name in run.vehicles]
     shown = topics[:MOST_PLOTTED]
     drawn = {"/scene": {"visible": True}} | {f"{topic}/pose": {"visible": True, "type": "arrow"} for topic in topics}

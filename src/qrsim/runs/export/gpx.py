@@ -47,7 +47,7 @@ def write(content: Tracks, path: Path) -> Written:
 
 
 def _place(geodetic: NumpyArray) -> tuple[float, float, float]:
-    """Return latitude and longitude [deg] to 0.1 mm, and height [m]."""
+    """Return latitude, longitude [deg] rounded to 1e-9, and height [m]."""
     latitude, longitude, height = (float(value) for value in geodetic)
     return round(latitude, 9), round(longitude, 9), round(height, 4)
 

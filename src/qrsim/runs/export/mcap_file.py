@@ -54,7 +54,7 @@ WARNINGS = (
 
 
 def write(run: Run, place: Place, path: Path, every: int) -> Written:
-    """Write the run in order of time, from the ticks that ``every`` divides; events are all kept.
+    """Write the run in order of time, at every ``every``-th tick, with all events.
 
     What is not a number is left out: JSON cannot say it.
 
@@ -136,7 +136,7 @@ def _pose_messages(run: Run, place: Place, every: int) -> Iterator[Message]:
 
 
 def _fixes(run: Run, place: Place, every: int, sensor: str) -> Iterator[Message]:
-    """Yield a receiver's reports when they differ from the one before: between fixes the log repeats the last."""
+    """Yield a receiver's new fixes; repeated values between fixes are left out."""
     topics = topics_of(run, quote(sensor, safe=""), "fix")
     last = np.full((len(run.vehicles), 3), np.nan)
     known = {column.name for column in run.describe("measurements")}
@@ -157,7 +157,7 @@ def _fixes(run: Run, place: Place, every: int, sensor: str) -> Iterator[Message]
 
 
 def _range_spread(run: Run, sensor: str) -> float:
-    """Return the std of a pseudorange's error [m] in the scenario, shared and own; NaN if it has none.
+    """Return the scenario's standard deviation [m] of a pseudorange's error; NaN if it has none.
 
     With fleets of different receivers it is the largest.
     """
@@ -175,7 +175,7 @@ def _range_spread(run: Run, sensor: str) -> float:
 
 
 def _fresh_rows(samples: Samples, last: Floats) -> npt.NDArray[np.int64]:
-    """Return which rows hold a new report; ``last`` (n, 3), the latest of every vehicle, is brought up to date."""
+    """Return the indices of rows with a new report; updates ``last`` (n, 3), the latest report of each vehicle."""
     fresh = np.zeros(len(samples.ticks), bool)
     for vehicle in range(len(last)):
         rows = np.flatnonzero(samples.vehicles == vehicle)
@@ -207,14 +207,14 @@ def _event_messages(events: list[Event], place: Place) -> Iterator[Message]:
 
 
 def _finite(run: Run, stream: str, columns: list[str], every: int) -> Iterator[Samples]:
-    """Yield the rows of a stream, part by part, in which every value is a number."""
+    """Yield the rows of a stream part by part, without those that have a NaN or infinite value."""
     for samples in read_samples(run, stream, columns, lambda ticks: ticks % every == 0):
         rows = np.isfinite(samples.values).all(axis=1)
         yield Samples(samples.vehicles[rows], samples.ticks[rows], samples.times[rows], samples.values[rows])
 
 
 def _fix(frame: str, geodetic: list[float], errors: Sequence[float] = ()) -> dict[str, object]:
-    """Return a fix; ``errors`` are its horizontal and vertical std [m], where they are known.
+    """Return a Foxglove location fix; ``errors`` are horizontal and vertical standard deviations [m], if known.
 
     The covariance is of east, north, up: the horizontal variance is shared evenly by its two axes, an approximation.
     """
@@ -241,7 +241,7 @@ def _timestamp(time_ns: int) -> dict[str, int]:
 
 
 def _origin(run: Run, place: Place) -> dict[str, str]:
-    """Return the metadata of the file's origin."""
+    """Return as text the run's scenario, seed and version, and the latitude, longitude and height of its origin."""
     latitude, longitude, height = place.geodetic(np.zeros(3)).tolist()
     return {
         "scenario": run.info.scenario,

@@ -64,7 +64,7 @@ class Group(NamedTuple):
 
 
 def groups_of(run: Run) -> list[Group]:
-    """Return what a run has beside truth and wind: commands, set-points, estimates and the readings of every sensor."""
+    """Return the groups of columns that become messages: commands, set-points, estimates, each sensor's readings."""
     found: list[Group] = []
     if is_readable(run, "commands"):
         columns = run.describe("commands")[len(INDEX) :]
@@ -85,7 +85,7 @@ def _columns_with(columns: Sequence[Column], prefix: str) -> tuple[Column, ...]:
 
 
 def messages_of(run: Run, place: Place, every: int, group: Group) -> Iterator[Message]:
-    """Yield a message wherever a value differs from the one before; what is not a number is left out."""
+    """Yield a message for each row of a group with a changed value; NaN values are left out."""
     topics = topics_of(run, quote(group.name, safe=""))
     names = [column.name for column in group.columns]
     paths = [tuple(name.removeprefix(group.prefix).split(".")) for name in names]
@@ -112,7 +112,7 @@ def _put(content: Content, path: tuple[str, ...], value: object) -> None:
 
 
 def changed_rows(samples: Samples, last: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
-    """Return which rows differ from the one before; ``last`` (n, k), the latest of each vehicle, is kept up to date."""
+    """Return the indices of rows that differ from the vehicle's last one; updates ``last`` (n, k) in place."""
     fresh = np.zeros(len(samples.ticks), bool)
     for vehicle in range(len(last)):
         rows = np.flatnonzero(samples.vehicles == vehicle)
@@ -126,5 +126,5 @@ def changed_rows(samples: Samples, last: npt.NDArray[np.float64]) -> npt.NDArray
 
 
 def topics_of(run: Run, *words: str) -> list[str]:
-    """Return the topic of every vehicle."""
+    """Return each vehicle's topic, with ``words`` as its last parts."""
     return ["/".join(("", quote(vehicle, safe=""), *words)) for vehicle in run.vehicles]

@@ -48,7 +48,7 @@ def scene(run: Run, place: Place, around: Surroundings, frame: str) -> Iterator[
 
 
 def waypoints(run: Run) -> list[Floats]:
-    """Return the route (W, 3) [m] of every vehicle, NED, (0, 3) without one or where the scenario does not say."""
+    """Return each vehicle's route (P, 3) NED [m]; (0, 3) for one without or with an unknown route."""
     content = run.scenario if isinstance(run.scenario, dict) else {}
     try:
         vehicles = [own for fleet in content["fleets"].values() for own in fleet["vehicles"]]
@@ -97,7 +97,7 @@ def _line_primitive(points: Any, kind: int, colour: Colour) -> Content:
 
 
 def _solid(middle: object, size: tuple[float, float, float], colour: Colour, **more: object) -> Content:
-    """Return a body by its middle, NED [m], and its sizes along east, north and up [m]."""
+    """Return a box or cylinder primitive by its centre NED [m] and its size along east, north and up [m]."""
     extent = dict(zip("xyz", size, strict=True))
     return {
         "pose": {"position": _enu_point(middle), "orientation": STILL},
@@ -158,7 +158,7 @@ def _obstacle_entities(around: Surroundings) -> list[Content]:
 
 
 def _prism(item: Any) -> list[Content]:
-    """Return the edges of a prism."""
+    """Return the edges of a prism obstacle as a list of line primitives."""
     lines = []
     for ring in (item["corners_ned"], *item.get("holes_ned", ())):
         corners = np.asarray(ring, float)
@@ -182,7 +182,7 @@ def _place_entities(around: Surroundings) -> list[Content]:
 
 
 def _persons(around: Surroundings, time: float) -> list[Content]:
-    """Return the persons as they are at a time [s]; after the start only those that are found then."""
+    """Return the persons' entities at a time [s]: all at the start, later those found at that time."""
     return [
         _scene_entity(
             f"person {i}", spheres=[_sphere_primitive((*place, 0.0), 2.0, FOUND if found <= time else MISSING)]

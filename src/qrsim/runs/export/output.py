@@ -28,7 +28,7 @@ class Written:
 
 
 def check_target(path: Path, force: bool) -> None:
-    """Refuse a target that would overwrite a user's file.
+    """Raise UsageError if a target exists, unless ``force`` may overwrite it.
 
     Raises:
         UsageError: it is a folder, or exists and may not be overwritten.

@@ -82,7 +82,7 @@ class Track:
 
     @property
     def title(self) -> str:
-        """Name in the exported file."""
+        """Name of the track in the exported file."""
         return f"{self.vehicle} {self.sensor or 'true'}"
 
 
@@ -99,7 +99,7 @@ class Mark:
 
     @property
     def title(self) -> str:
-        """Name in the exported file."""
+        """Name of the event in the exported file."""
         return self.event.kind if self.event.vehicle is None else f"{self.event.vehicle} {self.event.kind}"
 
 
@@ -113,7 +113,7 @@ class Tracks:
     marks: list[Mark]
 
     def over_sea(self) -> Tracks:
-        """Return the same with heights above the sea instead of the ellipsoid."""
+        """Return the tracks with heights above the sea in place of the ellipsoid."""
         tracks = [
             replace(
                 track, segments=[replace(each, geodetic=above_sea(each.geodetic, self.site)) for each in track.segments]
@@ -161,7 +161,7 @@ def read_tracks(run: Run, place: Place, every: int) -> Tracks:
 
 
 def ground_of(run: Run) -> Ground:
-    """Return what gives the down coordinate (R,) [m] of the ground at positions (R, 3).
+    """Return a function from positions (R, 3) to the z coordinate (R,) [m, down] of the ground below.
 
     Where the scenario's ground is not known any more, it is z = 0, with a warning.
     """
@@ -183,12 +183,12 @@ def ground_of(run: Run) -> Ground:
 
 
 def said_in_xml(text: str) -> str:
-    """Return a text whose characters XML can say; others become U+FFFD."""
+    """Return a text with characters that XML does not allow replaced by U+FFFD."""
     return _NOT_XML.sub("\ufffd", text)
 
 
 def axes(name: str) -> list[str]:
-    """Return the columns of a recorded vector."""
+    """Return the column names NAME.x, NAME.y, NAME.z of a recorded vector."""
     return [f"{name}.{axis}" for axis in AXES]
 
 
@@ -227,7 +227,7 @@ def is_fresh(values: Floats, last: Floats) -> npt.NDArray[np.bool_]:
 
 
 def _joined(batches: Iterator[Samples]) -> Samples:
-    """Return all rows at once; there is always at least one part."""
+    """Return the rows of all batches as one; there must be at least one batch."""
     parts = list(batches)
     return Samples(
         *(np.concatenate([getattr(part, name) for part in parts]) for name in ("vehicles", "ticks", "times", "values"))
@@ -253,7 +253,7 @@ def _segments(samples: Samples, place: Place, every: int, ground: Ground, fresh_
 
 
 def _is_gap(ticks: npt.NDArray[np.int64], every: int) -> npt.NDArray[np.bool_]:
-    """Return (T,) before which of the ticks some are missing; a log need not hold every tick."""
+    """Return a mask (T,) of ticks that follow a gap in the log."""
     steps = np.diff(ticks)
     usual = max(every, int(steps.min())) if len(steps) else every
     return np.concatenate([[False], steps > usual])
@@ -280,7 +280,7 @@ def _event_marks(run: Run, place: Place, ground: Ground) -> list[Mark]:
 
 
 def _true_places(run: Run, ticks: set[int]) -> dict[tuple[int, Any], Floats]:
-    """Return (tick, vehicle) -> true position_ned (3,) at some ticks, without those that are not a number."""
+    """Return (tick, vehicle) -> true position NED (3,) [m] at the given ticks, without NaN."""
     wanted = np.array(sorted(ticks), np.int64)
     found: dict[tuple[int, Any], Floats] = {}
     for samples in read_samples(run, "truth", axes("position_ned"), lambda there: np.isin(there, wanted)):

@@ -56,12 +56,18 @@ class Command:
 # Multicopters do not circle but stay where they loiter for a time or for ever, so that these radii are not flown.
 _CARRIED_OUT = (
     Command(
-        WAYPOINT, "NAV_WAYPOINT", "place", ("hold for {:g} s", "acceptance radius {:g} m", "pass at {:g} m", _YAW),
+        WAYPOINT,
+        "NAV_WAYPOINT",
+        "place",
+        ("hold for {:g} s", "acceptance radius {:g} m", "pass at {:g} m", _YAW),
         {0: "hold", 1: "accept_radius", 3: "yaw_deg"},
     ),
     Command(LOITER_FOREVER, "NAV_LOITER_UNLIM", "place", ("", "", "loiter radius {:g} m", _YAW), {3: "yaw_deg"}),
     Command(
-        LOITER_TURNS, "NAV_LOITER_TURNS", "place", ("{:g} turns", "", "loiter radius {:g} m", ""),
+        LOITER_TURNS,
+        "NAV_LOITER_TURNS",
+        "place",
+        ("{:g} turns", "", "loiter radius {:g} m", ""),
         {0: "turns", 2: "radius"},
     ),
     Command(
@@ -82,7 +88,7 @@ _CARRIED_OUT = (
     Command(CHANGE_SPEED, "DO_CHANGE_SPEED", "order"),
     Command(SET_HOME, "DO_SET_HOME", "order"),
     Command(GATE, "CONDITION_GATE", "order", by="p"),
-)  # fmt: skip
+)
 # Cameras, gimbals, regions of interest, servos, relays, grippers, winches and markers.
 _SKIPPED = {
     80: "NAV_ROI", 187: "DO_SET_ACTUATOR", 189: "DO_LAND_START", 195: "DO_SET_ROI_LOCATION",
@@ -95,15 +101,25 @@ _SKIPPED = {
     2502: "VIDEO_START_STREAMING", 2503: "VIDEO_STOP_STREAMING", 42600: "DO_WINCH",
 }  # fmt: skip
 _SKIPPED_OF_ARDUPILOT = {
-    181: "DO_SET_RELAY", 182: "DO_REPEAT_RELAY", 183: "DO_SET_SERVO", 184: "DO_REPEAT_SERVO",
-    202: "DO_DIGICAM_CONFIGURE", FENCE_ENABLE: "DO_FENCE_ENABLE", 216: "DO_SPRAYER",
-}  # fmt: skip
+    181: "DO_SET_RELAY",
+    182: "DO_REPEAT_RELAY",
+    183: "DO_SET_SERVO",
+    184: "DO_REPEAT_SERVO",
+    202: "DO_DIGICAM_CONFIGURE",
+    FENCE_ENABLE: "DO_FENCE_ENABLE",
+    216: "DO_SPRAYER",
+}
 _VTOL = {84: "NAV_VTOL_TAKEOFF", 85: "NAV_VTOL_LAND", 3000: "DO_VTOL_TRANSITION"}
 # Named in messages.
 _REFUSED = {
-    92: "NAV_GUIDED_ENABLE", 94: "NAV_PAYLOAD_PLACE", 113: "CONDITION_CHANGE_ALT", 176: "DO_SET_MODE",
-    208: "DO_PARACHUTE", 222: "DO_GUIDED_LIMITS", 300: "MISSION_START",
-}  # fmt: skip
+    92: "NAV_GUIDED_ENABLE",
+    94: "NAV_PAYLOAD_PLACE",
+    113: "CONDITION_CHANGE_ALT",
+    176: "DO_SET_MODE",
+    208: "DO_PARACHUTE",
+    222: "DO_GUIDED_LIMITS",
+    300: "MISSION_START",
+}
 COMMANDS: dict[int, Command] = {
     each.id: each
     for each in (
@@ -121,16 +137,16 @@ SKIPPED = frozenset(number for number, each in COMMANDS.items() if each.kind == 
 
 
 def name_of(command: object) -> str:
-    """Return the name of a command for messages, its number where it is unknown."""
+    """Return the name of a MAV_CMD for messages, its number if it is unknown."""
     known = COMMANDS.get(command) if isinstance(command, int) else None
     return known.name if known else str(command)
 
 
 def flown_names() -> str:
-    """Return number and name of every command that is carried out, for messages."""
+    """Return the numbers and names of all commands that qrsim carries out, as text for messages."""
     return ", ".join(f"{each.id} ({each.name})" for each in _CARRIED_OUT)
 
 
 def taken_by(flavour: str) -> frozenset[int]:
-    """Return the commands that plans of a flavour of autopilots, "px4" or "ardupilot", may have over a link."""
+    """Return the command numbers that a mission over MAVLink may contain, for the flavour "px4" or "ardupilot"."""
     return frozenset(number for number, each in COMMANDS.items() if flavour[0] in each.by)

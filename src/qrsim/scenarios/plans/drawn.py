@@ -77,7 +77,7 @@ Named = TypeVar("Named", Drawn, DrawnPolygon)
 
 
 def named(source: str, kind: str, items: Sequence[Named], name: str | None) -> list[tuple[str, Named]]:
-    """Return the items of a name with their own names: items of one name are 'NAME #1', 'NAME #2' and so on.
+    """Return (unique name, item) of the items called ``name``; items that share a name become 'NAME #1', 'NAME #2'.
 
     Args:
         source: the file, for messages.
@@ -118,7 +118,7 @@ def chosen(source: str, kind: str, items: Sequence[Named], name: str | None, key
 
 
 def drawn_plan(source: str, route: Drawn, options: Options, polygons: Sequence[FencePolygon] = ()) -> Plan:
-    """Return the plan of a route.
+    """Return the plan of a drawn route: waypoints with heights, home, and polygons as its fence.
 
     Raises:
         UsageError: points have no altitude and ``options`` no height, or no point needs one.
@@ -156,7 +156,7 @@ def drawn_plan(source: str, route: Drawn, options: Options, polygons: Sequence[F
 
 
 def check_count(source: str, where: str, count: int) -> None:
-    """Refuse a route or a ring of too many points.
+    """Raise UsageError for a route or ring with more than MOST_POINTS points.
 
     Raises:
         UsageError: it has.
@@ -166,7 +166,7 @@ def check_count(source: str, where: str, count: int) -> None:
 
 
 def checked_place(source: str, where: str, latitude: float, longitude: float) -> tuple[float, float]:
-    """Return a latitude and longitude [deg] of a file.
+    """Return a latitude and longitude [deg] unchanged; raises UsageError out of range.
 
     Raises:
         UsageError: they are not finite or out of range.
@@ -181,7 +181,7 @@ def checked_place(source: str, where: str, latitude: float, longitude: float) ->
 
 
 def checked_altitude(source: str, where: str, altitude: float) -> float:
-    """Return an altitude [m] of a file, checked to be plausible.
+    """Return an altitude [m] unchanged; raises UsageError for an implausible one.
 
     Raises:
         UsageError: it is not.

@@ -60,7 +60,7 @@ def read_geojson(source: str, options: Options) -> Plan:
 
 
 def geojson_polygons(source: str) -> list[DrawnPolygon]:
-    """Return the polygons of a GeoJSON file; other geometries are passed over.
+    """Return the polygons of a GeoJSON file; other geometries are ignored.
 
     Raises:
         UsageError: the file cannot be read, is no GeoJSON, or has no polygon.
@@ -72,7 +72,7 @@ def geojson_polygons(source: str) -> list[DrawnPolygon]:
 
 
 def _content(source: str, wanted: str, kinds: tuple[str, ...]) -> Content:
-    """Return the content of a file, checked to be a collection or one of some geometries."""
+    """Return a file's GeoJSON object; raises UsageError unless it is a collection or one of ``kinds``."""
     content = plan_content(source, f"GeoJSON with {wanted}", LARGEST_TABLE)
     kind = content.get("type") if isinstance(content, dict) else None
     if kind not in (*_COLLECTIONS, *kinds):
@@ -83,6 +83,7 @@ def _content(source: str, wanted: str, kinds: tuple[str, ...]) -> Content:
 
 
 def _polygons(source: str, content: Content) -> Iterator[DrawnPolygon]:
+    """Yield each polygon of a GeoJSON object, to be parsed when it is chosen."""
     for where, properties, geometry in _geometries(source, content):
         if geometry.get("type") in _POLYGONS:
             coordinates = _listed(source, where, geometry.get("coordinates"))
@@ -92,6 +93,7 @@ def _polygons(source: str, content: Content) -> Iterator[DrawnPolygon]:
 
 
 def _polygon(source: str, where: str, name: str, rings: object) -> FencePolygon:
+    """Return a polygon with its holes from GeoJSON rings; raises UsageError for invalid ones."""
     where = f"{where}, polygon '{name}'" if name else where
     found = [_ring(source, where, ring) for ring in _listed(source, where, rings)]
     if not found:
@@ -100,12 +102,13 @@ def _polygon(source: str, where: str, name: str, rings: object) -> FencePolygon:
 
 
 def _name(properties: Content) -> str:
+    """Return a feature's name, at most 100 characters; "" without one."""
     name = properties.get("name")
     return name[:100] if isinstance(name, str) else ""
 
 
 def _geometries(source: str, content: Content) -> Iterator[tuple[str, Content, Content]]:
-    """Yield the place in the file, properties and geometry of each feature."""
+    """Yield (place in the file, properties, geometry) of each feature."""
     features: Any = [content]
     if content["type"] == "FeatureCollection":
         features = _listed(source, "features", content.get("features"), counts=False)
@@ -125,6 +128,7 @@ def _geometries(source: str, content: Content) -> Iterator[tuple[str, Content, C
 
 
 def _height(source: str, where: str, properties: Content) -> float | None:
+    """Return a feature's ``height`` property [m]; None without one; raises UsageError for other values."""
     height = properties.get("height")
     if height is None:
         return None
@@ -134,6 +138,7 @@ def _height(source: str, where: str, properties: Content) -> float | None:
 
 
 def _line(source: str, where: str, name: str, coordinates: object, height: float | None) -> Drawn:
+    """Return the drawn route of a LineString's coordinates."""
     points = [
         _point(source, f"{where}, point {i}", each, height)
         for i, each in enumerate(_listed(source, where, coordinates), 1)
@@ -142,6 +147,7 @@ def _line(source: str, where: str, name: str, coordinates: object, height: float
 
 
 def _point(source: str, where: str, position: object, height: float | None) -> Point:
+    """Return a GeoJSON position as a point, with ``height`` above ground or its own altitude above the sea."""
     numbers = _position(source, where, position)
     latitude, longitude = checked_place(source, where, numbers[1], numbers[0])
     if height is not None:
@@ -152,6 +158,7 @@ def _point(source: str, where: str, position: object, height: float | None) -> P
 
 
 def _ring(source: str, where: str, positions: object) -> Corners:
+    """Return a ring's corners (latitude, longitude) [deg] without the repeated first one."""
     corners = []
     for i, position in enumerate(_listed(source, where, positions)):
         numbers = _position(source, f"{where}, corner {i}", position)
@@ -160,6 +167,7 @@ def _ring(source: str, where: str, positions: object) -> Corners:
 
 
 def _position(source: str, where: str, position: object) -> list[float]:
+    """Return the numbers of a GeoJSON position; raises UsageError unless it has at least two."""
     numbers = position if isinstance(position, list) else []
     whole = all(isinstance(each, int | float) and not isinstance(each, bool) for each in numbers)
     if len(numbers) < 2 or not whole:
@@ -171,6 +179,7 @@ def _position(source: str, where: str, position: object) -> list[float]:
 
 
 def _listed(source: str, where: str, value: object, counts: bool = True) -> list[Any]:
+    """Return a value unchanged; raises UsageError unless it is a list, and, with ``counts``, not too long."""
     if not isinstance(value, list):
         raise UsageError(f"{source}: {where}: expected a list, found {shown(value)}")
     if counts:

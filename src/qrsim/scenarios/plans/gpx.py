@@ -42,6 +42,7 @@ def read_gpx(source: str, options: Options) -> Plan:
 
 
 def _route(source: str, element: Element) -> Drawn:
+    """Return the drawn route of a GPX ``rte`` element."""
     name, points = text_of(element, "name"), []
     marks = children(element, "rtept")
     check_count(source, f"route '{name}'", len(marks))
@@ -56,6 +57,7 @@ def _route(source: str, element: Element) -> Drawn:
 
 
 def _number(source: str, where: str, name: str, text: str | None) -> float:
+    """Parse a number of a GPX file; raises UsageError that names its place."""
     try:
         return float(text or "")
     except ValueError:

@@ -37,9 +37,16 @@ _TRACKS = ("Track", "MultiTrack")
 GEOMETRIES = ("Point", "LineString", "LinearRing", "Polygon", "Model", *_TRACKS)
 # Whatever zipfile raises for an archive that is damaged.
 _DAMAGED = (
-    zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError, EOFError, ValueError, OverflowError, struct.error,
+    zipfile.BadZipFile,
+    NotImplementedError,
+    RuntimeError,
+    OSError,
+    EOFError,
+    ValueError,
+    OverflowError,
+    struct.error,
     zlib.error,
-)  # fmt: skip
+)
 
 
 def read_kml(source: str, options: Options) -> Plan:
@@ -69,7 +76,7 @@ def read_kml(source: str, options: Options) -> Plan:
 
 
 def kml_polygons(source: str) -> list[DrawnPolygon]:
-    """Return the polygons of a KML file or KMZ archive; points, lines and other features are passed over.
+    """Return the polygons of a KML file or KMZ archive; other features are ignored.
 
     Raises:
         UsageError: the file cannot be read, or has no polygon.
@@ -84,6 +91,7 @@ def kml_polygons(source: str) -> list[DrawnPolygon]:
 
 
 def _root(source: str) -> Element:
+    """Return the root element of a KML file or KMZ archive."""
     with readable(source):
         data = read_bytes(source, LARGEST_TEXT)
     return xml_root(source, _unpacked(source, data) if data.startswith(b"PK") else data, "KML")
@@ -106,7 +114,7 @@ def _unpacked(source: str, data: bytes) -> bytes:
 
 
 def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes | str:
-    """Return the content of a file of an archive; the words for why not, where it is too large."""
+    """Return the bytes of an archive's file; a text that says why not if it is too large."""
     size, packed = member.file_size, max(member.compress_size, 1)
     if size > LARGEST_TEXT or size > MOST_PACKED * packed:
         return (
@@ -119,12 +127,14 @@ def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes | s
 
 
 def _size(count: int) -> str:
+    """Return a number of bytes as text, such as "1.5 MB"."""
     return next(
         f"{count / unit:.3g} {name}" for unit, name in ((1e9, "GB"), (1e6, "MB"), (1, "bytes")) if count >= unit
     )
 
 
 def _line(source: str, name: str, element: Element) -> Drawn:
+    """Return the drawn route of a LineString."""
     mode = text_of(element, "altitudeMode") or "clampToGround"
     where = f"'{name}'" if name else "its LineString"
     points = tuple(_points(source, where, text_of(element, "coordinates"), mode))
@@ -132,6 +142,7 @@ def _line(source: str, name: str, element: Element) -> Drawn:
 
 
 def _of_points(source: str, elements: list[Element]) -> Drawn:
+    """Return the drawn route of Points, in their order."""
     points, mode = [], "clampToGround"
     for i, element in enumerate(elements):
         mode = text_of(element, "altitudeMode") or "clampToGround"
@@ -140,12 +151,14 @@ def _of_points(source: str, elements: list[Element]) -> Drawn:
 
 
 def _lacking(mode: str) -> str:
+    """Return the text that says why the points of an altitudeMode have no usable altitude."""
     return (
         "has points without altitudes" if mode in _ABOVE else f"is on the ground (altitudeMode {shortened(mode, 40)})"
     )
 
 
 def _points(source: str, where: str, text: str, mode: str) -> Iterator[Point]:
+    """Yield the points of a coordinates text; without altitudes for a mode such as clampToGround."""
     above = _ABOVE.get(mode)
     for place, numbers in _tuples(source, f"{where}, point", 1, text):
         latitude, longitude = checked_place(source, place, numbers[1], numbers[0])
@@ -187,6 +200,7 @@ def _polygons(source: str, marks: list[Element]) -> list[DrawnPolygon]:
 
 
 def _polygon(source: str, name: str, element: Element) -> FencePolygon:
+    """Return the polygon of a Polygon element with its holes; raises UsageError without one outer ring."""
     where = f"polygon '{name}'" if name else "polygon (without a name)"
     outer, inner = (list(_rings(source, where, element, f"{kind}BoundaryIs")) for kind in ("outer", "inner"))
     if len(outer) != 1:
@@ -195,6 +209,7 @@ def _polygon(source: str, name: str, element: Element) -> FencePolygon:
 
 
 def _rings(source: str, where: str, element: Element, boundary: str) -> Iterator[Corners]:
+    """Yield the corners of each LinearRing in the boundary elements of a polygon."""
     for ring in (ring for each in children(element, boundary) for ring in children(each, "LinearRing")):
         tuples = _tuples(source, f"{where}, corner", 0, text_of(ring, "coordinates"))
         corners = [checked_place(source, place, numbers[1], numbers[0]) for place, numbers in tuples]

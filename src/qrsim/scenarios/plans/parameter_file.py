@@ -14,13 +14,13 @@ _COLUMNS = 5
 
 
 def beside(plan: str) -> str | None:
-    """Return the file of parameters with the name of a plan, or None."""
+    """Return the path of the parameter file with a plan's name, None if there is no such file."""
     path = Path(plan).expanduser().with_suffix(SUFFIX)
     return str(Path(plan).with_suffix(SUFFIX)) if path.is_file() else None
 
 
 def read_parameters(source: str) -> dict[str, float]:
-    """Return the values of parameters by name; of several with one name the last.
+    """Return parameter name -> value of a file; of repeated names the last counts.
 
     Raises:
         UsageError: the file cannot be read or has too many lines.

@@ -26,7 +26,7 @@ class PlanFaultError(Exception):
 
 
 def plan_content(source: str, expected: str = "a .plan of QGroundControl", most: int = LARGEST_TEXT) -> Any:
-    """Return the JSON content of a plan's file of at most a size [bytes]."""
+    """Return the JSON content of a plan file; raises UsageError if it is not JSON or over ``most`` bytes."""
     try:
         text = read_text(source, most)
     except OSError as error:
@@ -49,7 +49,7 @@ def plan_content(source: str, expected: str = "a .plan of QGroundControl", most:
 
 
 def with_lines(source: str, problems: list[str]) -> list[str]:
-    """Return problems that begin with the path of a value, with the line of the file on which its object begins."""
+    """Return problems, which begin with a value's path, with the file's line of the enclosing object added."""
     lines = lines_of(source, [problem.partition(": ")[0] for problem in problems])
     found = []
     for problem in problems:
@@ -59,7 +59,7 @@ def with_lines(source: str, problems: list[str]) -> list[str]:
 
 
 def lines_of(source: str, paths: list[str]) -> dict[str, int]:
-    """Return for each path of a value in a file the line on which its object begins, where it is known."""
+    """Return path -> line of the file on which the object at the path begins; unknown paths are left out."""
     decoder: Any = json.JSONDecoder()
     lines: dict[int, int] = {}
     kept: list[object] = []
@@ -89,7 +89,7 @@ def lines_of(source: str, paths: list[str]) -> dict[str, int]:
 
 
 def _begin_of(path: str, part: object, begins: Mapping[int, int]) -> int | None:
-    """Return where in the text the innermost object on the path of a value begins."""
+    """Return the text offset of the innermost known object along a dotted path; None without one."""
     begin = None
     for key in path.split(" ")[0].split("."):
         if isinstance(part, list) and key.isdecimal() and int(key) < len(part):
@@ -103,6 +103,7 @@ def _begin_of(path: str, part: object, begins: Mapping[int, int]) -> int | None:
 
 
 def _without_twins(pairs: list[tuple[str, Any]]) -> Content:
+    """Return the pairs of a JSON object as a dict; raise PlanFaultError for a key that occurs twice."""
     found: Content = {}
     for key, value in pairs:
         if key in found:
@@ -112,7 +113,7 @@ def _without_twins(pairs: list[tuple[str, Any]]) -> Content:
 
 
 def check_kind(content: object) -> None:
-    """Refuse what is no plan."""
+    """Raise PlanFaultError unless the content is a plan of QGroundControl."""
     if not isinstance(content, dict) or "fileType" not in content:
         raise PlanFaultError("is no plan; expected an object with fileType 'Plan'")
     if content["fileType"] != "Plan":
@@ -126,7 +127,7 @@ def shown(value: object) -> str:
 
 
 def part_of(parent: Mapping[str, object], key: str, kind: type, where: str) -> Any:
-    """Return a value of an object at a path, checked to be of a kind."""
+    """Return ``parent[key]``; raises PlanFaultError if it is missing or not of a type."""
     path = f"{where}.{key}" if where else key
     if key not in parent:
         near = nearest(key, parent)
@@ -137,14 +138,14 @@ def part_of(parent: Mapping[str, object], key: str, kind: type, where: str) -> A
 
 
 def of_kind(value: object, kind: type, where: str) -> Any:
-    """Return a value checked to be of a kind."""
+    """Return a value unchanged; raises PlanFaultError if it is not of a type."""
     if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
         raise PlanFaultError(f"{where}: expected {KINDS[kind]}, found {shown(value)}")
     return value
 
 
 def check_version(parent: Mapping[str, object], supported: int, where: str) -> None:
-    """Refuse an object of another version."""
+    """Raise PlanFaultError unless an object has the supported version."""
     found = part_of(parent, "version", int, where)
     if found != supported:
         path = f"{where}.version" if where else "version"
@@ -152,14 +153,14 @@ def check_version(parent: Mapping[str, object], supported: int, where: str) -> N
 
 
 def section_of(content: Mapping[str, object], key: str, version: int) -> Content:
-    """Return a section of a plan, of a version."""
+    """Return a section of a plan; raises PlanFaultError for another version."""
     section: Content = part_of(content, key, dict, "")
     check_version(section, version, key)
     return section
 
 
 def number_of(value: object, where: str, limit: float, unit: str) -> float:
-    """Return a number of at most a size."""
+    """Return a value as float; raises PlanFaultError unless it is a number within +-``limit``."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         meaning = ", which means 'the current one'" if value is None else ""
         kind = f"a number [{unit}]" if unit else "a number"
@@ -171,7 +172,7 @@ def number_of(value: object, where: str, limit: float, unit: str) -> float:
 
 
 def degrees_of(latitude: object, longitude: object, where: tuple[str, str]) -> tuple[float, float]:
-    """Return a latitude and a longitude [deg]; ``where`` names both."""
+    """Return a latitude and longitude [deg]; raises PlanFaultError out of range; ``where`` is a path for each."""
     try:
         return number_of(latitude, where[0], 90.0, "deg"), number_of(longitude, where[1], 180.0, "deg")
     except PlanFaultError as fault:
@@ -179,7 +180,7 @@ def degrees_of(latitude: object, longitude: object, where: tuple[str, str]) -> t
 
 
 def place_of(values: Sequence[object], where: str, count: int) -> tuple[float, ...]:
-    """Return latitude, longitude and, where ``count`` is 3, altitude."""
+    """Return (latitude, longitude) [deg], with altitude [m] if ``count`` is 3; raises PlanFaultError if invalid."""
     if len(values) != count:
         words = "latitude, longitude, altitude" if count == 3 else "latitude, longitude"
         raise PlanFaultError(f"{where}: expected [{words}], found {len(values)} values")

@@ -35,7 +35,7 @@ Point = tuple[float, float]
 
 
 def scan_items(item: Mapping[str, object], path: str) -> list[Generated]:
-    """Return the waypoints of a scan of a structure, which the vehicle faces.
+    """Return the waypoints of a structure scan, on which the vehicle faces the structure.
 
     The polygon is set out by the distance to the surface. Every layer is a round at half of its height, from the first
     corner and back to it. Version 3 enters and leaves the scan there at the altitude of entrance, above home.
@@ -95,23 +95,27 @@ def landing_items(item: Mapping[str, object], path: str) -> list[Generated]:
 
 
 def _frame(item: Mapping[str, object], old: str) -> int:
-    """Return the frame of altitudes; files before version 2 of the item say it of both places."""
+    """Return MAVLink's frame number of an item's altitudes: above home or sea; ``old`` is the key of version 1."""
     return known.ABOVE_HOME[0] if item.get("altitudesAreRelative", item.get(old, True)) else known.ABOVE_SEA[0]
 
 
 def _item(command: int, params: Sequence[float | None], frame: int) -> Content:
+    """Return a simple item as a .plan file writes it."""
     return {"type": "SimpleItem", "command": command, "frame": frame, "params": list(params), "autoContinue": True}
 
 
 def _waypoint(place: Point, altitude: float, frame: int) -> Content:
+    """Return a waypoint item at a place [deg] and altitude [m]."""
     return _item(known.WAYPOINT, [0.0, 0.0, 0.0, None, *place, altitude], frame)
 
 
 def _length(item: Mapping[str, object], key: str, path: str) -> float:
+    """Return a length [m] of an item; raises PlanFaultError for other values."""
     return number_of(item.get(key), f"{path}.{key}", LARGEST_LENGTH, "m")
 
 
 def _above_zero(item: Mapping[str, object], key: str, path: str) -> float:
+    """Return a length [m] of an item; raises PlanFaultError unless it is above 0."""
     number = _length(item, key, path)
     if number <= 0.0:
         raise PlanFaultError(f"{path}: {key} is {number:g} m; allowed: above 0")
@@ -119,6 +123,7 @@ def _above_zero(item: Mapping[str, object], key: str, path: str) -> float:
 
 
 def _corners(item: Mapping[str, object], path: str) -> list[Point]:
+    """Return the corners (latitude, longitude) [deg] of an item's polygon; raises PlanFaultError for invalid ones."""
     where, corners = f"{path}.polygon", []
     for i, corner in enumerate(part_of(item, "polygon", list, path)):
         latitude, longitude = place_of(of_kind(corner, list, f"{where}.{i}"), f"{where}.{i}", 2)
@@ -129,7 +134,7 @@ def _corners(item: Mapping[str, object], path: str) -> list[Point]:
 
 
 def _set_out(corners: Sequence[Point], distance: float, path: str) -> tuple[list[Point], float]:
-    """Set a polygon out: every edge by a distance [m], with corners where neighbouring edges meet.
+    """Offset a polygon outwards: move every edge by a distance [m] and rejoin neighbouring edges.
 
     Returns:
         The corners, latitude and longitude [deg], and the heading relative to the way that faces inwards [deg].
@@ -160,6 +165,7 @@ def _set_out(corners: Sequence[Point], distance: float, path: str) -> tuple[list
 
 
 def _way(begin: Sequence[float], end: Sequence[float]) -> Point:
+    """Return the unit vector (north, east) from one point to another."""
     north, east = end[0] - begin[0], end[1] - begin[1]
     length = math.hypot(north, east)
     return north / length, east / length

@@ -143,12 +143,12 @@ class Ignored:
 
     @property
     def text(self) -> str:
-        """A line for a warning of a mission."""
+        """Text of a warning about this item, for a vehicle that flies the plan as a mission."""
         return self._line(self.what)
 
     @property
     def route_text(self) -> str:
-        """A line for a warning of a route."""
+        """Text of a warning about this item, for a vehicle that flies the plan as a route."""
         return self._line(self.what if self.on_route is None else self.on_route)
 
     def _line(self, what: str) -> str:

@@ -76,7 +76,7 @@ def read_qgc(source: str) -> Plan:
 
 
 def _speed(mission: Mapping[str, object], name: str) -> float | None:
-    """Return a speed of the whole plan [m/s], None where it has none."""
+    """Return a speed [m/s] that holds for the whole plan, None without one."""
     value = mission.get(name)
     if value is None:
         return None
@@ -85,7 +85,7 @@ def _speed(mission: Mapping[str, object], name: str) -> float | None:
 
 
 def _take_all(route: Route, items: list[Any], where: str, inside: bool = False) -> None:
-    """Take mission items; those of a survey are ``inside`` another item."""
+    """Add mission items to a route, recording problems; ``inside``: they belong to a survey."""
     for i, item in enumerate(items):
         path = f"{where}.{i}"
         try:
@@ -102,7 +102,7 @@ def _take_all(route: Route, items: list[Any], where: str, inside: bool = False) 
 
 
 def _take_complex(route: Route, item: Mapping[str, object], path: str) -> None:
-    """Take the items of a survey, or those that QGroundControl makes of a scan or a landing pattern."""
+    """Add the items of a survey, structure scan or landing pattern to a route."""
     kind = item.get("complexItemType")
     if kind == VTOL_LANDING:
         raise PlanFaultError(f"{path}: {shown(kind)}: {NO_VTOL}")

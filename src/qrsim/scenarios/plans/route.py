@@ -57,7 +57,7 @@ class Route:
         self._until: Condition | None = None
 
     def take(self, content: Mapping[str, object], path: str, side_deg: float | None = None) -> None:
-        """Take the next item of the file."""
+        """Append the next item of the file; its waypoints are added by ``fly``."""
         self.items.append(SimpleItem(len(self.items) + 1, path, dict(content), side_deg))
 
     def fly(self) -> None:
@@ -89,7 +89,7 @@ class Route:
             self.problems.append(str(fault))
 
     def _add(self, item: Mapping[str, object], path: str) -> None:
-        """Add a simple item: a waypoint, or something to carry out on the way or to skip."""
+        """Add a simple item: a waypoint, an order for the way ahead, or an item to skip."""
         number, command = self._item.number, part_of(item, "command", int, path)
         row = known.COMMANDS.get(command)
         if row is None or row.kind == "refused":
@@ -122,7 +122,7 @@ class Route:
     # ---- places ----
 
     def _way_back(self, path: str) -> dict[str, Any]:
-        """Return the place of a return: home, or the nearest rally point, at the height of the last waypoint."""
+        """Return place and height of a return as waypoint fields: home, or the nearest rally point."""
         if not self.waypoints:
             raise PlanFaultError(f"{path}: NAV_RETURN_TO_LAUNCH has no waypoint before it to take a height from")
         last = self.waypoints[-1]
@@ -136,7 +136,7 @@ class Route:
         return found
 
     def _target(self, item: Mapping[str, object], command: int, params: Sequence[object], path: str) -> dict[str, Any]:
-        """Return the place of an item."""
+        """Return place and height of an item as waypoint fields."""
         last = self.waypoints[-1] if self.waypoints else None
         places = [f"{path}.params.{i}" for i in (4, 5, 6)]
         placeless = _is_placeless(params)
@@ -153,7 +153,7 @@ class Route:
         return _at(*degrees_of(params[4], params[5], where), altitude, above, height)
 
     def _datum(self, item: Mapping[str, object], path: str, placeless: bool) -> Above:
-        """Return what the altitude of an item is above."""
+        """Return the reference of an item's altitude: "home", "ground" or "sea"."""
         frame = part_of(item, "frame", int, path)
         if frame in known.ABOVE_SEA:
             return "sea"
@@ -169,7 +169,7 @@ class Route:
 
     @staticmethod
     def _height_before(command: int, last: Waypoint | None, where: str) -> tuple[float, Above, float]:
-        """Return altitude, reference and height above home of an item without an altitude."""
+        """Return (altitude [m], reference, height above home [m]) for an item without an altitude."""
         if command == known.TAKEOFF and (last is None or last.command == "NAV_LAND"):
             return TAKE_OFF_HEIGHT, "home", TAKE_OFF_HEIGHT
         if last is not None:
@@ -183,7 +183,7 @@ class Route:
     def _note_params(
         self, item: Mapping[str, object], row: known.Command, params: Sequence[object], path: str
     ) -> dict[str, float]:
-        """Return the values that an item gives apart from its place, and record those that are not flown.
+        """Return the waypoint fields that an item's parameters give, and record those that are not flown.
 
         Null and 0 ask for nothing; but a heading of 0 is north.
         """
@@ -194,7 +194,7 @@ class Route:
                 continue
             number = number_of(value, f"{path}.params.{i}", LARGEST_PARAMETER, "")
             if name and (number != 0.0 or name == "yaw_deg"):
-                flown[name] = asked_of(name, number, f"{path}.params.{i}")
+                flown[name] = checked_param(name, number, f"{path}.params.{i}")
             if number != 0.0:
                 text = (word or f"parameter {i + 1} = {{:g}}").format(number)
                 asked.append(text)
@@ -207,7 +207,7 @@ class Route:
         return flown
 
     def _carry_out(self, command: int, params: Sequence[object], path: str) -> str:
-        """Do what an item asks of the way to come; return what of it is not flown, "" for nothing."""
+        """Apply an item's order to the way ahead; return the note on what is not flown, "" for nothing."""
         numbers = [
             None if value is None else number_of(value, f"{path}.params.{i}", LARGEST_PARAMETER, "")
             for i, value in enumerate(params[:4])
@@ -219,7 +219,7 @@ class Route:
             if fourth > 0.0:
                 self._heading = {"turn_deg": -first if third < 0.0 else first}
             else:
-                self._heading = {"yaw_deg": asked_of("yaw_deg", first, f"{path}.params.0")}
+                self._heading = {"yaw_deg": checked_param("yaw_deg", first, f"{path}.params.0")}
             return ""
         if command == known.SET_HOME:
             self._set_home(first, params, path)
@@ -229,6 +229,7 @@ class Route:
         return self._change_speed(first, second, path)
 
     def _change_speed(self, kind: float, speed: float, path: str) -> str:
+        """Apply DO_CHANGE_SPEED to the way ahead; return the note on what is not flown, "" for nothing."""
         if kind not in _SPEEDS:
             raise PlanFaultError(f"{path}.params.0: {kind:g} is no kind of speed; allowed: 0 to 3")
         name = _SPEEDS[kind]
@@ -245,7 +246,7 @@ class Route:
         return ""
 
     def _await(self, command: int, distance: float, params: Sequence[object], path: str) -> str:
-        """Keep the speed and heading of now until a condition is met on the way to the next waypoint."""
+        """Keep the present speed and heading until a condition on the way to the next waypoint is met."""
         gate = None
         if command == known.GATE:
             where = (f"{path}.params.4 (latitude)", f"{path}.params.5 (longitude)")
@@ -257,7 +258,7 @@ class Route:
         return ""
 
     def _set_home(self, here: float, params: Sequence[object], path: str) -> None:
-        """Move the home that returns lead to; its height stays the one that altitudes are above."""
+        """Move the home of later returns; altitudes still count from the old one."""
         if here >= 0.5 or _is_placeless(params):
             place: Home | Waypoint = self.waypoints[-1] if self.waypoints else self.home
             found = place.latitude_deg, place.longitude_deg
@@ -266,6 +267,7 @@ class Route:
         self.home = Home(*found, self.home.altitude_amsl)
 
     def _wait(self, seconds: float, path: str) -> str:
+        """Add a delay [s] to the last waypoint, or to the start; return the note on what is not flown."""
         if seconds < 0.0:
             return "a delay until a time of day is not carried out"
         last = self.waypoints[-1] if self.waypoints else None
@@ -282,15 +284,15 @@ class Route:
 
 
 def params_of(item: Mapping[str, object], path: str) -> list[object]:
-    """Return the seven parameters of an item."""
+    """Return the seven parameters of an item; raises PlanFaultError for another number of them."""
     params: list[object] = part_of(item, "params", list, path)
     if len(params) != 7:
         raise PlanFaultError(f"{path}.params: expected 7 values, found {len(params)}")
     return params
 
 
-def asked_of(name: str, number: float, where: str) -> float:
-    """Return a number that a mission is asked for, within what it can fly."""
+def checked_param(name: str, number: float, where: str) -> float:
+    """Return a mission parameter, a yaw [deg] wrapped to +-180; raises PlanFaultError for values out of range."""
     if name == "yaw_deg":
         return math.remainder(number, 360.0)
     low, high, unit = _FLYABLE[name]
@@ -300,28 +302,34 @@ def asked_of(name: str, number: float, where: str) -> float:
 
 
 def _at(latitude: float, longitude: float, altitude: float, above: Above, height: float) -> dict[str, Any]:
+    """Return the waypoint fields of a place [deg] and its heights [m]."""
     return {
-        "latitude_deg": latitude, "longitude_deg": longitude, "height_above_home": height,
-        "altitude": altitude, "above": above,
-    }  # fmt: skip
+        "latitude_deg": latitude,
+        "longitude_deg": longitude,
+        "height_above_home": height,
+        "altitude": altitude,
+        "above": above,
+    }
 
 
 def _is_placeless(params: Sequence[object]) -> bool:
-    """Return whether an item is at the place of the one before it: MAVLink has two ways to say so."""
+    """Return whether an item has no place, so that it is at the one before: both coordinates null or 0."""
     return (params[4] is None and params[5] is None) or (params[4] == 0.0 and params[5] == 0.0)
 
 
 def _apart(place: Home | RallyPoint, last: Waypoint) -> float:
-    """Return a measure of the distance between two near places."""
+    """Return a relative distance between two near places, good for comparison only."""
     east = (place.longitude_deg - last.longitude_deg) * math.cos(math.radians(last.latitude_deg))
     return math.hypot(place.latitude_deg - last.latitude_deg, east)
 
 
 def _not_flown(asked: list[str]) -> str:
+    """Return the note "not flown: ..." that lists names; "" for none."""
     return f"not flown: {', '.join(asked)}" if asked else ""
 
 
 def _why_refused(command: int, number: int) -> str:
+    """Return why a mission command cannot be flown, for a message."""
     row = known.COMMANDS.get(command)
     name = f"{command} ({row.name})" if row else str(command)
     if row and row.why:

@@ -21,7 +21,7 @@ class _DocumentTypeError(Exception):
 
 
 def xml_root(path: str, data: bytes, kind: str) -> Element:
-    """Return the first element of a document.
+    """Return the root element of an XML document; raises UsageError if it is not of ``kind``.
 
     Args:
         path: of the file, for messages.

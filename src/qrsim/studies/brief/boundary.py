@@ -74,12 +74,12 @@ class Boundary:
 
     @property
     def flown(self) -> list[int]:
-        """Directions that have runs."""
+        """Indices of the directions that have runs."""
         return sorted({trial.point.direction for trial in self.trials})
 
     @property
     def wide(self) -> list[int]:
-        """Directions with runs whose interval is not narrow yet."""
+        """Indices of the directions with runs whose interval is still too wide."""
         return [i for i in self.flown if self.high[i] - self.low[i] > 2.0 * NARROW_M_S]
 
     def to_json(self) -> Content:
@@ -101,7 +101,7 @@ class Boundary:
         }
 
     def next_points(self) -> list[Point]:
-        """Return the points of the next round: two in each direction that is not narrow yet."""
+        """Return the points of the next round: two in each direction whose interval is still too wide."""
         weights, speeds = _posterior(self.trials, len(self.bearings), self.top)
         return [
             Point(i, round(speed, 2))
@@ -112,7 +112,7 @@ class Boundary:
 
 
 def first_points(directions: Sequence[int], held: float) -> list[Point]:
-    """Return the first points of some directions: FIRST parts of the speed that the vehicle holds [m/s]."""
+    """Return the first points of directions: FIRST fractions of the speed [m/s] that the vehicle holds."""
     return [Point(i, round(part * held, 2)) for i in directions for part in FIRST]
 
 
@@ -138,7 +138,7 @@ def explore(
     fly: Callable[[int, list[Point]], tuple[list[Trial], bool]],
     known: Sequence[Trial] = (),
 ) -> tuple[Boundary, bool]:
-    """Fly rounds of points until every interval is narrow, or ROUNDS are over; return whether it came to its end.
+    """Fly rounds of points until every interval is narrow or ROUNDS are over; return the boundary, and whether done.
 
     Args:
         bearings: (D,) of all directions [deg].
@@ -161,7 +161,7 @@ def explore(
 
 
 def _posterior(trials: Sequence[Trial], directions: int, top: float) -> tuple[NumpyArray, NumpyArray]:
-    """Return the posterior (D, C) of the boundary in each direction, and its speeds (C,) [m/s]."""
+    """Return the posterior (D, C) of the boundary's speed in each direction, and the speeds (C,) [m/s]."""
     speeds = (np.arange(CELLS) + 0.5) * top / CELLS
     scores = np.zeros((directions, len(STEEPNESS), CELLS))
     for (direction, speed), runs, good in trials:
@@ -178,6 +178,7 @@ def _posterior(trials: Sequence[Trial], directions: int, top: float) -> tuple[Nu
 
 
 def _quantiles(weights: NumpyArray, speeds: NumpyArray, shares: Sequence[float]) -> list[float]:
+    """Return the wind speeds [m/s] below which these shares of the weights lie."""
     step = float(speeds[1] - speeds[0])
     ends = np.concatenate([[0.0], speeds + 0.5 * step])
     return [float(each) for each in np.interp(shares, np.concatenate([[0.0], np.cumsum(weights)]), ends)]

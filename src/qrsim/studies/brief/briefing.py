@@ -106,19 +106,19 @@ class Brief:
         return found
 
     def missing_text(self) -> str:
-        """Return in words that something is missing, "" of a complete brief."""
+        """Return the text that the brief is incomplete; "" for a complete one."""
         if self.left_out:
             return f"not flown, because no time was left: {', '.join(self.left_out)}"
         return "" if self.complete else "the brief was stopped before it was complete"
 
     def precise(self) -> bool:
-        """Return whether the interval of every share is as narrow as it was asked to be."""
+        """Return whether the interval of every share is as narrow as requested."""
         shares = [(self.runs[kind] > 0.0).sum() for kind in ("stopped", "not_finished")]
         widths = [high - low for low, high in (wilson(int(hits), len(self.runs)) for hits in shares)]
         return self.precision is None or max(widths) <= self.precision
 
     def worst(self) -> list[int]:
-        """Return the numbers of the worst runs: lost ones, then by charge, fence and tracking error."""
+        """Return the indices of the worst runs: lost ones, then by charge, fence and tracking error."""
         runs = self.runs
         if not len(runs):
             return []
@@ -133,16 +133,16 @@ class Brief:
 
     @property
     def volumes(self) -> Volumes:
-        """Volumes of a risk assessment."""
+        """Volumes of the flights for a risk assessment."""
         return volumes_of(self.flights.scenario)
 
     def departure(self) -> float | None:
-        """Return the distance from the path that 99 % of the runs keep [m], None without runs."""
+        """Return the distance [m] from the path that 99 % of the runs stay within; None without runs."""
         found = quantile(self.runs["tracking_error_max_m"], 0.99)
         return found if math.isfinite(found) else None
 
     def volumes_text(self) -> str:
-        """Return the volumes in words, next to what was simulated."""
+        """Return the volumes as text, compared with the simulated departures."""
         sizes, left = self.volumes, self.departure()
         simulated = (
             "" if left is None else f"; in 99 % of the runs no vehicle is farther than {left:.1f} m from its path"
@@ -154,13 +154,13 @@ class Brief:
         )
 
     def command(self, run: int) -> str:
-        """Return the command that flies a run again."""
+        """Return the shell command that flies a run again."""
         values = [assignment(path, value) for path, value in self.runs.values_at(run).items()]
         words = ["qrsim", "run", str(self.folder / SCENARIO), "--seed", str(int(self.runs.seeds[run]))]
         return shlex.join([*words, *(word for value in values for word in ("--set", value))])
 
     def to_json(self) -> Content:
-        """Return the numbers; equal runs give equal numbers, to the bit."""
+        """Return the brief as a dict for JSON; equal runs give bit-identical numbers."""
         verdict, why = self.verdict
         runs = self.runs
         total = len(runs)
@@ -201,6 +201,7 @@ def _share(hits: int, total: int) -> Content:
 
 
 def _quantiles(runs: Runs, name: str) -> Content | None:
+    """Return 5 %, 50 % and 95 % quantiles of a column of the runs with its unit; None without finite values."""
     values = runs[name][np.isfinite(runs[name])]
     if not len(values):
         return None
@@ -215,7 +216,7 @@ def _cvar(values: NumpyArray) -> float | None:
 
 
 def prepared(operation: OperationSpec, flights: Flights, folder: Path, seed: int) -> Brief:
-    """Return a brief without runs, its operation and scenario written into its folder.
+    """Return a brief without runs, after writing its operation and scenario into the folder.
 
     Raises:
         OSError: they cannot be written.
@@ -227,7 +228,7 @@ def prepared(operation: OperationSpec, flights: Flights, folder: Path, seed: int
 
 
 def fly(brief: Brief, stages: Sequence[str], flyer: Callable[[], Flyer]) -> None:
-    """Fly the stages of a brief until its verdict or the end of its time; after an interruption, call ``keep``.
+    """Fly the stages of a brief until its verdict or time limit; after an interruption, call ``keep``.
 
     Args:
         brief: changed in place.
@@ -260,14 +261,14 @@ def fly(brief: Brief, stages: Sequence[str], flyer: Callable[[], Flyer]) -> None
 
 
 def keep(brief: Brief) -> None:
-    """Read the runs that are there after an interruption; the verdicts of the last look hold."""
+    """Read the runs stored before an interruption; the verdicts of the last look hold."""
     _read(brief, look=None)
     if brief.winds is not None:
         _winds(brief, None, polar=True)
 
 
 def _read(brief: Brief, look: int | None) -> None:
-    """Read the nominal runs that are there; ``look`` is None between two looks, where the last one's verdicts hold."""
+    """Read the stored nominal runs and judge them at a look; None: between looks, keeping the last verdicts."""
     stores = []
     starts = len(brief.flights.starts)
     for piece in pieces(brief.operation.criteria.p_loss):
@@ -285,7 +286,7 @@ def _read(brief: Brief, look: int | None) -> None:
 
 
 def _nominal(brief: Brief, flyer: Flyer) -> bool:
-    """Fly the nominal stage look by look; return whether it came to a verdict."""
+    """Fly the nominal stage look by look; return whether it reached a verdict."""
     for piece in pieces(brief.operation.criteria.p_loss):
         for part in piece.parts(len(brief.flights.starts)):
             if not flyer.fly(nominal_study(part, brief.operation, brief.flights, brief.seed)):
@@ -311,7 +312,7 @@ def _faults(brief: Brief, flyer: Flyer) -> bool:
 
 
 def _winds(brief: Brief, flyer: Flyer | None, polar: bool) -> bool:
-    """Fly the stage of the wind, or without a flyer read it; return whether it is complete."""
+    """Fly the wind stage, or without a flyer only read it; return whether it is complete."""
     brief.winds = brief.winds or winds_of(brief.operation, brief.flights, brief.folder)
     reserve = brief.operation.criteria.reserve if brief.operation.energy else None
     brief.boundary, complete = boundary_of(brief.winds, reserve, brief.seed, brief.folder, flyer, polar)
@@ -319,7 +320,7 @@ def _winds(brief: Brief, flyer: Flyer | None, polar: bool) -> bool:
 
 
 def record_worst(brief: Brief) -> None:
-    """Fly the worst runs again and record them in the folder of the brief, unless they are there.
+    """Fly the worst runs again and record them in the brief's folder, unless they are there.
 
     Raises:
         RunError: a run cannot be written.

@@ -59,7 +59,7 @@ class FaultOutcome:
 
 
 def fault_scenario(operation: OperationSpec, flights: Flights) -> Content:
-    """Return the scenario with every fault, each after the end of the missions, and a station for the link.
+    """Return the scenario content with every fault, timed after the missions, and a station for the link.
 
     Raises:
         ScenarioError: the station has no room next to the first home.
@@ -67,18 +67,20 @@ def fault_scenario(operation: OperationSpec, flights: Flights) -> Content:
     content = copy.deepcopy(flights.content)
     content["name"] = NAME
     contingency = operation.contingency
-    never = _never(flights)
-    for name in flights.names:
-        fleet = content["fleets"][name]
-        ends = dict.fromkeys(_TIMES, never)
-        low = contingency.low_battery.at
-        faults: dict[str, Content] = {
-            "gnss": {"type": "sensor", "sensor": "gnss", "kind": "off", "start": ends["gnss"]},
-            "motor": {"type": "rotor", "rotor": 0, "health": 0.0, "at": ends["motor"]},
-            "link": {"type": "radio", "kind": "off", "at": ends["link"]},
-            "low_battery": {"type": "battery", "charge": low, "at": ends["low_battery"]},
-        }
-        fleet["faults"] = [faults[fault] for fault in operation.faults]
+    never, low = _never(flights), contingency.low_battery.at
+    faults: dict[str, Content] = {
+        "gnss": {"type": "sensor", "sensor": "gnss", "kind": "off", "start": never},
+        "motor": {"type": "rotor", "rotor": 0, "health": 0.0, "at": never},
+        "link": {"type": "radio", "kind": "off", "at": never},
+        "low_battery": {"type": "battery", "charge": low, "at": never},
+    }
+    for fleet in content["fleets"].values():
+        names = [vehicle["name"] for vehicle in fleet["vehicles"]]
+        fleet["faults"] = [
+            {**faults[fault], **({"vehicles": [name]} if len(names) > 1 else {})}
+            for name in names
+            for fault in operation.faults
+        ]
         if "link" in operation.faults:
             fleet["failsafes"] |= {"COM_DL_LOSS_T": contingency.link_lost.after}
             if contingency.link_lost.do != "none":
@@ -90,7 +92,8 @@ def fault_scenario(operation: OperationSpec, flights: Flights) -> Content:
 
 
 def _with_station(content: Content, flights: Flights) -> Content:
-    north, east, _ = content["fleets"][flights.names[0]]["vehicles"][0]["position_ned"]
+    """Return the scenario's content with a fixed radio station by the first start; ScenarioError if none fits."""
+    north, east, _ = content["fleets"][flights.places[0].fleet]["vehicles"][0]["position_ned"]
     problems: list[str] = []
     for away_north, away_east in BESIDE:
         station = {
@@ -109,12 +112,12 @@ def _with_station(content: Content, flights: Flights) -> Content:
 
 
 def _never(flights: Flights) -> float:
-    """Return a time [s] near the end of a run, at which no fault changes a mission."""
+    """Return a time [s] near the end of a run, for faults that should not affect the mission."""
     return float(flights.content["duration"]) - 0.1
 
 
 def fault_study(operation: OperationSpec, flights: Flights, finished_s: float, seed: int) -> Content:
-    """Return the study: a condition for each fault and part of the mission, of the same seeds.
+    """Return the study's content: a condition for each fault and part of the mission, with the same seeds.
 
     Args:
         operation: with its faults.
@@ -127,9 +130,10 @@ def fault_study(operation: OperationSpec, flights: Flights, finished_s: float, s
     for number, fault in enumerate(operation.faults):
         for part in PARTS:
             settings = {}
-            for name, planned in zip(flights.names, flights.planned_s, strict=True):
+            for place, planned in zip(flights.places, flights.planned_s, strict=True):
                 at = round(part * planned * finished_s / longest, 1)
-                settings[f"fleets.{name}.faults.{number}.{_TIMES[fault]}"] = at
+                entry = place.row * len(operation.faults) + number
+                settings[f"fleets.{place.fleet}.faults.{entry}.{_TIMES[fault]}"] = at
             conditions[f"{fault}_{round(100 * part)}"] = settings
     return {
         "name": NAME,
@@ -145,7 +149,7 @@ def fault_study(operation: OperationSpec, flights: Flights, finished_s: float, s
 
 
 def fault_outcomes(path: Path, study: Content) -> list[FaultOutcome]:
-    """Return how the runs of each condition ended."""
+    """Return the outcome of the runs for each condition."""
     results = Results(path)
     conditions: Content = study["vary"]["fault"]["conditions"]
     found = []
@@ -159,6 +163,8 @@ def fault_outcomes(path: Path, study: Content) -> list[FaultOutcome]:
 
 
 def _outcome(results: Results, here: NumpyArray, fault: str, part: float, begun: float) -> FaultOutcome:
+    """Return the shares of outcomes of the runs ``here`` after a fault at ``part`` of the mission, ``begun`` [s]."""
+
     def of(metric: str) -> NumpyArray:
         return results.metric(metric)[here]
 

@@ -29,7 +29,7 @@ COLOURS = {"go": "#146c2e", "marginal": "#b26a00", "no-go": "#b3261e"}
 
 
 def png(figure: Figure) -> bytes:
-    """Render a figure; the same figure gives the same bytes."""
+    """Render a figure to PNG bytes, reproducibly."""
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=DPI, format="png", metadata={"Software": None})
     return buffer.getvalue()
@@ -81,7 +81,7 @@ def map_figure(scenario: Scenario, tracks: NumpyArray, worst: Sequence[int], los
 
 
 def losses(runs: Runs, tracks: NumpyArray) -> NumpyArray:
-    """Return the place (L, 2) of the first loss in each lost run with a track (E, R, n, 4), its last record [m]."""
+    """Return the place (L, 2) [m] of the first loss in each lost run, the last record of its track (E, R, n, 4)."""
     found = []
     for run in np.flatnonzero(np.isfinite(runs["stopped_vehicle"][: len(tracks)])):
         track = tracks[run, :, int(runs["stopped_vehicle"][run]), :2]
@@ -91,7 +91,7 @@ def losses(runs: Runs, tracks: NumpyArray) -> NumpyArray:
 
 
 def _dense(tracks: NumpyArray) -> NumpyArray:
-    """Return places (K, 2), with straight lines between the records of each track."""
+    """Return places (K, 2) [m] along all tracks, interpolated between records."""
     one, other = tracks[:, :-1, :, :2], tracks[:, 1:, :, :2]
     parts = [one + (other - one) * (step / BETWEEN) for step in range(BETWEEN)]
     found = np.concatenate([part.reshape(-1, 2) for part in parts])

@@ -11,18 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.errors import ScenarioError, UsageError, did_you_mean, warn_user
+from qrsim.errors import ScenarioError, UsageError
 from qrsim.files import Content
 from qrsim.models.atmosphere.wind import ROUGHNESS_M
 from qrsim.models.site import Site
-from qrsim.models.vehicles.multirotor.sets import SETS
 from qrsim.scenarios.multirotor_checks import thrust_to_weight
 from qrsim.scenarios.plans.plan import Plan
 from qrsim.scenarios.plans.reading import read_plan
 from qrsim.scenarios.reading import merged, read_scenario
 from qrsim.scenarios.scenario import Scenario, load_scenario
-from qrsim.scenarios.vehicle_file import read_vehicle_file
 from qrsim.scenarios.weather import velocity
+from qrsim.studies.brief.fleets import Fleet, Place, by_mission, fleet_content, fleets_of, number_each, places_of
 from qrsim.studies.brief.operation import MissionSpec, OperationSpec, WindSpec
 from qrsim.studies.brief.surroundings import area_of, ground_of, site_of
 from qrsim.studies.brief.words import spread
@@ -36,15 +35,6 @@ TIME_STEP = 0.02
 LEAST_LIFT = 1.2
 # Starts over which a window is spread.
 STARTS = 4
-# From seconds to the microseconds of PX4's EKF2_NOAID_TOUT.
-_NOAID = 1e6
-SENSORS: dict[str, Content] = {
-    "gnss": {"type": "gnss", "preset": "f9p_single"},
-    "imu": {"type": "imu", "preset": "icm42688p"},
-    "magnetometer": {"type": "magnetometer"},
-    "barometer": {"type": "barometer"},
-}
-_LOW_BATTERY = {"warn": "warn", "land": "land", "return": "return_or_land"}
 
 
 @dataclass(frozen=True)
@@ -54,10 +44,12 @@ class Flights:
     Attributes:
         content: the scenario, every place in NED.
         scenario: the same, checked.
-        names: of the vehicles, in the order of the missions.
+        names: of the vehicles, in the order of the scenario: by fleets, in each as the operation lists its missions.
+        places: of the vehicles in the scenario.
+        missions: of the vehicles.
         wind: forecast at its height, that of a file at the start of the flights included.
         planned_s: time of the path of each vehicle [s], without wind.
-        plans: of the missions.
+        plans: of the vehicles.
         assumed: defaults that count, one sentence each.
         starts: times of the starts over the window, ISO 8601 in UTC; one without a window.
         at_starts: the scenario at each start.
@@ -66,6 +58,8 @@ class Flights:
     content: Content
     scenario: Scenario
     names: tuple[str, ...]
+    places: tuple[Place, ...]
+    missions: tuple[MissionSpec, ...]
     wind: WindSpec
     planned_s: tuple[float, ...]
     plans: tuple[Plan, ...]
@@ -75,7 +69,7 @@ class Flights:
 
     @property
     def settings(self) -> tuple[Content, ...]:
-        """Values of the scenario at each start, by path."""
+        """Path -> value that each start time sets in the scenario, one dict per start."""
         keys = ("wind", "turbulence") if self.wind.file is not None else ()
         worlds = [scenario.spec.model_dump(mode="json")["world"] for scenario in self.at_starts if keys]
         return tuple(
@@ -85,7 +79,7 @@ class Flights:
 
 
 def flights_of(operation: OperationSpec, longest_s: float = LONGEST_S) -> Flights:
-    """Return the flights of an operation.
+    """Return the flights of an operation: scenario, plans, starts and durations.
 
     Raises:
         UsageError, ScenarioError: a plan or a vehicle cannot be flown, or takes too long.
@@ -94,23 +88,31 @@ def flights_of(operation: OperationSpec, longest_s: float = LONGEST_S) -> Flight
     names = names_of(operation)
     assumed: list[str] = []
     _check_homes(operation, plans)
-    content = _content(operation, plans, names, assumed)
+    fleets = fleets_of(operation.missions, names)
+    places = places_of(fleets)
+    content = _content(operation, plans, (fleets, names), assumed)
     content["duration"] = longest_s
     try:
         scenario = load_scenario(content, quiet=True)
     except ScenarioError as error:
-        raise ScenarioError(f"operation {operation.operation}", error.problems) from None
+        problems = [by_mission(problem, fleets, names) for problem in error.problems]
+        raise ScenarioError(f"operation {operation.operation}", problems) from None
     _check_lift(scenario, operation.uncertain.mass)
-    planned = tuple(_planned_s(scenario, operation))
+    order = [number for fleet in fleets for number in fleet.missions]
+    names, plans = tuple(names[number] for number in order), tuple(plans[number] for number in order)
+    missions = tuple(operation.missions[number] for number in order)
+    planned = tuple(_planned_s(scenario, missions, names))
     wanted = SLACK * max(planned) + SLACK_S
     if max(planned) > longest_s:
         raise UsageError(
             f"{operation.operation}: takes {_time(max(planned))}; allowed: {_time(longest_s)}; see --longest"
         )
     whole = scenario.spec.model_dump(mode="json")
-    for name, mission in zip(names, operation.missions, strict=True):
+    number_each(fleets, whole)
+    for place, mission in zip(places, missions, strict=True):
         if mission.delay:
-            whole["fleets"][name]["vehicles"][0]["legs"].insert(0, {"type": "loiter", "time": mission.delay})
+            legs = whole["fleets"][place.fleet]["vehicles"][place.row]["legs"]
+            legs.insert(0, {"type": "loiter", "time": mission.delay})
     whole["duration"] = math.ceil(min(wanted, longest_s))
     wind, file = operation.wind, operation.wind.file
     if file is not None:
@@ -127,23 +129,25 @@ def flights_of(operation: OperationSpec, longest_s: float = LONGEST_S) -> Flight
             f"The wind is that of {Path(file).name} over height and time, without an error of the forecast: "
             f"{wind.speed:.1f} m/s from {wind.from_deg:.0f} deg at {wind.height:g} m at the start."
         )
-    return Flights(whole, at_starts[0], names, wind, planned, plans, tuple(assumed), starts, at_starts)
+    return Flights(
+        whole, at_starts[0], names, places, missions, wind, planned, plans, tuple(assumed), starts, at_starts
+    )
 
 
 def wind_file(file: str) -> Content:
-    """Return the wind of a scenario that a file gives: a table is a profile, all else is of a weather model."""
+    """Return the wind content for a file: a profile for a table, else a weather model."""
     return {"type": "profile" if Path(file).suffix.lower() == ".csv" else "weather", "file": file}
 
 
 def _wind_at_start(wind: WindSpec, scenario: Scenario) -> WindSpec:
-    """Return the forecast with speed and bearing of the scenario's profile at the forecast's height."""
+    """Return the forecast with the speed and bearing of the scenario's profile at its height."""
     north, east = (float(axis[0, 0]) for axis in velocity(scenario.spec, np.array([wind.height]), [0.0]))
     bearing = math.degrees(math.atan2(-east, -north)) % 360.0
     return wind.model_copy(update={"speed": math.hypot(north, east), "from_deg": bearing})
 
 
 def plan_of(mission: MissionSpec) -> Plan:
-    """Return a plan with something to fly.
+    """Return the plan of a mission; raises UsageError if it has nothing to fly.
 
     Raises:
         UsageError: it cannot be read, or is empty.
@@ -174,12 +178,12 @@ def names_of(operation: OperationSpec) -> tuple[str, ...]:
 
 
 def speed_20ft(wind: WindSpec) -> float:
-    """Return the factor from the forecast's speed to that at 20 ft, by the logarithmic profile over grass."""
+    """Return the ratio of the wind at 20 ft to the forecast's, by the logarithmic profile over grass."""
     return math.log(6.096 / ROUGHNESS_M) / math.log(wind.height / ROUGHNESS_M)
 
 
 def bearing_deg(wind: WindSpec) -> float:
-    """Return the bearing of the wind [deg], -180 to 180, so that its errors stay within the bounds of scenarios."""
+    """Return the wind's bearing [deg] from -180 to 180, so that its errors stay within scenario bounds."""
     return ((wind.from_deg or 0.0) + 180.0) % 360.0 - 180.0
 
 
@@ -198,7 +202,7 @@ def _check_homes(operation: OperationSpec, plans: tuple[Plan, ...]) -> None:
 
 
 def _check_lift(scenario: Scenario, share: float) -> None:
-    """Refuse vehicles of which many draws of the mass, up to a relative difference, have too little thrust."""
+    """Raise UsageError if many draws of the mass, within a relative difference, exceed the available thrust."""
     for name, fleet in scenario.spec.fleets.items():
         ratio = thrust_to_weight(fleet, scenario.spec)
         if ratio is None or ratio >= LEAST_LIFT * (1.0 + share):
@@ -215,8 +219,14 @@ def _check_lift(scenario: Scenario, share: float) -> None:
         )
 
 
-def _content(operation: OperationSpec, plans: tuple[Plan, ...], names: tuple[str, ...], assumed: list[str]) -> Content:
-    """Return the content of the scenario, its places still those of the plans."""
+def _content(
+    operation: OperationSpec,
+    plans: tuple[Plan, ...],
+    flown: tuple[tuple[Fleet, ...], tuple[str, ...]],
+    assumed: list[str],
+) -> Content:
+    """Return the scenario's content, with places as in the plans; ``flown``: fleets and mission names."""
+    fleets, names = flown
     below: Content = {}
     if operation.extends is not None:
         _, below = read_scenario(operation.extends)
@@ -237,85 +247,33 @@ def _content(operation: OperationSpec, plans: tuple[Plan, ...], names: tuple[str
             **ground_of(operation.site),
             **{key: value for key, value in operation.world.items() if key != "area"},
         },
-        "fleets": {
-            name: _fleet(mission, plan, name, operation, assumed)
-            for name, mission, plan in zip(names, operation.missions, plans, strict=True)
-        },
+        "fleets": {fleet.name: fleet_content(fleet, operation, plans, names, assumed) for fleet in fleets},
     }
     assumed.append("Legs without a speed are flown at 5 m/s. Gusts are those of MIL-F-8785C for the mean wind.")
     return merged({key: value for key, value in below.items() if key != "fleets"}, content)
 
 
-def _fleet(mission: MissionSpec, plan: Plan, name: str, operation: OperationSpec, assumed: list[str]) -> Content:
-    contingency = operation.contingency
-    critical = contingency.low_battery.at
-    if plan.waypoints[0].command != "NAV_TAKEOFF":
-        warn_user(
-            f"{mission.plan}: has no take-off: {name} starts in the air at item {plan.waypoints[0].item}, and the "
-            "energy of the climb is not counted"
-        )
-    route = mission.model_dump(include={"route", "height"}, exclude_none=True)
-    route = {"file": mission.plan, **route}
-    if not operation.energy:
-        assumed.append(f"The charge of {name} is not judged, and no failsafe reacts to it.")
-    elif not mission.battery:
-        assumed.append(f"{name} has a full pack of 4 cells and 5 Ah, that of an X500.")
-    return {
-        "vehicle": _vehicle(mission, name, assumed),
-        "controller": {"type": "cascade"},
-        "guidance": {"type": "mission"},
-        "estimator": {"type": "ekf"},
-        "battery": {"type": "lithium_cells", **mission.battery},
-        "sensors": {sensor: dict(numbers) for sensor, numbers in SENSORS.items()},
-        "failsafes": {
-            "COM_LOW_BAT_ACT": _LOW_BATTERY[contingency.low_battery.do if operation.energy else "warn"],
-            "BAT_LOW_THR": max(0.15, critical),
-            "BAT_CRIT_THR": critical,
-            "BAT_EMERGEN_THR": min(0.05, critical),
-            "COM_GNSSLOSS_ACT": contingency.gnss_lost.do,
-            "EKF2_NOAID_TOUT": _NOAID * contingency.gnss_lost.after,
-            "RTL_RETURN_ALT": contingency.return_height,
-        },
-        "vehicles": [{"plan": route, "name": name}],
-    }
-
-
-def _vehicle(mission: MissionSpec, name: str, assumed: list[str]) -> Content:
-    """Return the vehicle of a mission as a scenario writes it."""
-    if mission.vehicle.endswith((".yaml", ".yml")):
-        found = read_vehicle_file(Path(mission.vehicle))
-        if found["type"] != "multirotor":
-            raise UsageError(
-                f"missions.{name}.vehicle: {mission.vehicle}: its type is '{found['type']}'; a brief needs the power "
-                "and the rotors of a 'multirotor'"
-            )
-        return found
-    if mission.vehicle not in SETS:
-        raise UsageError(
-            f"missions.{name}.vehicle: no model is called '{mission.vehicle}'{did_you_mean(mission.vehicle, SETS)} "
-            "(or give a .yaml file)"
-        )
-    assumed.append(f"{name} is the parameter set '{mission.vehicle}', not identified from flights of this vehicle.")
-    return {"type": "multirotor", "model": mission.vehicle}
-
-
-def _planned_s(scenario: Scenario, operation: OperationSpec) -> Iterator[float]:
-    """Yield the time [s] of the path of each vehicle, without wind."""
+def _planned_s(scenario: Scenario, missions: tuple[MissionSpec, ...], names: tuple[str, ...]) -> Iterator[float]:
+    """Yield each vehicle's planned flight time [s] in calm."""
     spec: Any = scenario.spec
-    for (name, fleet), built, mission in zip(
-        spec.fleets.items(), scenario.world().fleets, operation.missions, strict=True
-    ):
-        for number, leg in enumerate(fleet.vehicles[0].legs, 1):
-            if leg.type == "loiter" and vars(leg).get("time") is None and vars(leg).get("turns") is None:
-                raise UsageError(
-                    f"{mission.plan}: leg {number} of {name} loiters for ever; a brief needs one that ends"
-                )
+    each = zip(missions, names, strict=True)
+    for fleet, built in zip(spec.fleets.values(), scenario.world().fleets, strict=True):
         route: Any = built.route
         parts = (route.rise_s, route.cruise_s, route.fall_s, route.turn_s, route.hold_s)
-        yield float(sum(np.sum(np.asarray(part, np.float64)) for part in parts)) + mission.delay
+        for row, vehicle in enumerate(fleet.vehicles):
+            mission, name = next(each)
+            for number, leg in enumerate(vehicle.legs, 1):
+                if leg.type == "loiter" and vars(leg).get("time") is None and vars(leg).get("turns") is None:
+                    raise UsageError(
+                        f"{mission.plan}: leg {number} of {name} loiters for ever; a brief needs one that ends"
+                    )
+            # Shorter missions are padded with their last leg.
+            legs = int(route.count[row])
+            yield float(sum(np.sum(np.asarray(part, np.float64)[:legs, row]) for part in parts)) + mission.delay
 
 
 def _time(seconds: float) -> str:
+    """Return a time [s] as text in seconds, minutes or hours."""
     if seconds < 120.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 3600.0:.1f} h" if seconds >= 3600.0 else f"{seconds / 60.0:.0f} min"

@@ -62,7 +62,7 @@ class Row:
 
 
 def overall(rows: Sequence[Row]) -> tuple[Verdict, str]:
-    """Return the worst verdict, the reason of the first row that has it, and the names of the others."""
+    """Return the worst verdict, the first row's reason for it, and the names of further rows with it."""
     counted = [row for row in rows if row.decides]
     worst: Verdict = max((row.verdict for row in counted), key=ORDER.index, default="marginal")
     if not counted:
@@ -75,7 +75,7 @@ def overall(rows: Sequence[Row]) -> tuple[Verdict, str]:
 
 
 def undecided(rows: Sequence[Row]) -> bool:
-    """Return whether more runs may change the verdict."""
+    """Return whether more runs could change the verdict."""
     return overall(rows)[0] != "no-go" and any(row.name in SEQUENTIAL and row.verdict == "marginal" for row in rows)
 
 
@@ -99,14 +99,14 @@ def judge(
 
 
 def _levels(look: int | None) -> tuple[float | None, float | None]:
-    """Return the error that a look may spend on a go, and on a no-go; None: it decides nothing."""
+    """Return the error probability that a look may spend on "go" and on "no-go"; None for no decision."""
     if look is None:
         return None, None
     return (None if look == 0 else spent(look)), spent(look + 1)
 
 
 def _share(hits: int, runs: int, limit: float, look: int | None) -> tuple[Verdict, float]:
-    """Return the verdict on a share that has to be below a limit, and its upper bound."""
+    """Return the verdict on a share that must stay below a limit, and the share's upper bound."""
     for_go, for_no_go = _levels(look)
     bound = upper(hits, runs) if for_go is None else upper(hits, runs, for_go)
     if for_go is not None and bound < limit:
@@ -117,29 +117,35 @@ def _share(hits: int, runs: int, limit: float, look: int | None) -> tuple[Verdic
 
 
 def _loss(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
+    """Return the row of the share of lost vehicles."""
     lost = runs["stopped"] > 0.0
     hits, total = int(lost.sum()), len(runs)
     verdict, bound = _share(hits, total, criteria.p_loss, look)
-    told = f"{total} runs, {_count(hits)} lost{_kinds(runs)}: below {_percent(bound)}"
-    worst = None
+    worst, told = None, f"{total} runs, none lost: below {_percent(bound)}"
     if hits:
-        first = int(np.nanargmin(np.where(lost, runs["stopped_s"], np.nan)))
-        worst = runs.loss(first)
-    if verdict == "no-go":
-        told = f"{total} runs, {hits} lost{_kinds(runs)}, the earliest at {worst.text() if worst else ''}"
+        worst = runs.loss(int(np.nanargmin(np.where(lost, runs["stopped_s"], np.nan))))
+        told = f"{hits} of {total} runs lost ({_percent(hits / total)}){_kinds(runs, lost)}"
+        told += f"; the earliest: {worst.text()}" if verdict == "no-go" else f"; the share is below {_percent(bound)}"
     if verdict == "marginal":
         needed = max(first_look(min(criteria.p_loss, UNFINISHED)), runs_needed(criteria.p_loss, hits, spent(1)))
         told += f"; about {needed} runs would decide {_percent(criteria.p_loss)}"
     return Row("loss", verdict, hits / total, bound, criteria.p_loss, "1", told, worst)
 
 
-def _kinds(runs: Runs) -> str:
+def _kinds(runs: Runs, lost: NumpyArray) -> str:
+    """Return in words how runs were lost, with counts, empty batteries and the wind of departures; "" without any."""
     kinds = {"left the area": "left_area", "collided": "collided", "crashed": "crashed"}
     found = [f"{int((runs[name] > 0.0).sum())} {words}" for words, name in kinds.items() if (runs[name] > 0.0).any()]
-    return f" ({', '.join(found)})" if found else ""
+    empty = int((lost & (runs["charge_end"] < CHARGE_NOISE)).sum())
+    found += [f"the battery was empty in {empty}"] if empty else []
+    away = runs["left_area"] > 0.0
+    if away.any():
+        found.append(f"the strongest wind of those that left was {np.nanmedian(runs['wind_max_m_s'][away]):.0f} m/s")
+    return f": {', '.join(found)}" if found else ""
 
 
 def _finished(runs: Runs, look: int | None, low_battery: float) -> Row:
+    """Return the row of the share of runs that do not finish the mission."""
     missed = runs["not_finished"] > 0.0
     hits, total = int(missed.sum()), len(runs)
     verdict, bound = _share(hits, total, UNFINISHED, look)
@@ -157,6 +163,7 @@ def _finished(runs: Runs, look: int | None, low_battery: float) -> Row:
 
 
 def _reserve(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
+    """Return the row of the charge at the end of the worst 5 % of runs."""
     left = np.where(runs["stopped"] > 0.0, np.nan, runs["charge_end"])
     if not np.isfinite(left).any():
         return Row(
@@ -182,7 +189,7 @@ def _reserve(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
 
 
 def _margins(runs: Runs, criteria: CriteriaSpec) -> Iterator[Row]:
-    """Yield the rows of distances; those that no run has, such as between vehicles of one, are left out."""
+    """Yield the rows of distance margins, without those that no run has."""
     asked = {
         "fence": (("fence_horizontal_min", "ceiling_min"), criteria.fence),
         "ground": (("ground_min",), criteria.ground),
@@ -196,6 +203,7 @@ def _margins(runs: Runs, criteria: CriteriaSpec) -> Iterator[Row]:
 
 
 def _margin(runs: Runs, name: str, margins: tuple[str, ...], values: NumpyArray, limit: float) -> Row:
+    """Return the row of the smallest margin [m] over ``values``, one row per name in ``margins``."""
     smallest = np.fmin.reduce(values)
     value = quantile(smallest, WORST_MARGIN)
     low, _ = quantile_bounds(smallest, WORST_MARGIN)
@@ -212,10 +220,6 @@ def _margin(runs: Runs, name: str, margins: tuple[str, ...], values: NumpyArray,
         f"{words[margins[part]]} was {smallest[run]:.1f} m ({worst.text()})"
     )
     return Row(name, verdict, value, low if math.isfinite(low) else None, limit, "m", told, worst)
-
-
-def _count(hits: int) -> str:
-    return "none" if hits == 0 else str(hits)
 
 
 def _percent(share: float) -> str:

@@ -26,7 +26,7 @@ Share = Annotated[Finite, BeforeValidator(share_of)]
 
 
 def _no_percents(value: object, largest: float) -> object:
-    """Refuse a share that is meant in percent."""
+    """Raise ValueError for a share that looks like a percentage."""
     if isinstance(value, int | float) and not isinstance(value, bool) and 1.0 <= value <= 100.0:
         raise ValueError(f"{value:g} is out of range; allowed: 0 to {largest:g} ({value:g} % is {value / 100.0:g})")
     return value
@@ -69,12 +69,14 @@ class WindSpec(Part):
     @model_validator(mode="before")
     @classmethod
     def _from(cls, data: object) -> object:
+        """Rename the key ``from`` to ``from_deg``."""
         if isinstance(data, dict) and "from" in data and "from_deg" not in data:
             return {("from_deg" if key == "from" else key): value for key, value in data.items()}
         return data
 
     @model_validator(mode="after")
     def _one_way(self) -> WindSpec:
+        """Raise ValueError unless the wind is given either by speed and direction or by a file."""
         for name in ("speed", "from_deg"):
             if (getattr(self, name) is None) == (self.file is None):
                 given = f"'{name}' and 'file'" if self.file is not None else f"neither '{name}' nor 'file'"
@@ -92,6 +94,7 @@ class UncertainSpec(Part):
 
     @model_validator(mode="after")
     def _ordered(self) -> UncertainSpec:
+        """Raise ValueError unless the charge's bounds ascend from above 0 to at most 1."""
         low, high = self.initial_charge
         if not 0.0 < low <= high <= 1.0:
             raise ValueError(f"initial_charge: {low:g} to {high:g}; allowed: ascending, above 0, at most 1")
@@ -158,6 +161,7 @@ class SiteSpec(Part):
 
     @model_validator(mode="after")
     def _place(self) -> SiteSpec:
+        """Raise ValueError for a latitude without longitude, or a height without both."""
         if (self.latitude_deg is None) != (self.longitude_deg is None):
             raise ValueError("gives one of latitude_deg and longitude_deg; give both, or neither")
         if self.latitude_deg is None and self.height_amsl is not None:
@@ -192,6 +196,7 @@ class OperationSpec(Part):
     @field_validator("world")
     @classmethod
     def _without_wind(cls, world: dict[str, Any]) -> dict[str, Any]:
+        """Raise ValueError if ``world`` has a wind; otherwise return it."""
         if "wind" in world:
             raise ValueError(
                 "the wind of an operation is its own key, such as wind: {speed: 7, from: 250}; leave world.wind out"
@@ -199,7 +204,7 @@ class OperationSpec(Part):
         return world
 
     def to_yaml(self) -> str:
-        """Return the file of the operation, every default written out."""
+        """Return the operation as YAML, every default written out."""
         return dump_yaml(self.model_dump(mode="json", exclude_none=True))
 
 
@@ -235,7 +240,7 @@ def read_operation(path: Path, changes: Content) -> OperationSpec:
 
 
 def with_paths(content: Content, changed: Callable[[str], str]) -> Content:
-    """Return the content of an operation with every path of a file changed; names of vehicles stay."""
+    """Return an operation's content with every file path changed by a function."""
     found = copy.deepcopy(content)
 
     def change(part: Any, key: Any) -> None:
@@ -258,7 +263,7 @@ def with_paths(content: Content, changed: Callable[[str], str]) -> Content:
 
 
 def checked(content: Content, source: str) -> OperationSpec:
-    """Check the content of an operation.
+    """Return an operation's content as a checked specification; raises ScenarioError for faults.
 
     Raises:
         ScenarioError: it is wrong; the message lists the faults.

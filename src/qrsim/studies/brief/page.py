@@ -15,6 +15,18 @@ from qrsim.studies.brief.figures import MOST_TRACKS, losses, map_figure, margins
 from qrsim.studies.brief.studying import TRACK_S
 
 TEMPLATE = "page.html.jinja"
+# What each criterion measures, and on which side of its limit a go is.
+MEASURES = {
+    "loss": ("runs lost", "below"),
+    "finished": ("runs not finished", "below"),
+    "reserve": ("charge at the end", "at least"),
+    "fence": ("distance to the fence", "above"),
+    "ground": ("height above the ground", "above"),
+    "obstacle": ("distance to obstacles", "above"),
+    "separation": ("distance between vehicles", "above"),
+    "wind": ("wind with gusts", "below"),
+    "gnss": ("time with good GNSS", "at least"),
+}
 
 
 class Picture(NamedTuple):
@@ -25,7 +37,7 @@ class Picture(NamedTuple):
 
 
 def write_page(brief: Brief) -> str:
-    """Return the page as text.
+    """Return the brief as an HTML page.
 
     Raises:
         MissingExtraError: Jinja is not installed.
@@ -37,7 +49,11 @@ def write_page(brief: Brief) -> str:
     template = files("qrsim.studies.brief").joinpath(TEMPLATE).read_text("utf-8")
     pictures = [Picture(title, png(figure)) for title, figure in figures_of(brief)]
     page: str = made.from_string(template).render(
-        about=brief.to_json(), missing=brief.missing_text(), volumes=brief.volumes_text(), pictures=pictures
+        about=brief.to_json(),
+        measures=MEASURES,
+        missing=brief.missing_text(),
+        volumes=brief.volumes_text(),
+        pictures=pictures,
     )
     return page + "\n"
 

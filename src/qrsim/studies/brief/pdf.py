@@ -43,15 +43,17 @@ def write_pdf(brief: Brief) -> bytes:
 
 
 def _step() -> float:
+    """Return the height of a line of text, as a share of the page's height."""
     return SIZE * LEADING / 72.0 / PAGE[1]
 
 
 def _room(lines: int) -> float:
-    """Return the height in the page at which so many lines at its end begin."""
+    """Return the height on the page at which ``lines`` lines at its end begin."""
     return min(0.4, 0.035 + lines * _step())
 
 
 def _head(page: Figure, brief: Brief) -> float:
+    """Draw title, origin and verdict, and return the height on the page below them, a share of it."""
     verdict, why = brief.verdict
     about = brief.to_json()
     page.text(LEFT, 0.955, brief.operation.operation, fontsize=15, weight="bold")
@@ -68,6 +70,7 @@ def _head(page: Figure, brief: Brief) -> float:
 
 
 def _criteria(brief: Brief) -> Iterator[tuple[str, str]]:
+    """Yield (line, colour) of the criteria's rows."""
     for row in brief.rows:
         word = row.verdict if row.decides else f"{row.verdict} (reported only)"
         for i, line in enumerate(textwrap.wrap(f"{word.upper()}: {row.why}", PER_LINE, subsequent_indent="      ")):
@@ -75,6 +78,7 @@ def _criteria(brief: Brief) -> Iterator[tuple[str, str]]:
 
 
 def _notes(brief: Brief) -> Iterator[tuple[str, str]]:
+    """Yield (line, colour) of the notes: volumes, faults, assumptions and worst seeds."""
     about = brief.to_json()
     lines = [f"SORA: {brief.volumes_text()}"]
     for fault in dict.fromkeys(each.fault for each in brief.outcomes):
@@ -101,7 +105,7 @@ def _percents(shares: Sequence[float]) -> str:
 
 
 def _lines(page: Figure, height: float, lines: Iterator[tuple[str, str]] | list[tuple[str, str]]) -> float:
-    """Write lines from a height downwards; return where they end."""
+    """Write lines downwards from a height on the page; return the height below them."""
     for text, colour in lines:
         height -= _step()
         page.text(LEFT, height, text, fontsize=SIZE, color=colour, parse_math=False)

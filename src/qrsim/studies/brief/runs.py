@@ -32,8 +32,8 @@ class Moment:
     at_s: float | None
 
     def text(self) -> str:
-        """Return the moment in words."""
-        parts = [self.vehicle, "" if self.leg is None else f"leg {self.leg}"]
+        """Return the moment as text: vehicle, leg and time."""
+        parts = [self.vehicle and f"vehicle {self.vehicle}", "" if self.leg is None else f"leg {self.leg}"]
         parts += ["" if self.at_s is None else f"{self.at_s:.0f} s", f"seed {self.seed}"]
         return ", ".join(part for part in parts if part)
 
@@ -68,7 +68,7 @@ class Runs:
         return np.concatenate([np.empty(0, np.int64), *(results.seeds for results in self._results)])
 
     def tracks(self, most: int) -> NumpyArray:
-        """Return north, east, down and charge (E, R, n, 4) of at most so many runs; NaN after their ends."""
+        """Return north, east, down and charge (E, R, n, 4) of at most ``most`` runs; NaN after their ends."""
         found: list[NumpyArray] = []
         for results in self._results:
             if (left := most - sum(map(len, found))) > 0:
@@ -76,7 +76,7 @@ class Runs:
         return np.concatenate(found) if found else np.empty((0, 1, len(self.names), 4))
 
     def values_at(self, run: int) -> Content:
-        """Return the values of a run by path: those of its start in the window, and the numbers that vary."""
+        """Return path -> value of a run: those of its start time, and the varied parameters."""
         for results in self._results:
             if run < results.episodes:
                 return {**results.spec.set, **results.values_at(run)}
@@ -84,7 +84,7 @@ class Runs:
         raise IndexError(run)
 
     def moment(self, run: int, margin: str) -> Moment:
-        """Return the moment of a margin of a run."""
+        """Return when, where and at which vehicle a run came closest to a margin."""
         return self._moment(run, f"{margin}_vehicle", f"{margin}_leg", f"{margin}_at_s")
 
     def loss(self, run: int) -> Moment:
@@ -92,7 +92,7 @@ class Runs:
         return self._moment(run, "stopped_vehicle", "stopped_leg", "stopped_s")
 
     def _moment(self, run: int, *metrics: str) -> Moment:
-        """Return the moment that the metrics of vehicle, leg and time give."""
+        """Return the moment that a run's metrics of vehicle, leg and time describe."""
         vehicle, leg, at = (float(self[metric][run]) for metric in metrics)
         name = "" if math.isnan(vehicle) else self.names[int(vehicle)] if int(vehicle) < len(self.names) else ""
         number = None if math.isnan(leg) else int(leg)

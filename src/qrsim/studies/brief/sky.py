@@ -48,7 +48,7 @@ class Sky:
     hdop: NumpyArray
 
     def worst_place(self) -> int:
-        """Return the place with the largest mean PDOP."""
+        """Index of the place with the largest mean PDOP."""
         return int(np.argmax(np.mean(self.pdop, axis=0)))
 
 
@@ -100,7 +100,7 @@ def sky_of(scenario: Scenario) -> Sky:
 
 
 def _hidden(world: World, place: NumpyArray, sight: NumpyArray, used: NumpyArray) -> NumpyArray:
-    """Return which satellites (T, S) something hides at a place."""
+    """Return which satellites (T, S) are hidden at a place, by terrain or obstacles."""
     hidden = np.zeros(used.shape, bool)
     if not can_hide(world.obstacles, world.ground):
         return hidden
@@ -124,7 +124,7 @@ def _dilution(sight: NumpyArray, used: NumpyArray) -> tuple[NumpyArray, NumpyArr
 
 
 def sky_row(sky: Sky, duration_s: float) -> Row:
-    """Return the verdict on the sky from the start of the flights to half an hour after their end."""
+    """Return the verdict on the satellites in view from the start until half an hour after the last flight."""
     window = sky.seconds <= duration_s + WINDOW_S
     count, pdop = sky.count[window], sky.pdop[window]
     good = ((pdop < GOOD_PDOP) & (count >= GOOD_COUNT)).mean(axis=0)

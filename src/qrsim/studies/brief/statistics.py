@@ -17,12 +17,12 @@ FEWEST = 32
 
 
 def upper(hits: int, runs: int, alpha: float = ALPHA) -> float:
-    """Return the one-sided upper bound of a share (Clopper and Pearson, Biometrika 26, 1934)."""
+    """Return the one-sided upper confidence bound of a share (Clopper and Pearson, Biometrika 26, 1934)."""
     return 1.0 if hits >= runs else float(beta.ppf(1.0 - alpha, hits + 1, runs - hits))
 
 
 def lower(hits: int, runs: int, alpha: float = ALPHA) -> float:
-    """Return the one-sided lower bound of a share, as ``upper``."""
+    """Return the one-sided lower confidence bound of a share; see ``upper``."""
     return 0.0 if hits <= 0 else float(beta.ppf(alpha, hits, runs - hits + 1))
 
 
@@ -38,14 +38,14 @@ def wilson(hits: int, runs: int, confidence: float = 0.95) -> tuple[float, float
 
 
 def runs_for(width: float) -> int:
-    """Return the least number of runs in which the interval of a share that never occurs is no wider."""
+    """Return the number of runs after which the interval of a share of 0 is at most ``width`` wide."""
     z = float(norm.ppf(0.975))
     # The upper end of Wilson's interval of none is z^2/(n + z^2).
     return math.ceil(z * z * (1.0 / width - 1.0))
 
 
 def runs_needed(limit: float, hits: int = 0, alpha: float = ALPHA) -> int:
-    """Return the least number of runs with so many hits whose upper bound is below a limit."""
+    """Return the fewest runs with ``hits`` hits whose upper bound is below a limit."""
     first, last = hits + 1, hits + 2
     while upper(hits, last, alpha) >= limit:
         first, last = last, 2 * last
@@ -56,17 +56,17 @@ def runs_needed(limit: float, hits: int = 0, alpha: float = ALPHA) -> int:
 
 
 def spent(look: int) -> float:
-    """Return the part of ALPHA that a look (1, 2, ...) spends; all looks together spend ALPHA."""
+    """Return the part of ALPHA that a look (1, 2, ...) may use; all looks together use ALPHA."""
     return ALPHA / (look * (look + 1))
 
 
 def first_look(limit: float) -> int:
-    """Return the runs of the first look: the least number at which none lost gives a go."""
+    """Return the number of runs of the first look: the fewest that without a loss give a go."""
     return runs_needed(limit, 0, spent(1))
 
 
 def looks(limit: float) -> Iterator[int]:
-    """Yield the total runs at looks 1, 2, ...: each has twice as many as the one before."""
+    """Yield the total runs at looks 1, 2, ...; each total is twice the one before."""
     runs = first_look(limit)
     while True:
         yield runs
@@ -74,7 +74,7 @@ def looks(limit: float) -> Iterator[int]:
 
 
 def allowed(limit: float, look: int) -> int:
-    """Return the most losses at a look that still give a go."""
+    """Return the largest number of losses at a look that still gives a go."""
     runs = first_look(limit) * 2 ** (look - 1)
     hits = 0
     while upper(hits + 1, runs, spent(look)) < limit:
@@ -83,7 +83,7 @@ def allowed(limit: float, look: int) -> int:
 
 
 def quantile(values: NumpyArray, share: float) -> float:
-    """Return the quantile of values (E,) as an order statistic; NaN without any."""
+    """Return the quantile of values (E,) as an order statistic; NaN for no values."""
     known = np.sort(values[np.isfinite(values)])
     return float(known[max(0, math.ceil(share * len(known) - 1e-9) - 1)]) if len(known) else math.nan
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from qrsim.files import Content
 from qrsim.files.atomic import write_atomically
 from qrsim.files.yaml_text import dump_yaml
@@ -56,16 +58,16 @@ class Piece:
 
     @property
     def name(self) -> str:
-        """Name of its study and store."""
+        """Name of the piece's study and store."""
         return f"nominal_{self.look}" if self.starts == 1 else f"nominal_{self.look}_{self.start}"
 
     @property
     def batch(self) -> int:
-        """Runs of a batch: at least two batches, one for each of two workers."""
+        """Runs per batch, small enough for two workers to have one each."""
         return BATCH if self.starts == 1 else min(BATCH, -(-self.runs // 2))
 
     def parts(self, starts: int) -> list[Piece]:
-        """Return the runs of each start, in nearly equal parts."""
+        """Split the piece by start times, into nearly equal numbers of runs."""
         ends = [self.first + i * self.runs // starts for i in range(starts + 1)]
         return [Piece(self.look, ends[i], ends[i + 1] - ends[i], i, starts) for i in range(starts)]
 
@@ -84,7 +86,7 @@ def pieces(p_loss: float) -> Iterator[Piece]:
 
 
 def varied(operation: OperationSpec, flights: Flights) -> Content:
-    """Return what varies from run to run, as a study writes it: the wind, and numbers of every vehicle."""
+    """Return the varied parameters as a study writes them: the wind, and parameters of every vehicle."""
     wind, factor, spec = flights.wind, speed_20ft(flights.wind), operation.uncertain
     found: Content = {}
     steady, speed = wind.file is None, wind.speed or 0.0
@@ -94,8 +96,8 @@ def varied(operation: OperationSpec, flights: Flights) -> Content:
     if steady and wind.from_std > 0.0:
         low, high = (bearing_deg(wind) + sign * 3.0 * wind.from_std for sign in (-1.0, 1.0))
         found["world.wind.wind_from_deg"] = {"low": low, "high": high, "scale": "normal"}
-    for name in flights.names:
-        fleet = flights.content["fleets"][name]
+    for place in flights.places:
+        fleet = flights.content["fleets"][place.fleet]
         numbers = {
             "battery.capacity": spec.battery_capacity,
             "vehicle.mass": spec.mass,
@@ -104,12 +106,12 @@ def varied(operation: OperationSpec, flights: Flights) -> Content:
         }
         for path, share in numbers.items():
             part, key = path.split(".")
-            value = float(fleet[part][key])
+            value = float(np.ravel(fleet[part][key])[place.row])
             if share > 0.0 and value > 0.0:
-                found[f"fleets.{name}.{path}"] = {"low": value * (1.0 - share), "high": value * (1.0 + share)}
+                found[place.path(path)] = {"low": value * (1.0 - share), "high": value * (1.0 + share)}
         low, high = spec.initial_charge
         if low < high:
-            found[f"fleets.{name}.battery.initial_charge"] = {"low": low, "high": high}
+            found[place.path("battery.initial_charge")] = {"low": low, "high": high}
     return found
 
 
@@ -127,9 +129,9 @@ def nominal_study(piece: Piece, operation: OperationSpec, flights: Flights, seed
         **({"set": dict(flights.settings[piece.start])} if piece.starts > 1 else {}),
     }
     if not vary:
-        mass = f"fleets.{flights.names[0]}.vehicle.mass"
-        value = float(flights.content["fleets"][flights.names[0]]["vehicle"]["mass"])
-        return {**study, "vary": {mass: {"values": [value]}}, "seeds": piece.runs}
+        place = flights.places[0]
+        value = float(np.ravel(flights.content["fleets"][place.fleet]["vehicle"]["mass"])[place.row])
+        return {**study, "vary": {place.path("vehicle.mass"): {"values": [value]}}, "seeds": piece.runs}
     seed = piece.look * piece.starts + piece.start
     sampling = {"type": "latin_hypercube", "points": piece.runs, "seed": seed, "paired": True}
     return {**study, "vary": vary, "sampling": sampling, "seeds": 1}
@@ -171,7 +173,7 @@ class Flyer:
         self.allow(1.0)
 
     def allow(self, part: float) -> bool:
-        """Let the studies that follow take this part of the time that is left; return whether a batch fits into it."""
+        """Reserve a share of the remaining time for the next studies; return whether a batch fits into it."""
         now, end = time.monotonic(), self.begun + 60.0 * self.minutes
         self.deadline = now + max(0.0, end - now) * part
         return end - now > self.batch_s
@@ -200,7 +202,7 @@ class Flyer:
         return Plan(loaded, axes, (), self._groups[start])
 
     def fly(self, study: Content) -> bool:
-        """Fly what is missing of a study; return whether it is complete.
+        """Fly the missing batches of a study; return whether it is complete.
 
         Raises:
             UsageError: the folder has a store of another study.

@@ -20,7 +20,7 @@ AROUND, ABOVE = 50.0, 30.0
 
 
 def area_of(operation: OperationSpec, plans: tuple[Plan, ...], below: Content, assumed: list[str]) -> Content:
-    """Return the area: that of the operation or of the scenario below, else a fence of a plan, else a box."""
+    """Return the area's content: the operation's, the underlying scenario's, a plan's fence, or a box."""
     ceiling = operation.site.ceiling
     under = below.get("world")
     given = operation.world.get("area") or (under.get("area") if isinstance(under, dict) else None)
@@ -63,7 +63,7 @@ def area_of(operation: OperationSpec, plans: tuple[Plan, ...], below: Content, a
 
 
 def _check_home(name: str, plan: Plan, fence_name: str, fenced: Plan) -> None:
-    """Refuse a plan with its home outside the fence of a plan."""
+    """Raise UsageError for a plan whose home is outside another plan's fence."""
     home = plan.home
     site = Site.from_degrees(home.latitude_deg, home.longitude_deg, 0.0)
 
@@ -82,7 +82,7 @@ def _check_home(name: str, plan: Plan, fence_name: str, fenced: Plan) -> None:
 
 
 def site_of(operation: OperationSpec, plan: Plan, below: Content) -> Content:
-    """Return the site: the operation's own, else that of the scenario below, else the home of the first plan."""
+    """Return the site's content: the operation's, the underlying scenario's, or the first plan's home."""
     given = operation.site.model_dump(include={"latitude_deg", "longitude_deg", "height_amsl"}, exclude_none=True)
     given |= {key: value for key in ("temperature_offset",) if (value := getattr(operation.site, key))}
     under = below.get("site")
@@ -98,7 +98,7 @@ def site_of(operation: OperationSpec, plan: Plan, below: Content) -> Content:
 
 
 def ground_of(site: SiteSpec) -> Content:
-    """Return the ground and the buildings of a scenario's world."""
+    """Return the content of ground and buildings for a site."""
     found: Content = {}
     if site.terrain:
         found["ground"] = {"type": "dem", "file": site.terrain if len(site.terrain) > 1 else site.terrain[0]}
@@ -108,6 +108,7 @@ def ground_of(site: SiteSpec) -> Content:
 
 
 def _box(plans: tuple[Plan, ...]) -> Content:
+    """Return the bounds [m] of an area that contains the plans' homes and waypoints with AROUND to spare."""
     home = plans[0].home
     site = Site.from_degrees(home.latitude_deg, home.longitude_deg, home.altitude_amsl)
     places = [(plan.home.latitude_deg, plan.home.longitude_deg) for plan in plans]

@@ -56,7 +56,7 @@ class Volumes:
 
 
 def volumes_of(scenario: Scenario) -> Volumes:
-    """Return the volumes of the flights of a scenario."""
+    """Return the operational volumes of a scenario's flights."""
     speed = USUAL_SPEED
     height = 0.0
     for fleet in scenario.spec.fleets.values():
@@ -71,7 +71,7 @@ def volumes_of(scenario: Scenario) -> Volumes:
 
 
 def outlines(scenario: Scenario, volumes: Volumes) -> dict[str, NumpyArray]:
-    """Return the corners (K, 2) [m], north and east, of each volume by name: convex, around all routes."""
+    """Return volume -> corners (K, 2) [m], north and east, of its convex outline around all routes."""
     places = np.array(
         [
             place[:2]
@@ -87,6 +87,7 @@ def outlines(scenario: Scenario, volumes: Volumes) -> dict[str, NumpyArray]:
 
 
 def _around(places: NumpyArray, distance: float) -> NumpyArray:
+    """Return the corners (N, 2) of the convex hull of all points within ``distance`` of places (M, 2) [m]."""
     angles = np.arange(CORNERS) * math.tau / CORNERS
     # The sides of the polygon, not its corners, are on the circle.
     circle = distance / math.cos(math.pi / CORNERS) * np.stack([np.cos(angles), np.sin(angles)], axis=-1)

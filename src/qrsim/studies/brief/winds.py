@@ -51,22 +51,22 @@ class Winds:
 
 
 def winds_of(operation: OperationSpec, flights: Flights, folder: Path) -> Winds:
-    """Return the winds of a brief, and write their scenario into its folder."""
+    """Return the winds to explore for a brief, after writing their scenario into its folder."""
     content = copy.deepcopy(flights.content)
     content["name"] = NAME
     factor, bearing = speed_20ft(flights.wind), bearing_deg(flights.wind)
     # A unit of speed here; each point gives its own.
     content["world"]["wind"] = {"type": "log_shear", "speed_20ft": factor, "wind_from_deg": bearing}
     low, high = operation.uncertain.initial_charge
-    for name in flights.names:
-        content["fleets"][name]["battery"]["initial_charge"] = 0.5 * (low + high)
+    for fleet in content["fleets"].values():
+        fleet["battery"]["initial_charge"] = 0.5 * (low + high)
     scenario = load_scenario(content, quiet=True)
     write_atomically(folder / SCENARIO, dump_yaml(content).encode())
     return Winds(scenario, factor, _held(scenario, factor), (*BEARINGS, bearing % 360.0))
 
 
 def _held(scenario: Scenario, factor: float) -> float:
-    """Return the least speed that a vehicle holds, at the forecast's height [m/s]."""
+    """Return the smallest wind speed [m/s], at the forecast's height, that a vehicle can hold."""
     found = []
     for fleet in scenario.spec.fleets.values():
         limits = limits_of(fleet, scenario.spec)
@@ -101,7 +101,7 @@ def wind_study(name: str, first_seed: int, points: Sequence[Point], winds: Winds
 def boundary_of(
     winds: Winds, reserve: float | None, seed: int, folder: Path, flyer: Flyer | None, polar: bool
 ) -> tuple[Boundary, bool]:
-    """Return the boundary, and whether it is complete; the direction of the forecast is flown first.
+    """Explore the wind boundary, the forecast's direction first; return it, and whether it is complete.
 
     Args:
         winds: of the brief.
@@ -129,6 +129,7 @@ def boundary_of(
 
 
 def _trials(path: Path, points: Sequence[Point], reserve: float | None) -> list[Trial]:
+    """Return the runs and good runs of each point in a study's results; [] if nothing has been flown yet."""
     try:
         results = Results(path) if path.exists() else None
     except RunError:  # nothing has been flown yet
@@ -147,20 +148,20 @@ def _trials(path: Path, points: Sequence[Point], reserve: float | None) -> list[
 
 
 def _gusty(spec: Any, height: float) -> float:
-    """Return the wind with SIGMAS of its gusts at a height [m/s]."""
+    """Return the mean wind plus SIGMAS standard deviations of its gusts at a height [m/s]."""
     heights = np.array([height])
     return float((mean_wind(spec, heights) + SIGMAS * gust_sigma(spec, heights))[0])
 
 
 def _at_speed(winds: Winds, speed: float, height: float) -> float:
-    """Return the wind with its gusts at a height, for a speed at the forecast's height [m/s]."""
+    """Return the gusty wind [m/s] at a height, for a mean speed [m/s] at the forecast's height."""
     spec = winds.scenario.spec
     wind = spec.world.wind.model_copy(update={"speed_20ft": winds.factor * speed})
     return _gusty(spec.model_copy(update={"world": spec.world.model_copy(update={"wind": wind})}), height)
 
 
 def wind_row(flights: Flights, limit: float | None, winds: Winds | None, boundary: Boundary | None) -> Row | None:
-    """Return the verdict on the wind with its gusts at the highest leg; None with nothing to compare it to.
+    """Return the verdict on the gusty wind at the highest leg; None if there is no limit to compare with.
 
     Both sides have three standard deviations of gusts: the wind of the forecast, and the boundary in its direction.
 

@@ -23,7 +23,7 @@ _PART = re.compile(r"\s*([+-]?\d+(?:\.\d*)?|\.\d+)\s*([a-zA-Z/]*)\s*", re.ASCII)
 
 
 def wind_of(text: str) -> tuple[float, float]:
-    """Return the speed [m/s] and the bearing [deg] of a wind such as ``7@250`` or ``14kn@250``.
+    """Parse a wind such as ``7@250`` or ``14kn@250`` to speed [m/s] and bearing [deg].
 
     Raises:
         UsageError: it is not one.
@@ -49,7 +49,7 @@ def wind_of(text: str) -> tuple[float, float]:
 
 
 def time_of(text: str) -> str:
-    """Return a time with its zone as ISO 8601 in UTC.
+    """Convert a time with a zone to ISO 8601 in UTC; raises UsageError for other texts.
 
     Raises:
         UsageError: it is no time, or has no zone.
@@ -64,13 +64,13 @@ def time_of(text: str) -> str:
 
 
 def now_rounded() -> str:
-    """Return the time of now, rounded to 10 minutes, as ISO 8601 in UTC."""
+    """Return the present time, rounded to 10 minutes, as ISO 8601 in UTC."""
     now = datetime.now(UTC) + timedelta(minutes=5)
     return _written(now - timedelta(minutes=now.minute % 10, seconds=now.second, microseconds=now.microsecond))
 
 
 def spread(first: str, minutes: float, count: int) -> tuple[str, ...]:
-    """Return times from a first one on, evenly spaced to so many minutes later, as ISO 8601 in UTC."""
+    """Return ``count`` evenly spaced times over ``minutes`` from a first one on, as ISO 8601 in UTC."""
     begin = datetime.fromisoformat(first)
     return tuple(_written(begin + timedelta(minutes=minutes * i / max(1, count - 1))) for i in range(count))
 
@@ -80,7 +80,7 @@ def _written(time: datetime) -> str:
 
 
 def vehicles_of(plans: Sequence[Path], given: Sequence[str]) -> list[str]:
-    """Return the vehicle of each plan: one for all, or ``PLAN=VEHICLE`` for each.
+    """Return each plan's vehicle, from one for all or ``PLAN=VEHICLE`` words.
 
     Raises:
         UsageError: a plan has none, or a name is of no plan.
@@ -103,21 +103,21 @@ def vehicles_of(plans: Sequence[Path], given: Sequence[str]) -> list[str]:
 
 
 def share_of(value: object) -> object:
-    """Return a share from a number or from a text in percent, such as ``5 %``; other values unchanged."""
+    """Convert a text in percent, such as ``5 %``, to a share; other values unchanged."""
     if isinstance(value, str) and (found := re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*%\s*", value)):
         return float(found[1]) / 100.0
     return value
 
 
 def minutes_of(value: object) -> object:
-    """Return minutes from a number or from a text such as ``30 min`` or ``1.5 h``; other values unchanged."""
+    """Convert a text such as ``30 min`` or ``1.5 h`` to minutes; other values unchanged."""
     if isinstance(value, str) and (found := re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*(min|h)\s*", value)):
         return float(found[1]) * (60.0 if found[2] == "h" else 1.0)
     return value
 
 
 def battery_of(file: Path) -> Content:
-    """Return the numbers of a pack from a file, alone or under ``battery``.
+    """Return a battery's content from a file, where it is alone or under ``battery``.
 
     Raises:
         UsageError: it cannot be read.

@@ -95,7 +95,7 @@ def long_windows(log: FlightLog, first: float, last: float, length_s: float) -> 
 
 
 def left_by(choice: Choice, flight: Flight, mass: float) -> Floats:
-    """Return the root mean square residual (C,) of each channel under the laws."""
+    """Return the root mean square residual (C,) of each channel flown with the chosen laws, at most its movement."""
     rules = {name: rule_of(each.tree, name) for name, each in choice.laws.items()}
     constants = {name: each.constants[:, None] for name, each in choice.laws.items()}
     found = fly(flight, rules, constants, mass, choice.trims)[:, :, 0]
@@ -125,7 +125,7 @@ def _choose_law(
     mass: float,
     independent: float,
 ) -> None:
-    """Add the smallest law of a front that is as good as the best one to the choice."""
+    """Add to the choice the smallest law of a Pareto front that is about as good as the best one."""
     front = population.pareto()
     likely = [each for each in front if each.error <= HOPELESS * front[-1].error]
     tried = [refined(choice, law, proposal, fit, noise, mass) for proposal in likely]

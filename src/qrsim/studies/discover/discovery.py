@@ -58,12 +58,12 @@ class Law:
 
     @property
     def terms(self) -> dict[tuple[int, ...], float] | None:
-        """The coefficients by powers of the leaves, None if it is not a polynomial."""
+        """Coefficient of each term by the powers of the law's inputs; None if the law is not a polynomial."""
         return monomials(self.expression, self.name)
 
     @property
     def text(self) -> str:
-        """The equation."""
+        """Equation of the law as text."""
         return f"{LEFT_SIDES[self.name]} = {shown(self.expression)}"
 
 
@@ -93,7 +93,7 @@ class Discovery:
     held: dict[str, str]
 
     def vehicle(self, mass: float) -> Content:
-        """Return the vehicle in the form of scenario files."""
+        """Return the vehicle as the content of a vehicle file for scenarios."""
         laws = {name: law for name, law in self.laws.items() if name not in self.held}
         texts = {f"{name}_law": str(law.expression) for name, law in laws.items() if name != "drag"}
         content: dict[str, object] = {"type": "expression", "mass": mass, **texts}
@@ -231,7 +231,7 @@ def _fly_laws(
 
 
 def published() -> dict[str, tuple[Rule, Floats]]:
-    """Return the published laws in the same form."""
+    """Return law name -> (rule, constants) of the published model."""
     v = Quadrotor()
     tilt, yaw = v.kpq0 * v.kpq1 / PITCH_ROLL_RAD_PER_RAW, v.kr0 / YAW_RATE_RAD_S_PER_RAW
     values: dict[str, tuple[Array, ...]] = {

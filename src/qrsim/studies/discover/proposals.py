@@ -19,7 +19,7 @@ _SIGNS = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 
 def gp() -> Any:
-    """Import and return DEAP's module of genetic programming."""
+    """Return DEAP's module ``gp``; raises an error that names the extra to install if it is missing."""
     return extras.load("identify", "discovering laws", "deap.gp")
 
 
@@ -65,7 +65,7 @@ def count_constants(tree: Any) -> int:
 
 @functools.lru_cache(maxsize=20_000)
 def _compiled(text: str, constants: int, law: str) -> Rule:
-    """Compile an expression in constants and leaves to a function."""
+    """Compile an expression in constants c0, c1, ... and a law's inputs to a function."""
     arguments = ", ".join([*(f"c{i}" for i in range(constants)), *LEAVES[law]])
     # The text is made above from a tree: brackets, four signs, and names of this file.
     rule: Rule = eval(f"lambda {arguments}: {text}", {"__builtins__": {}})
@@ -73,12 +73,12 @@ def _compiled(text: str, constants: int, law: str) -> Rule:
 
 
 def rule_of(tree: object, law: str) -> Rule:
-    """Compile a tree to a function of its constants and leaves."""
+    """Compile a tree to a function of its constants and inputs."""
     return _compiled(text_of(tree), count_constants(tree), law)
 
 
 def made(law: str) -> Any:
-    """Return a random tree for a law."""
+    """Return a random expression tree for a law."""
     library = gp()
     return library.PrimitiveTree(library.genHalfAndHalf(primitives(law), 1, 3))
 
@@ -153,5 +153,5 @@ def shown(expression: Any, digits: int = 6) -> str:
 
 
 def randomly(count: int) -> Floats:
-    """Return random initial constants for a fit."""
+    """Return ``count`` random initial constants for a fit."""
     return np.array([random.uniform(-1.0, 1.0) for _ in range(count)])

@@ -21,10 +21,22 @@ Rows = npt.NDArray[np.bool_]  # whether a row counts
 
 # What the noise of each signal counts for at least.
 FLOORS: dict[str, float] = {
-    "roll": 2e-3, "pitch": 2e-3, "yaw": 2e-3, "roll_rate": 0.01, "pitch_rate": 0.01, "yaw_rate": 0.01,
-    "velocity_north": 0.05, "velocity_east": 0.05, "velocity_down": 0.05, "thrust": 0.05,
-    "roll_command": 2e-3, "pitch_command": 2e-3, "yaw_rate_command": 5e-3, "throttle": 3e-3, "battery": 0.02,
-}  # fmt: skip
+    "roll": 2e-3,
+    "pitch": 2e-3,
+    "yaw": 2e-3,
+    "roll_rate": 0.01,
+    "pitch_rate": 0.01,
+    "yaw_rate": 0.01,
+    "velocity_north": 0.05,
+    "velocity_east": 0.05,
+    "velocity_down": 0.05,
+    "thrust": 0.05,
+    "roll_command": 2e-3,
+    "pitch_command": 2e-3,
+    "yaw_rate_command": 5e-3,
+    "throttle": 3e-3,
+    "battery": 0.02,
+}
 # Standard deviation over noise from which on a signal moves.
 MOVES = 3.0
 # Correlation of a measurement with its command, at the best delay, from which on it follows.
@@ -129,7 +141,7 @@ class Excitation:
 
 
 def measure(log: FlightLog, rows: Rows) -> Excitation:
-    """Measure how much the given rows (T,) of a log move."""
+    """Return how much signals move and follow their commands in the given rows, a mask (T,), of a log."""
     part = {name: np.where(rows, values, np.nan) for name, values in log.signals.items()}
     movements = {name: _movement(name, values, log.rates.get(name, math.nan)) for name, values in part.items()}
     follows = {
@@ -175,7 +187,7 @@ def noise_of(values: Floats) -> float:
 
 
 def follow(command: Floats, measured: Floats, dt: float) -> float:
-    """Return the largest correlation of a measurement (T,) with its command, up to LONGEST_DELAY_S earlier."""
+    """Return the largest correlation of a measurement (T,) with its command, over delays up to LONGEST_DELAY_S."""
     kernel = np.ones(SMOOTHED_ROWS) / SMOOTHED_ROWS
     # A gap spreads to the rows beside it, which then count for nothing.
     asked, found = np.convolve(command, kernel, "same"), np.convolve(measured, kernel, "same")
@@ -245,7 +257,7 @@ def _lift_objection(part: Mapping[str, Floats], movements: Mapping[str, Movement
 
 
 def told(name: str, movement: Movement) -> str:
-    """Return in words how much a signal moves."""
+    """Return as text how much a signal moves compared with its noise."""
     if movement.frozen:
         return f"{name} is constant"
     unit = "" if SIGNALS[name].unit == "1" else f" {SIGNALS[name].unit}"
@@ -253,19 +265,19 @@ def told(name: str, movement: Movement) -> str:
 
 
 def described(logs: Sequence[FlightLog], excitations: Sequence[Excitation]) -> tuple[str, list[str]]:
-    """Return the line that refuses unexcited logs, and a line about the movement of each signal."""
+    """Return the message that refuses unexcited logs, and lines about the movement of each signal."""
     natures: dict[str, list[str]] = {}
     details = []
     for log, each in zip(logs, excitations, strict=True):
-        natures.setdefault(nature(each), []).append(str(log.source))
+        natures.setdefault(why_unexcited(each), []).append(str(log.source))
         details += [f"{log.source}, how much its signals move:"]
         details += [f"  {told(name, movement)}" for name, movement in each.movements.items()]
     refused = [f"{', '.join(names)}: refused, and nothing is written: {why}" for why, names in natures.items()]
     return "; ".join(refused), details
 
 
-def nature(excitation: Excitation) -> str:
-    """Return in words the kind of an unexcited log."""
+def why_unexcited(excitation: Excitation) -> str:
+    """Return as text why a log is not excited: on the ground, logged too slowly, not commanded, or not following."""
     moving = [name for name in TURNING if name in excitation.movements and excitation.movements[name].moves]
     asked = [name for name in COMMANDED if name in excitation.movements and excitation.movements[name].moves]
     if excitation.still >= ON_THE_GROUND or not moving:
@@ -278,7 +290,7 @@ def nature(excitation: Excitation) -> str:
 
 
 def without_ground(log: FlightLog) -> FlightLog:
-    """Return a log without the time on the ground; all of it if it never leaves the ground.
+    """Return a log without its rows on the ground; unchanged if it never leaves the ground.
 
     No law of flight describes it. It is cut off at both ends, so that shares of the rows are shares of the flight; in
     between there are gaps. How long it is stands in the notes.
@@ -296,7 +308,7 @@ def without_ground(log: FlightLog) -> FlightLog:
 
 
 def without_frozen(log: FlightLog) -> FlightLog:
-    """Return a log without the rows in which a signal that moves elsewhere is frozen to the last digit.
+    """Return a log with NaN where a signal that moves elsewhere is constant for longer than FROZEN_S.
 
     No sensor of motion does so for FROZEN_S: its driver or the logger hung. What was left out is in the notes. A thrust
     may be 0 for long.
@@ -320,7 +332,7 @@ def without_frozen(log: FlightLog) -> FlightLog:
 
 
 def standing_still(log: FlightLog) -> Rows:
-    """Return the rows (T,) of times at rest: no measured signal moves beyond its floor, and throttle is low.
+    """Return a mask (T,) of the rows at rest: no signal moves beyond its floor, and throttle is low.
 
     Throttle is low if it is below half of what it usually is while something moves. Where attitude, vertical velocity
     or throttle are not logged, a time on the ground cannot be told from quiet flight, and there are no such rows unless

@@ -68,5 +68,5 @@ def read_log(path: Path, namespace: str | None = None, boot: int | None = None) 
 
 
 def _no_boots(path: Path, boot: int) -> UsageError:
-    """Return the error for --boot with a log that has a single boot."""
+    """Return the error for choosing a boot of a log that has only one."""
     return UsageError(f"--boot {boot}: {path} is no DataFlash log; other logs have one boot each")

@@ -128,7 +128,7 @@ NEEDED = {
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path is to be read as a bag: a folder, or a file of one by its name."""
+    """Return whether a path is a ROS 2 bag: a folder, or a file with a bag's suffix."""
     return path.is_dir() or path.suffix in (".mcap", ".db3")
 
 
@@ -184,7 +184,7 @@ def _check_is_bag(path: Path) -> None:
 
 
 def _default_types() -> Any:
-    """Return the message types of bags that do not describe them."""
+    """Return the message types for bags that do not contain their own definitions."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_JAZZY)
@@ -201,7 +201,7 @@ def _stamp_s(message: Any) -> float:
 
 
 def _source_of(topic: str, kind: str, namespace: str) -> Source | None:
-    """Return the source of a topic in a namespace, None for others."""
+    """Return the entry of SOURCES that reads a topic in a namespace, None for other topics."""
     prefix = f"/{namespace}/" if namespace else "/"
     if not topic.startswith(prefix):
         return None
@@ -309,7 +309,7 @@ def _tracks(found: Mapping[str, Samples], notes: list[str]) -> dict[str, Track]:
 
 
 def _recording_delay(found: Mapping[str, Samples]) -> float:
-    """Return how much later than their stamps messages were recorded [s]; any value for simulated time."""
+    """Return the median delay [s] from stamp to recording; meaningless for stamps of simulated time."""
     gaps = [
         np.median(np.array(samples.received) - np.array(samples.stamped))
         for samples in found.values()

@@ -51,7 +51,7 @@ def open_ulog(path: Path, topics: list[str]) -> tuple[Any, list[str]]:
 
 
 def whole_messages(content: bytes) -> tuple[list[bytes], list[str]]:
-    """Return the header and every whole message in its section, and notes about what is left out.
+    """Return a log's header and every whole message by section, and notes on what was dropped.
 
     After a damaged message reading goes on at the next synchronisation message. Data that PX4 appends after a crash
     begins where the log was cut; here it follows the last whole message, and the flags have no offsets.

@@ -65,7 +65,7 @@ class Noise:
 
 
 def allan_variance(values: Floats, lengths: NumpyArray) -> Floats:
-    """Return the overlapping Allan variance (K, C) of readings (T, C), over windows of so many readings (K,)."""
+    """Return the overlapping Allan variance (K, C) of readings (T, C) for windows of ``lengths`` readings (K,)."""
     summed = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values - values.mean(axis=0), axis=0)])
     found = []
     for m in lengths:
@@ -122,7 +122,7 @@ def _freedom(count: int, lengths: NumpyArray) -> Floats:
 
 
 def _noise_term(value: float, low: float, high: float) -> Term:
-    """Return a noise term with its 95 % interval."""
+    """Return a noise term whose 95 % interval mirrors, by ratio, the range ``low`` to ``high`` of its estimates."""
     if low <= 0.0:
         return Term(float(value), 0.0, float(high))
     # What is as far from the truth by a factor as estimates are from it.

@@ -79,7 +79,7 @@ def channels_of(log: FlightLog) -> tuple[str, ...]:
 
 
 def lacking(log: FlightLog) -> tuple[str, ...]:
-    """Return the signals that a log lacks for a fit of thrust; it is then used for rotation alone."""
+    """Return the signals that a fit of thrust needs and the log lacks; () if it has them all."""
     return tuple(name for name in FOR_THRUST if "thrust" in log.signals and name not in log.signals)
 
 
@@ -107,7 +107,7 @@ def nuisances_in(channels: Iterable[str]) -> tuple[str, ...]:
 
 
 def needed_for(constant: str) -> tuple[str, ...]:
-    """Return the signals without which a constant cannot be estimated."""
+    """Return the signals required to estimate a constant."""
     if constant in (*ROLL, *PITCH, *YAW):
         return (*ANGULAR, *TILT_COMMANDS)
     if constant in (*DRAG, "mass"):
@@ -158,6 +158,6 @@ def unit_of(name: str) -> str:
 
 
 def vehicle_of(values: dict[str, float], separate: bool) -> Quadrotor:
-    """Return the published vehicle with some constants changed."""
+    """Return the published quadrotor with the given constants replaced."""
     cls = SeparateQuadrotor if separate else Quadrotor
     return record_of(cls, **values)

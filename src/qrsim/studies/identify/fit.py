@@ -78,7 +78,7 @@ class Answer:
         nuisances: of each log by name.
         covariance: of estimated constants and nuisances.
         noise: of each log, standard deviation of each channel.
-        residuals: of each log, recorded minus simulated over the noise, (W, n, C), 0 where a row does not count.
+        residuals: of each log, recorded minus simulated over the noise, (R, n, C), 0 where a row does not count.
         at_bounds: estimated constants that ended at a bound.
         evaluations: of the residuals with their derivatives.
     """
@@ -118,11 +118,11 @@ class _Sum:
             shooting.robust = robust
 
     def _is_given(self, name: str) -> bool:
-        """Return whether the user has given a value, so that it is not estimated."""
+        """Return whether the user fixed this unknown (the delay), so that it is not estimated."""
         return name == "delay" and self.question.delay is not None
 
     def bounds(self) -> tuple[Floats, Floats]:
-        """Return the bounds of the scaled unknowns."""
+        """Return the lower and upper bounds of the scaled unknowns."""
         each = [
             bounds_of(name, self.question.start[name])
             if "@" not in name
@@ -133,11 +133,11 @@ class _Sum:
         return low / self.scale, high / self.scale
 
     def first(self) -> Floats:
-        """Return the scaled unknowns at the start of the fit."""
+        """Return the initial scaled unknowns."""
         return np.array([self.question.start.get(name, 0.0) for name in self.names]) / self.scale
 
     def of_log(self, unknowns: Floats, i: int) -> dict[str, float]:
-        """Return all values that simulate a log: the constants and its nuisances, those held or given included.
+        """Return every value that simulates log ``i``: the constants, held ones included, and its nuisances.
 
         What is held is among them, so that the compiled simulation is the same whatever is.
         """
@@ -173,7 +173,7 @@ class _Sum:
         return misfits
 
     def _name_in_log(self, name: str, i: int) -> str:
-        """Return a nuisance's name in its own log, and in other logs a name that does not occur."""
+        """Return the plain name of nuisance "name@i" in its own log, "" in other logs."""
         base, _, log = name.partition("@")
         return base if int(log) == i else ""
 
@@ -361,7 +361,7 @@ def _name_partners(total: _Sum, found: Covariance, k: int) -> str:
 
 
 def _answer(total: _Sum, unknowns: Floats, noise: list[dict[str, float]]) -> Answer:
-    """Return the constants and their covariance at the solution ``unknowns``, which is scaled by ``total.scale``."""
+    """Return the constants and their covariance at the solution ``unknowns``, in scaled units."""
     found, residuals = _unknowns_covariance(total, unknowns, noise)
     left = _undetermined(total, found)
     real = dict(zip(total.names, (unknowns * total.scale).tolist(), strict=True))

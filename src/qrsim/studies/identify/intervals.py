@@ -71,7 +71,7 @@ class Covariance:
         return np.asarray(scipy.stats.t.ppf(0.5 + CONFIDENCE / 2.0, self.freedom))
 
     def interval(self, name: str) -> tuple[float, float]:
-        """Return the 95 % interval of one component."""
+        """Return the 95 % interval (low, high) of a component by name."""
         k = self.names.index(name)
         half = float(self.quantile[k] * self.std[k])
         return float(self.values[k]) - half, float(self.values[k]) + half

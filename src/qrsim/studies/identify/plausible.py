@@ -47,7 +47,7 @@ def _thrust_to_weight(values: Values, throttle: float) -> float:
 
 
 def _tilt_meanings(axis: str, names: tuple[str, ...]) -> Iterator[Meaning]:
-    """Yield the quantities that the constants of pitch or roll mean: gain, natural frequency, damping ratio."""
+    """Yield the physical quantities that pitch or roll constants give: gain, natural frequency, damping."""
     gain, stiffness, damping = names
     yield Meaning(
         (gain,), f"{axis} per angle asked for [rad/rad]", 0.3, 3.0, lambda v: v[gain] / PITCH_ROLL_RAD_PER_RAW
@@ -104,7 +104,7 @@ MEANINGS: tuple[Meaning, ...] = (
 
 
 def implausible(values: Values, fitted: tuple[str, ...]) -> dict[str, str]:
-    """Return the implausible constants, each with a sentence: the quantity, its value and its limits.
+    """Return constant -> sentence for those with an implausible meaning: the quantity, its value and limits.
 
     Args:
         values: every constant by name; those of pitch only if it has its own.

@@ -55,8 +55,8 @@ class Piece:
         nuisances: estimated for this log.
         commands: (T, 5) SI commands of the log from its beginning to the end of the part, gaps held.
         measured: (T, C) measured channels of the whole log.
-        windows: (W, n) numbers of the W rows of each of n windows; those beyond the end of a window repeat its last.
-        used: (W, n) whether a row counts, as in ``windows``.
+        windows: (R, n) numbers of the R rows of each of n windows; those beyond the end of a window repeat its last.
+        used: (R, n) whether a row counts, as in ``windows``.
         silent: channels that count for nothing, because they were not measured or do not follow their commands.
     """
 
@@ -78,17 +78,17 @@ class Piece:
 
     @property
     def places(self) -> tuple[int, ...]:
-        """Indices of the measured channels among all channels."""
+        """Indices of this log's measured channels among all channels."""
         return tuple(PLACE[name] for name in self.channels)
 
     @property
     def gusts(self) -> tuple[int, ...]:
-        """Columns of the gust and its drift in a window's start; none if no velocity is measured."""
+        """Columns of gust and drift in a window's initial state; () if no velocity is measured."""
         return (*GUST, *DRIFT) if "velocity_north" in self.channels else ()
 
     @property
     def recorded(self) -> Floats:
-        """The measured channels (W, n, C) at the W rows of each of n windows."""
+        """The measured channels (R, n, C) at the R rows of each of n windows."""
         return self.measured[self.windows]
 
     def starts(self) -> Floats:
@@ -154,7 +154,7 @@ def _commands(log: FlightLog) -> tuple[Floats, NumpyArray]:
 
 
 def _runs(good: NumpyArray) -> list[tuple[int, int]]:
-    """Return (begin, end) of each run of True in a row of booleans."""
+    """Return (begin, end) of each run of True in a boolean array; end is exclusive."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
@@ -163,8 +163,8 @@ class Misfit(NamedTuple):
     """Residuals of a piece's simulation, and their derivatives by K unknowns.
 
     Attributes:
-        residual: simulated minus recorded over the noise, (W, n, C); 0 where a row does not count.
-        by_value: (W, n, C, K).
+        residual: simulated minus recorded over the noise, (R, n, C); 0 where a row does not count.
+        by_value: (R, n, C, K).
         gust: of each window and its drift over their standard deviations, (n, G).
         gust_by_value: (n, G, K).
     """
@@ -239,7 +239,7 @@ class Shooting:
         return self.starts[:, list(self.piece.gusts)]
 
     def simulated(self, values: Mapping[str, float]) -> Floats:
-        """Simulate the channels (W, n, C) from the present initial states."""
+        """Simulate the measured channels (R, n, C) from the present initial states."""
         with jax.enable_x64(True):
             return np.asarray(predict(self.piece.places, **self._arguments(values)))
 

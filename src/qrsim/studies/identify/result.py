@@ -44,7 +44,7 @@ class Result:
     excitations: Sequence[Excitation]
 
     def constants(self) -> dict[str, Content]:
-        """Return each identified constant with its interval."""
+        """Return name -> value, interval and unit of each identified constant."""
         found = {}
         for name in (name for name, verdict in self.verdicts.items() if verdict.status == "identified"):
             low, high = self.answer.covariance.interval(name)
@@ -58,7 +58,7 @@ class Result:
         return found
 
     def effective(self) -> dict[str, list[str]]:
-        """Return the identified constants with coloured residuals, each with the channels that show this.
+        """Return constant -> channels with coloured residuals, for constants that such channels make doubtful.
 
         These have motion that the equations leave out: the constants are those with which the equations come nearest
         to such flights, and their intervals are of that, not of what the vehicle has.
@@ -78,7 +78,7 @@ class Result:
         ]
 
     def other_verdicts(self) -> dict[str, list[str]]:
-        """Return the constants that were not identified, by verdict."""
+        """Return verdict -> names of the constants that were not identified."""
         found: dict[str, list[str]] = {}
         for name, verdict in self.verdicts.items():
             if verdict.status == "fitted":
@@ -121,7 +121,7 @@ class Result:
         }
 
     def channels(self, i: int) -> dict[str, Content]:
-        """Return each signal's movement in a log, and whether constants were identified by it.
+        """Return signal -> its movement in log ``i``, and whether constants were identified by it.
 
         ``identified`` is for measured signals alone: an aspect that the log shows has a constant that was identified.
         """
@@ -162,7 +162,7 @@ class Result:
         return {"type": kind, **{name: float(value) for name, value in self.answer.values.items()}}
 
     def yaml(self, path: Path) -> str:
-        """Return the text of the vehicle's file."""
+        """Return the text of the vehicle file, as YAML with comments."""
         logs = ", ".join(piece.log.source.name for piece in self.pieces)
         head = (
             f"# Identified by 'qrsim identify' from {logs}: {', '.join(self.constants()) or 'no constant by itself'}.\n"

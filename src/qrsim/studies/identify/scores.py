@@ -21,7 +21,7 @@ HORIZON_S = 5.0
 
 
 def open_loop(piece: Piece, values: Mapping[str, float], nuisances: Mapping[str, float], separate: bool) -> Floats:
-    """Simulate the channels (W, n, C) of a piece open loop from its recorded first rows."""
+    """Simulate the channels (R, n, C) of a piece open loop from its recorded first rows."""
     shooting = Shooting(piece, vehicle_of(dict(values), separate))
     return shooting.simulated(nuisances)
 
@@ -41,7 +41,7 @@ def score(
     nuisances: Mapping[str, float],
     separate: bool,
 ) -> dict[str, object]:
-    """Compare constants on a part of a log, open loop from its first row (again from the first row after a gap).
+    """Return open-loop errors on a part of a log with the constants before and after, restarted after a gap.
 
     The constants at the start have the same delay, once with neither wind nor trims and once with those of the fit.
 
@@ -69,7 +69,7 @@ def score(
 
 
 def lower(before: Mapping[str, float], after: Mapping[str, float]) -> dict[str, float]:
-    """Return the reduction of each error [%]; none for errors that are 0 or infinite."""
+    """Return by how much [%] each error fell from ``before`` to ``after``, without errors that are 0 or infinite."""
     names = [name for name in before if before[name] > 0.0 and math.isfinite(before[name] + after[name])]
     return {name: 100.0 * (1.0 - after[name] / before[name]) for name in names}
 
@@ -98,7 +98,7 @@ def _velocity_error(
 
 
 def whiteness(piece: Piece, residuals: Floats) -> dict[str, dict[str, float]]:
-    """Test each channel's residuals (W, n, C) for whiteness.
+    """Test each channel's residuals (R, n, C) for whiteness.
 
     ``lag_1``: autocorrelation of neighbouring rows; ``correlated_s``: time over which the autocorrelation falls to
     1/e; ``ljung_box_p``: probability of so much correlation within 20 rows in white noise; ``input``: largest
@@ -129,7 +129,7 @@ def whiteness(piece: Piece, residuals: Floats) -> dict[str, dict[str, float]]:
 def _correlations(first: Floats, second: Floats) -> Floats:
     """Return the correlation of ``first`` with ``second`` 0 to ``LAGS`` rows later, (L,), 1 for equal series.
 
-    Both are (W, n), of mean zero, with 0 in unused rows. The lag runs along W, so that no window is compared with
+    Both are (R, n), of mean zero, with 0 in unused rows. The lag runs along R, so that no window is compared with
     another.
     """
     length = max(min(LAGS, len(first) - 2), 0)

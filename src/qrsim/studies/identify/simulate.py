@@ -35,7 +35,7 @@ def delayed(commands: Array, delay: Array, dt: float) -> Array:
 
 
 def thrust_history(vehicle: Quadrotor, throttle: Array, battery: Array, first: Array | None, dt: float) -> Array:
-    """Simulate the thrust (T,) [N] before each row of throttle and battery (T,), by the vehicle's own equation.
+    """Simulate the thrust (T,) [N] at each row, before its command acts, from throttle and battery (T,).
 
     Without a first value it starts where the first row's command would settle.
     """
@@ -56,12 +56,12 @@ def thrust_history(vehicle: Quadrotor, throttle: Array, battery: Array, first: A
 
 
 def fly(vehicle: Quadrotor, start: Array, commands: Array, wind_ned: Vec3, drift_ned: Vec3, dt: float) -> Array:
-    """Simulate the channels (W, n, 10) of n vehicles at each row.
+    """Simulate the channels (R, n, 10) of n vehicles at each row.
 
     Args:
         vehicle: parameters.
         start: (n, 10) channels before the first row.
-        commands: (W, 5, n) SI.
+        commands: (R, 5, n) SI.
         wind_ned: velocity of the air in the middle of each window [m/s], (n,).
         drift_ned: its change from there to the end, (n,).
         dt: step [s].
@@ -96,7 +96,7 @@ def channels(
     windows: Array,
     dt: float,
 ) -> Array:
-    """Simulate the channels (W, n, 10) of n windows of one log.
+    """Simulate the channels (R, n, 10) of n windows of one log.
 
     Args:
         names: of the unknowns.
@@ -105,7 +105,7 @@ def channels(
         unknowns: (K,) in the order of ``names``.
         starts: (n, 16) channels at the first row of each window, its gust and drift.
         commands: (T, 5) of the whole log.
-        windows: (W, n) rows.
+        windows: (R, n) rows.
         dt: step [s].
     """
     value = dict(zip(names, (unknowns[i] for i in range(len(names))), strict=True))
@@ -126,7 +126,7 @@ def channels(
 
 @partial(jax.jit, static_argnames=("names", "places", "thrust_measured", "dt"))
 def predict(places: tuple[int, ...], **arguments: Any) -> Array:
-    """Simulate the measured channels (W, n, C), those at ``places``; other arguments as ``channels``."""
+    """Simulate the measured channels (R, n, C), those at ``places``; other arguments as ``channels``."""
     return channels(**arguments)[:, :, jnp.array(places)]
 
 
@@ -134,7 +134,7 @@ def predict(places: tuple[int, ...], **arguments: Any) -> Array:
 def linearised(
     places: tuple[int, ...], free: tuple[int, ...], unknowns: Array, starts: Array, **rest: Any
 ) -> tuple[Array, Array, Array]:
-    """Return channels (W, n, C), their derivatives by unknowns (W, n, C, K) and by the S free initial values.
+    """Return channels (R, n, C), their derivatives by unknowns (R, n, C, K) and by the S free initial values.
 
     A window depends on its own start alone, so one direction moves the starts of all windows together.
 

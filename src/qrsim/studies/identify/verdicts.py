@@ -51,7 +51,7 @@ def channels_in(aspect: str) -> tuple[str, ...]:
 def coloured_channels(
     constant: str, separate: bool, whiteness: Sequence[Mapping[str, Mapping[str, float]]]
 ) -> list[str]:
-    """Return the channels that a constant moves whose residuals are not white, so that it is an effective constant.
+    """Return the channels that a constant affects and whose residuals are not white.
 
     Args:
         constant: its name.
@@ -70,7 +70,7 @@ def coloured_channels(
 
 
 def not_shown(names: Sequence[str], separate: bool, excitations: Sequence[Excitation]) -> dict[str, str]:
-    """Return the constants that no log excites, each with the reason."""
+    """Return constant -> reason for those that no log excites."""
     held = {}
     for name in names:
         aspects = aspects_of(name, separate)
@@ -84,7 +84,7 @@ def not_shown(names: Sequence[str], separate: bool, excitations: Sequence[Excita
 
 
 def objections(answer: Answer, question: Question) -> dict[str, str]:
-    """Return the fitted constants that are not fit to be written, each with the reason."""
+    """Return constant -> reason for the fitted constants that must not be written to the vehicle file."""
     fitted = tuple(name for name in question.constants if name not in question.held)
     found = implausible(answer.values, fitted)
     for name in fitted:
@@ -109,7 +109,7 @@ def worse(
     excitations: Sequence[Excitation],
     scores: Sequence[Content],
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the fitted constants that predict a held-out channel no better than their start.
+    """Return constant -> reason for the rejected and the doubtful constants, by their held-out errors.
 
     Returns:
         Those to hold, and those of aspects that are better in the mean while the worst channel is hardly worse: such
@@ -131,7 +131,7 @@ def worse(
 
 
 def _ratios(aspect: str, score: Content) -> dict[str, float]:
-    """Return the held-out error over the start's of each channel of an aspect."""
+    """Return channel -> held-out error divided by the start's error, for the channels of an aspect."""
     before, after = score["start"], score["identified"]
     found = {}
     for channel in channels_in(aspect):
@@ -175,7 +175,7 @@ def verdicts_of(
 
 
 def refuse_unexcited(logs: Sequence[FlightLog], excitations: Sequence[Excitation], held: Mapping[str, str]) -> None:
-    """Raise a LogError for logs that excite no constant.
+    """Raise a LogError if no log excites any constant.
 
     Raises:
         LogError: says for each log whether it stood on the ground; its details are how much each signal moves.
@@ -188,7 +188,7 @@ def refuse_unexcited(logs: Sequence[FlightLog], excitations: Sequence[Excitation
 
 
 def refuse_useless(logs: Sequence[FlightLog], held: Mapping[str, str]) -> None:
-    """Raise a RunError for a fit with no usable constant.
+    """Raise a RunError if the fit left no usable constant.
 
     Raises:
         RunError: with the reason for each constant.

@@ -8,7 +8,7 @@ import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.envs.batch import Batch
-from qrsim.studies.learn.objective import Objective
+from qrsim.envs.objective import Objective
 from qrsim.tasks.learned import LIMIT, View
 
 
@@ -54,7 +54,7 @@ class Flights:
         return self.view.features(self.batch.seen.reshape(self.rows, -1), self._last)
 
     def decide(self, outputs: Floats) -> Decided:
-        """Advance by the outputs (N, K) of the network; ended episodes are still to be followed by ``follow``.
+        """Apply the network's outputs (N, K) for one decision; call ``follow`` for episodes that ended.
 
         Raises:
             RunError: a reward of the task is not finite.
@@ -75,7 +75,7 @@ class Flights:
         self.objective.begin(self.batch)
 
     def fly(self, act: Any, seeds: Floats) -> tuple[Floats, Floats]:
-        """Fly one episode of each seed (B,) by ``act`` from inputs to outputs; return the task's returns and survival.
+        """Fly one episode for each seed (B,) with ``act`` (inputs to outputs); return returns and survival.
 
         Returns:
             The mean return of the agents (B,), and whether each episode was flown to the end (B,).

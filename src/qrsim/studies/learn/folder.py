@@ -29,7 +29,7 @@ META, BEST = "checkpoint", "best"
 
 
 def make_folder(folder: Path) -> None:
-    """Make the folder of a training, before time is spent on it.
+    """Create the folder of a training; raises an error if it cannot be used.
 
     Raises:
         UsageError: it cannot be made, or nothing can be written into it.
@@ -41,7 +41,7 @@ def make_folder(folder: Path) -> None:
 
 
 def save(training: Training, folder: Path) -> None:
-    """Write the best policy, the curve and a checkpoint; the checkpoint before stays.
+    """Write the best policy, the curve and a checkpoint, keeping the previous checkpoint.
 
     Raises:
         UsageError: the folder cannot be written.
@@ -66,7 +66,7 @@ def save_policy(training: Training, folder: Path) -> None:
 
 
 def curve_text(curve: list[Tried]) -> str:
-    """Return a curve as CSV with a line of names."""
+    """Return a training curve as CSV with a header."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow([field.name for field in fields(Tried)])
@@ -75,7 +75,7 @@ def curve_text(curve: list[Tried]) -> str:
 
 
 def restore(training: Training, folder: Path) -> str:
-    """Go on from the last checkpoint of a folder, or from the one before if that is damaged.
+    """Continue from a folder's last checkpoint, or the previous one if it is damaged; return a note about it.
 
     Returns:
         A warning if the last one is damaged, else "".
@@ -122,7 +122,7 @@ def _content(training: Training) -> bytes:
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the arrays and the description of a checkpoint.
+    """Return the arrays and the metadata of a checkpoint file.
 
     Raises:
         UsageError: it cannot be read, or is none.
@@ -140,7 +140,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _take(training: Training, arrays: dict[str, Any], meta: dict[str, Any], path: Path) -> None:
-    """Set a training to what a checkpoint holds.
+    """Set a training's state to that of a checkpoint.
 
     Raises:
         UsageError: parts do not fit.
@@ -165,7 +165,7 @@ def _take(training: Training, arrays: dict[str, Any], meta: dict[str, Any], path
 
 
 def _plan_of(training: Training) -> dict[str, Any]:
-    """Return what must be the same where a training goes on."""
+    """Return the settings that must be equal to continue a training."""
     plan = training.plan
     return {
         "task": f"{training.view.task} (version {training.view.version})",
@@ -178,7 +178,7 @@ def _plan_of(training: Training) -> dict[str, Any]:
 
 
 def _check_plan(kept: dict[str, Any], wanted: dict[str, Any], folder: Path) -> None:
-    """Refuse to go on with another training.
+    """Raise UsageError if a checkpoint belongs to a training with other settings.
 
     Raises:
         UsageError: a value differs.
@@ -189,7 +189,7 @@ def _check_plan(kept: dict[str, Any], wanted: dict[str, Any], folder: Path) -> N
 
 
 def _nearest_folder(folder: Path) -> str:
-    """Return a hint at a folder with a name like this one."""
+    """Return a hint at a folder with a similar name; "" without one."""
     parent = folder.parent
     return (
         did_you_mean(folder.name, [each.name for each in parent.iterdir() if each.is_dir()]) if parent.is_dir() else ""

@@ -11,8 +11,10 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.extras import load
 
 
@@ -38,13 +40,13 @@ class Settings:
     trace: float = 0.95
     clip: float = 0.2
     rate: float = 1e-3
-    epochs: int = 5
+    epochs: int = 4
     minibatches: int = 8
     value_weight: float = 0.5
     entropy_weight: float = 0.0
     most_gradient: float = 0.5
-    spread: float = 0.6
-    width: int = 64
+    spread: float = 1.0
+    width: int = 32
 
 
 class Learner(NamedTuple):
@@ -55,19 +57,35 @@ class Learner(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Decisions of an iteration, (T, N) each; inputs (T, N, F), outputs (T, N, K)."""
+    """Decisions of an iteration.
+
+    Attributes:
+        inputs: (T + 1, N, F) before each decision, and after the last.
+        outputs: (T, N, K) of the decisions.
+        reward: (T, N).
+        ended: (T, N) bool: the episode has ended.
+        beyond: (T, N) value of the state in which an episode was cut off by its time limit, 0 elsewhere.
+    """
+
+    inputs: Any
+    outputs: Any
+    reward: Any
+    ended: Any
+    beyond: Any
+
+
+class Rows(NamedTuple):
+    """Decisions (M,) of a step of the gradient; inputs (M, F), outputs (M, K)."""
 
     inputs: Any
     outputs: Any
     log_density: Any
-    value: Any
-    reward: Any
-    ended: Any
-    value_after: Any
+    advantage: Any
+    target: Any
 
 
 def _layers(key: Array, sizes: tuple[int, ...], last: float) -> list[tuple[Array, Array]]:
-    """Return the layers of a network, orthogonal, with gain ``last`` in the last."""
+    """Return orthogonally initialised layers of a network, with gain ``last`` in the last layer."""
     keys = jax.random.split(key, len(sizes) - 1)
     gains = [2.0**0.5] * (len(sizes) - 2) + [last]
     return [
@@ -101,12 +119,12 @@ class Algorithm:
         self.settings, self._inputs, self._outputs = settings, inputs, outputs
         self._adam = optax.chain(optax.clip_by_global_norm(settings.most_gradient), optax.adam(settings.rate, eps=1e-5))
         self._apply = optax.apply_updates
-        self.decide = jax.jit(_decide)
-        self.value = jax.jit(lambda weights, inputs: network(weights["value"], inputs)[..., 0])
+        self.mean = jax.jit(lambda weights, inputs: network(weights["policy"], inputs))
+        self.value = jax.jit(_value)
         self.improve = jax.jit(self._improve)
 
     def begin(self, seed: int) -> Learner:
-        """Return a learner whose outputs are near zero."""
+        """Return a learner whose network's outputs are near zero."""
         policy, value = jax.random.split(jax.random.key(seed))
         hidden = (self.settings.width, self.settings.width)
         weights = {
@@ -117,55 +135,61 @@ class Algorithm:
         with _usual_promotion():
             return Learner(weights, self._adam.init(weights))
 
-    def _improve(self, learner: Learner, samples: Samples, key: Array) -> tuple[Learner, Array]:
-        """Return the learner after the passes over an iteration, and its mean divergence from before ()."""
+    def orders(self, rng: np.random.Generator, size: int) -> NumpyArray:
+        """Return shuffled indices of ``size`` samples, (epochs, minibatches, M); the remainder is left out."""
         settings = self.settings
-        advantage = _advantages(samples, settings)
-        target = advantage + samples.value
-        rows = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), (samples, advantage, target))
-        count = rows[1].shape[0] // settings.minibatches
+        count = size // settings.minibatches
+        each = [rng.permutation(size)[: count * settings.minibatches] for _ in range(settings.epochs)]
+        return np.array(each, np.int32).reshape(settings.epochs, settings.minibatches, count)
+
+    def _improve(self, learner: Learner, samples: Samples, orders: Array) -> tuple[Learner, Array]:
+        """Return the learner after all passes over an iteration's samples, and the last pass's divergence ()."""
+        settings, rows = self.settings, _rows_of(learner.weights, samples, self.settings)
 
         def minibatch(learner: Learner, chosen: Array) -> tuple[Learner, Array]:
             """Take a step of the gradient."""
             part = jax.tree.map(lambda leaf: leaf[chosen], rows)
-            slope, divergence = jax.grad(partial(_loss, settings), has_aux=True)(learner.weights, *part)
+            slope, divergence = jax.grad(partial(_loss, settings), has_aux=True)(learner.weights, part)
             with _usual_promotion():
                 change, optimiser = self._adam.update(slope, learner.optimiser, learner.weights)
                 return Learner(self._apply(learner.weights, change), optimiser), divergence
 
-        def epoch(learner: Learner, key: Array) -> tuple[Learner, Array]:
-            """Pass once over all samples, in a new order."""
-            order = jax.random.permutation(key, rows[1].shape[0])[: count * settings.minibatches]
-            return jax.lax.scan(minibatch, learner, order.reshape(settings.minibatches, count))
-
-        learner, divergence = jax.lax.scan(epoch, learner, jax.random.split(key, settings.epochs))
-        return learner, jnp.mean(divergence[-1])
+        learner, divergence = jax.lax.scan(minibatch, learner, orders.reshape(-1, orders.shape[-1]))
+        return learner, jnp.mean(divergence[-settings.minibatches :])
 
 
 @contextmanager
 def _usual_promotion() -> Iterator[None]:
-    """Let optax mix types and ranks, which its users may have forbidden to their own code."""
+    """Context in which optax may mix types and ranks, even if the user has configured JAX otherwise."""
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         yield
 
 
-def _decide(weights: Any, inputs: Array, key: Array, number: Array) -> tuple[Array, Array, Array]:
-    """Return outputs (N, K) drawn by the policy, the logarithms of their densities and the values (N,)."""
-    mean = network(weights["policy"], inputs)
-    drawn = jax.random.normal(jax.random.fold_in(key, number), mean.shape)
-    outputs = mean + jnp.exp(weights["log_spread"])[None] * drawn
-    return outputs, _log_density(weights, mean, outputs), network(weights["value"], inputs)[..., 0]
+def _value(weights: Any, inputs: Array) -> Array:
+    """Return the value network's outputs (...,) for inputs (..., F)."""
+    return network(weights["value"], inputs.reshape(-1, inputs.shape[-1])).reshape(inputs.shape[:-1])
+
+
+def _rows_of(weights: Any, samples: Samples, settings: Settings) -> Rows:
+    """Return an iteration's decisions (T N,), with the densities of the policy that made them and the advantages."""
+    value = _value(weights, samples.inputs)
+    after = jnp.where(samples.ended, samples.beyond, value[1:])
+    advantage = _advantages(samples.reward, value[:-1], after, samples.ended, settings)
+    whole = (samples.inputs[:-1], samples.outputs, advantage, advantage + value[:-1])
+    inputs, outputs, advantage, target = (leaf.reshape(-1, *leaf.shape[2:]) for leaf in whole)
+    density = _log_density(weights, network(weights["policy"], inputs), outputs)
+    return Rows(inputs, outputs, density, advantage, target)
 
 
 def _log_density(weights: Any, mean: Array, outputs: Array) -> Array:
-    """Return the logarithm of the density of outputs (N, K), up to a constant."""
+    """Return the log density of outputs (N, K), up to a constant."""
     away = (outputs - mean) * jnp.exp(-weights["log_spread"])[None]
     return -jnp.sum(0.5 * away * away + weights["log_spread"][None], axis=-1)
 
 
-def _advantages(samples: Samples, settings: Settings) -> Array:
-    """Return generalised advantages (T, N); ``value_after`` is that of the state that a decision led to."""
-    error = samples.reward + settings.discount * samples.value_after - samples.value
+def _advantages(reward: Array, value: Array, after: Array, ended: Array, settings: Settings) -> Array:
+    """Return generalised advantages (T, N); ``after``: values of the states to which the decisions led."""
+    error = reward + settings.discount * after - value
 
     def back(later: Array, row: tuple[Array, Array]) -> tuple[Array, Array]:
         """Add the later errors of the same episode."""
@@ -173,17 +197,17 @@ def _advantages(samples: Samples, settings: Settings) -> Array:
         now = error + jnp.where(ended, 0.0, settings.discount * settings.trace) * later
         return now, now
 
-    return jax.lax.scan(back, jnp.zeros_like(error[0]), (error, samples.ended), reverse=True)[1]
+    return jax.lax.scan(back, jnp.zeros_like(error[0]), (error, ended), reverse=True)[1]
 
 
-def _loss(settings: Settings, weights: Any, samples: Samples, advantage: Array, target: Array) -> tuple[Array, Array]:
-    """Return what is minimised over a minibatch, and the divergence of the policies."""
-    advantage = (advantage - jnp.mean(advantage)) / (jnp.std(advantage) + 1e-8)
-    mean = network(weights["policy"], samples.inputs)
-    change = _log_density(weights, mean, samples.outputs) - samples.log_density
+def _loss(settings: Settings, weights: Any, rows: Rows) -> tuple[Array, Array]:
+    """Return the loss of a minibatch, and the divergence from the old policy."""
+    advantage = (rows.advantage - jnp.mean(rows.advantage)) / (jnp.std(rows.advantage) + 1e-8)
+    mean = network(weights["policy"], rows.inputs)
+    change = _log_density(weights, mean, rows.outputs) - rows.log_density
     ratio = jnp.exp(change)
     gain = jnp.minimum(ratio * advantage, jnp.clip(ratio, 1.0 - settings.clip, 1.0 + settings.clip) * advantage)
-    wrong = network(weights["value"], samples.inputs)[..., 0] - target
+    wrong = network(weights["value"], rows.inputs)[..., 0] - rows.target
     entropy = jnp.sum(weights["log_spread"])
     loss = settings.value_weight * jnp.mean(wrong * wrong) - jnp.mean(gain) - settings.entropy_weight * entropy
     return loss, jnp.mean(ratio - 1.0 - change)

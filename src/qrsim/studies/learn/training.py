@@ -11,17 +11,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-import jax
 import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.envs.functional import Functional
+from qrsim.envs.objective import objective_of
+from qrsim.envs.viewing import batch_of, view_of
 from qrsim.errors import RunError
 from qrsim.studies.learn.flights import Flights
-from qrsim.studies.learn.objective import objective_of
 from qrsim.studies.learn.ppo import Algorithm, Learner, Samples, Settings
-from qrsim.studies.learn.viewing import batch_of, view_of
 from qrsim.tasks.learned import PolicyFile, Scaling, forward
 
 # Decisions of each row in an iteration, and of all rows at least.
@@ -81,7 +80,7 @@ class Tried:
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Order of policies: first by the part flown to the end."""
+        """Sort key of policies: first by the share of an episode that is flown to the end."""
         return self.flown_to_the_end, self.mean_return
 
 
@@ -92,7 +91,7 @@ class Moments:
         self.count, self.mean, self.squares = 0.0, np.zeros(size), np.zeros(size)
 
     def add(self, rows: Floats) -> None:
-        """Take inputs (N, F)."""
+        """Update the moments with inputs (N, F)."""
         count = len(rows)
         mean = rows.mean(axis=0, dtype=np.float64)
         away, whole = mean - self.mean, self.count + count
@@ -100,8 +99,8 @@ class Moments:
         self.mean, self.count = self.mean + away * count / whole, whole
 
     def scaling(self) -> Scaling:
-        """Return the scaling by them."""
-        deviation = np.sqrt(self.squares / max(self.count, 1.0)) + 1e-3
+        """Return the scaling of inputs by their mean and standard deviation."""
+        deviation = np.sqrt(self.squares / self.count) + 1e-3 if self.count else np.ones_like(self.mean)
         return Scaling(self.mean.astype(np.float32), deviation.astype(np.float32))
 
 
@@ -128,18 +127,19 @@ class Training:
         self.horizon = max(HORIZON, -(-FEWEST // self.flights.rows))
         self.learner: Learner = self.algorithm.begin(plan.seed)
         self.moments = Moments(self.view.inputs)
+        self.scaling = self.moments.scaling()
         self.cycle, self.steps = 0, 0
         self.best: tuple[PolicyFile, Tried] | None = None
         self.curve: list[Tried] = []
 
     def flights_of(self, episodes: int) -> Flights:
-        """Return flights of some episodes of the task, as the learner sees it."""
+        """Return flights of ``episodes`` parallel episodes, with the learner's inputs and outputs."""
         batch = batch_of(self.plan.task, episodes, list(self.plan.overrides), self.view)
         return Flights(batch, self.view, objective_of(batch, self.plan.settings.discount))
 
     @property
     def iterations(self) -> int:
-        """Iterations of a cycle: those in which an episode can end."""
+        """Iterations per cycle, enough for an episode to end."""
         return -(-self.flights.batch.functional.play.steps // self.horizon)
 
     def cycles(self, told: Callable[[int], None] = lambda steps: None) -> Iterator[Tried]:
@@ -154,14 +154,14 @@ class Training:
         begun, before = time.monotonic(), self.curve[-1].seconds if self.curve else 0.0
         limit = np.inf if self.plan.seconds is None else self.plan.seconds
         while self.steps < self.plan.steps and time.monotonic() - begun < limit:
-            key = jax.random.fold_in(jax.random.key(self.plan.seed), self.cycle)
+            rng = np.random.default_rng([self.plan.seed, self.cycle])
             first = LEARNED + APART * (self.plan.seed % 10**6) + self.cycle * self.plan.envs
             self.flights.begin(first + np.arange(self.plan.envs))
             rewards, divergences = [], []
-            for iteration in range(self.iterations):
-                flown, improving = jax.random.split(jax.random.fold_in(key, iteration))
-                samples = self._fly(flown)
-                self.learner, divergence = self.algorithm.improve(self.learner, samples, improving)
+            for _ in range(self.iterations):
+                samples = self._fly(rng)
+                orders = self.algorithm.orders(rng, samples.reward.size)
+                self.learner, divergence = self.algorithm.improve(self.learner, samples, orders)
                 rewards.append(float(samples.reward.mean()))
                 divergences.append(self._finite(float(divergence)))
                 self.steps += samples.reward.size
@@ -190,7 +190,7 @@ class Training:
             yield row
 
     def _finite(self, divergence: float) -> float:
-        """Return a divergence.
+        """Return the divergence unchanged; raises RunError unless it is finite.
 
         Raises:
             RunError: it is not finite, and so are the weights.
@@ -200,33 +200,41 @@ class Training:
         return divergence
 
     def keep_untried(self) -> bool:
-        """Keep the policy as it is if a training was interrupted before any was tried; return whether it did."""
+        """Store the present policy if training was interrupted before any was tried; return whether it did."""
         if self.best is not None or not self.steps:
             return False
         unknown = float("nan")
         self.best = self._policy(), Tried(0, self.steps, 0.0, unknown, 0.0, unknown, unknown)
         return True
 
-    def _fly(self, key: Any) -> Samples:
-        """Return the samples of an iteration."""
-        flights, found = self.flights, []
-        weights = self.learner.weights
-        for number in range(self.horizon):
-            features = flights.features()
-            self.moments.add(features)
-            scaling = self.moments.scaling()
-            inputs = scaling.scaled(features)
-            decision = self.algorithm.decide(weights, inputs, key, np.int32(number))
-            outputs, density, value = map(np.asarray, decision)
+    def _fly(self, rng: np.random.Generator) -> Samples:
+        """Fly an iteration and return its samples, all with inputs scaled alike; the moments then include them."""
+        flights, weights = self.flights, self.learner.weights
+        self.scaling = scaling = self.moments.scaling()
+        spread = np.exp(np.asarray(weights["log_spread"]))
+        seen, found = [flights.features()], []
+        for _ in range(self.horizon):
+            mean = np.asarray(self.algorithm.mean(weights, scaling.scaled(seen[-1])))
+            outputs = mean + spread * rng.standard_normal(mean.shape, np.float32)
             decided = flights.decide(outputs)
-            after = np.asarray(self.algorithm.value(weights, scaling.scaled(decided.features)))
-            after = np.where(decided.terminated, np.float32(0.0), after)
-            found.append((inputs, outputs, density, value, decided.reward, decided.ended, after))
+            beyond = np.zeros_like(decided.reward)
+            cut = decided.ended & ~decided.terminated
+            if cut.any():
+                last = np.asarray(self.algorithm.value(weights, scaling.scaled(decided.features)))
+                beyond = np.where(cut, last, beyond)
+            found.append((outputs, decided.reward, decided.ended, beyond))
             flights.follow(decided.ended)
-        return Samples(*(np.stack(parts) for parts in zip(*found, strict=True)))
+            seen.append(flights.features() if decided.ended.any() else decided.features)
+        rows = np.stack(seen)
+        first = not self.moments.count
+        self.moments.add(rows[:-1].reshape(-1, rows.shape[-1]))
+        if first:
+            # Nothing was known yet; the new policy returns zeros by any scaling.
+            self.scaling = self.moments.scaling()
+        return Samples(self.scaling.scaled(rows), *(np.stack(parts) for parts in zip(*found, strict=True)))
 
     def _policy(self) -> PolicyFile:
-        """Return the policy as it is."""
+        """Return the present policy as a ``PolicyFile``."""
         layers = tuple((np.array(weights), np.array(offset)) for weights, offset in self.learner.weights["policy"])
         facts = {"seed": self.plan.seed, "steps": self.steps, "overrides": list(self.plan.overrides)}
-        return PolicyFile(self.view, self.moments.scaling(), layers, facts)
+        return PolicyFile(self.view, self.scaling, layers, facts)

@@ -74,7 +74,7 @@ def no_ranges(vehicles: int, states: int) -> Between:
 
 
 def checked_between(between: Between, vehicles: int, states: int) -> Between:
-    """Check that ranges fit N vehicles with T + 1 states, and return them; raises UsageError.
+    """Return ranges unchanged; raises UsageError unless they fit N vehicles with T + 1 states.
 
     Raises:
         UsageError: pairs or a shape of others, an infinite or negative range, or a deviation that is not positive.

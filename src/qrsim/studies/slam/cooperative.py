@@ -75,12 +75,12 @@ class CooperativeSlam:
 
     @property
     def truth_ned(self) -> Floats:
-        """(N, T + 1, 3) true positions [m]."""
+        """True positions (N, T + 1, 3) NED [m]."""
         return np.stack([flight.truth[:, :3] for flight in self.flights])
 
     @property
     def trajectory_rmse_m(self) -> Floats:
-        """(N,) root mean square distance of each vehicle's positions from the truth [m]."""
+        """Root mean square distance (N,) of each vehicle's positions from the truth [m]."""
         pairs = zip(self.position_ned, self.truth_ned, strict=True)
         return np.array([rms_distance(places, truth) for places, truth in pairs])
 
@@ -201,7 +201,7 @@ def graph_of(
     states: str,
     prior: str,
 ) -> tuple[Graph, Floats]:
-    """Return the graph of one vehicle alone, with its own part of the error as a state, and where to begin."""
+    """Return one vehicle's graph, with its own part of the fixes' error as a state, and its initial states."""
     how: dict[str, Any] = {"graph": "gnss", "states": states, "prior": prior}
     if bias_time_constant is None:
         return make_graph(flight, ranging, active, fix_std=fix_std, bias_time_constant=None, **how)
@@ -247,7 +247,7 @@ def _solve(
         between=joint.between,
         time=flights[0].time,
         position_ned=joint.positions(point.x),
-        bias=np.stack([values[:, graph.base :] for values in states]) if graph.bias else None,
+        bias=np.stack([values[:, graph.vehicle_size :] for values in states]) if graph.bias else None,
         common_bias=common,
         landmarks_ned=np.where(enough[:, None], point.landmarks, np.nan),
         landmarks_std=np.where(enough, spread, np.inf),
@@ -262,7 +262,7 @@ def _solve(
 
 
 def _deviations(flights: Sequence[Flight], fix_std: float | None) -> list[float]:
-    """Return the standard deviation of each vehicle's fixes [m]; of one without fixes, that of all others."""
+    """Return the standard deviation [m] of each vehicle's fixes, for one without fixes that of the others."""
     if fix_std is not None:
         return [fix_std] * len(flights)
     known = [flight.fix_std for flight in flights if len(flight.fix_error)]
@@ -273,7 +273,7 @@ def _deviations(flights: Sequence[Flight], fix_std: float | None) -> list[float]
 
 
 def _check_error_model(share: float, bias_time_constant: float | None, own_time_constant: float | None) -> None:
-    """Check the share and the time constants of the fixes' errors; raises UsageError."""
+    """Raise UsageError for an invalid share or time constant of the fixes' errors."""
     if not 0.0 <= share <= 1.0:
         raise UsageError(f"common_share: {share!r} is not a number from 0 to 1")
     if share > 0.0 and bias_time_constant is None:
@@ -286,7 +286,7 @@ def _check_error_model(share: float, bias_time_constant: float | None, own_time_
 
 
 def _check_flights(flights: Sequence[Flight], rangings: Sequence[Ranging]) -> None:
-    """Check that flights and rangings have the same states and landmarks; raises UsageError."""
+    """Raise UsageError unless flights and rangings have the same states and landmarks."""
     if not flights:
         raise UsageError("flights: none; cooperative SLAM is of at least one vehicle")
     if len(rangings) != len(flights):

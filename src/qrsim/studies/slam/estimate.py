@@ -210,9 +210,17 @@ def from_run(
     number = opened.info.seed if seed is None else seed
     ranging = _ranging(flight, landmarks_ned, landmarks_guess_ned, ranges, range_std, range_limit, number)
     found = estimate(
-        flight, ranging, graph=graph, states=states, prior=prior, fix_std=fix_std,
-        bias_time_constant=bias_time_constant, iterations=iterations, damping=damping, keep=keep,
-    )  # fmt: skip
+        flight,
+        ranging,
+        graph=graph,
+        states=states,
+        prior=prior,
+        fix_std=fix_std,
+        bias_time_constant=bias_time_constant,
+        iterations=iterations,
+        damping=damping,
+        keep=keep,
+    )
     for problem in found.problems:
         warn_user(problem)
     return found
@@ -249,9 +257,15 @@ def estimate(
     if not active.any():
         raise UsageError(f"landmarks: none has {FEWEST_RANGES} ranges; ranges to each: {per_landmark.tolist()}")
     problem, x = make_graph(
-        flight, ranging, active, graph=graph, states=states, prior=prior, fix_std=std,
+        flight,
+        ranging,
+        active,
+        graph=graph,
+        states=states,
+        prior=prior,
+        fix_std=std,
         bias_time_constant=bias_time_constant,
-    )  # fmt: skip
+    )
     use_compilation_cache()
     solution, reflected = solve_reflected(
         problem, x, ranging, lambda point: point.x[:, :3], iterations=iterations, damping=damping, keep=keep
@@ -317,11 +331,18 @@ def _with_history(first: Solution, again: Solution) -> Solution:
 
 
 def _slam_result(
-    graph: str, states: str, prior: str, flight: Flight, ranging: Ranging, enough: npt.NDArray[np.bool_],
-    solution: Solution, reflected: Mirrors, problem: Graph,
-) -> Slam:  # fmt: skip
+    graph: str,
+    states: str,
+    prior: str,
+    flight: Flight,
+    ranging: Ranging,
+    enough: npt.NDArray[np.bool_],
+    solution: Solution,
+    reflected: Mirrors,
+    problem: Graph,
+) -> Slam:
     """Return the result of a flight from its solution: states, landmarks, covariances."""
-    point, base = solution.point, problem.base
+    point, base = solution.point, problem.vehicle_size
     believed = covariance(problem, point)
     spread, determined = spread_of(believed.landmarks, ranging, enough)
     return Slam(
@@ -356,7 +377,7 @@ def _ranging(
     limit: float,
     seed: int,
 ) -> Ranging:
-    """Return the ranges of a run: those given, or simulated ones to given or drawn landmarks."""
+    """Return given ranges checked, or simulated ranges to given or drawn landmarks."""
     known, guess = landmarks_given(flight.truth[:, :2], true_ned, guess_ned, ranges is not None, seed)
     if ranges is not None:
         return given_ranges(ranges, flight.time, len(guess), std, guess, known)
@@ -365,7 +386,7 @@ def _ranging(
 
 
 def check_numbers(**numbers: float | None) -> None:
-    """Refuse numbers that are neither None nor positive; raises UsageError."""
+    """Raise UsageError for numbers that are neither None nor positive."""
     for name, value in numbers.items():
         if value is not None and not (np.isfinite(value) and value > 0.0):
             raise UsageError(f"{name}: {value!r} is not a positive number")

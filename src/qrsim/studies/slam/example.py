@@ -80,7 +80,7 @@ class CorrelatedGnss(Sensor):
 
 
 def _record(state: State) -> dict[str, Array]:
-    """Return the arrays (k, n) that a Flight needs of each vehicle."""
+    """Return arrays (k, n) by name of what a ``Flight`` needs: truth, estimates, command, stop code."""
     fleet = state.fleets[0]
     seen = measured_quantities(fleet.readings)
     velocity, attitude = seen["velocity_ned"], seen["attitude"]
@@ -98,7 +98,7 @@ def _record(state: State) -> dict[str, Array]:
 
 
 def base_world(precision: str = "float32", gnss: str | None = None, **overrides: object) -> World:
-    """Return the world of the example.
+    """Return the example's world.
 
     Args:
         precision: float32 or float64.
@@ -110,7 +110,7 @@ def base_world(precision: str = "float32", gnss: str | None = None, **overrides:
 
 
 def with_receiver(preset: str) -> dict[str, object]:
-    """Return the scenario of the example with a receiver of type gnss, and a base station if it needs one.
+    """Return the example's scenario content with a GNSS receiver preset, and a base station if it needs one.
 
     Nothing of it is late, as in the example, and carrier phase is fixed.
     """
@@ -167,7 +167,7 @@ def with_correlated(world: World, std: npt.ArrayLike, time_constant: float) -> W
 def coloured_flights(
     seeds: Sequence[int], duration: float = DURATION, state_period: float = STATE_PERIOD, base: World | None = None
 ) -> list[Flight]:
-    """Fly each seed with the simulator's own sky and receiver."""
+    """Fly each seed with the correlated errors of the simulator's own sky and receiver."""
     base = base_world() if base is None else base
     return flown_alone("coloured", [world_of(base, seed) for seed in seeds], seeds, duration, state_period)
 
@@ -194,7 +194,7 @@ def correlated_flights(
 def flown_alone(
     name: str, worlds: list[World], seeds: Sequence[int], duration: float, state_period: float
 ) -> list[Flight]:
-    """Fly worlds of one vehicle each; return a flight for each seed."""
+    """Fly worlds of one vehicle each; return a flight for each seed; raises RunError if a vehicle stops."""
     return [flights[0] for flights in flown_together(name, worlds, seeds, duration, state_period)]
 
 

@@ -51,12 +51,12 @@ class Flight:
 
     @property
     def time(self) -> Floats:
-        """(T + 1,) time of each state since the first one [s]."""
+        """Time (T + 1,) of each state since the first one [s]."""
         return self.time_step * self.ticks * np.arange(len(self.truth), dtype=np.float64)
 
     @property
     def fix_error(self) -> Floats:
-        """(F, 2) fix minus truth at the fix epochs [m]."""
+        """Fix minus truth (F, 2), north and east, at the fix epochs [m]."""
         error = self.fixes - self.truth[:, :2]
         return error[np.isfinite(error).all(axis=1)]
 
@@ -100,7 +100,7 @@ def first_states(flight: Flight, states: int) -> Flight:
 
 
 def ticks_between(period: float, time_step: float, what: str = "state_period") -> int:
-    """Return a period in ticks.
+    """Return a period [s] in ticks; raises UsageError unless it is a whole positive number of them.
 
     Raises:
         UsageError: it is not a whole positive number of them.
@@ -122,7 +122,7 @@ def make_flight(
     air_ned: Floats,
     fixes: tuple[npt.NDArray[np.int64], Floats],
 ) -> Flight:
-    """Build a flight from records at ticks 0 to N, cut to a whole number of states.
+    """Build a flight from records at each tick, cut to a whole number of state periods.
 
     Args:
         name, time_step, ticks: see Flight.

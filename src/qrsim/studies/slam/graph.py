@@ -61,14 +61,14 @@ class Graph:
     bias: bool = setting(doc="whether the GNSS error is a state")
 
     @property
-    def base(self) -> int:
-        """Number of states without the bias."""
+    def vehicle_size(self) -> int:
+        """Number of unknowns of a state that describe the vehicle, without GNSS biases."""
         return SIZE if self.states == "full" else len(POSE)
 
     @property
     def size(self) -> int:
         """Number of unknowns of a state, D: vehicle, and biases if they are states."""
-        return self.base + 2 * self.bias
+        return self.vehicle_size + 2 * self.bias
 
     def cost(self, x: Floats, landmarks: Floats) -> float:
         """Return half the sum of all squared residuals."""
@@ -93,7 +93,7 @@ class Normal:
 
     @property
     def places(self) -> int:
-        """Coordinates of positions, which are the first unknowns of each block."""
+        """Number of position coordinates, which come first in each block."""
         return int(self.border.shape[1])
 
 
@@ -115,7 +115,7 @@ def predict(graph: Graph, x: Array, commands: Array, air_ned: Array, nominal: Ar
         cos, sin = jnp.cos(turn), jnp.sin(turn)
         turned = jnp.stack([cos * step[0] - sin * step[1], sin * step[0] + cos * step[1], step[2], step[YAW]])
         moved = x[: len(POSE)] + turned
-    return jnp.concatenate([moved, graph.bias_decay * x[graph.base :]])
+    return jnp.concatenate([moved, graph.bias_decay * x[graph.vehicle_size :]])
 
 
 def _zero_normals(graph: Graph) -> Array:
@@ -139,12 +139,12 @@ def range_residual(position: Array, landmark: Array, measured: Array, weight: Ar
 
 def fix_residual(graph: Graph, x: Array, fix: Array, weight: Array) -> Array:
     """Return the whitened residuals (2,) of a GNSS fix."""
-    believed = x[:2] + x[graph.base :] if graph.bias else x[:2]
+    believed = x[:2] + x[graph.vehicle_size :] if graph.bias else x[:2]
     return weight * (believed - fix)
 
 
 def _pairs(nominal: Array) -> Array:
-    """Return (T, 2, 13) states before and after each motion."""
+    """Return the states (T, 2, 13) before and after each motion, from states (T + 1, 13)."""
     return jnp.stack([nominal[:-1], nominal[1:]], axis=1)
 
 

@@ -18,7 +18,7 @@ SLOPE_WINDOWS = (0.4, 10.0)
 
 
 def interval(values: Floats) -> dict[str, float]:
-    """Return the mean with its Student t interval; the mean alone for one value, nothing for none."""
+    """Return mean and Student t interval of values as a dict; the mean alone for one value, {} for none."""
     known = values[np.isfinite(values)]
     if not len(known):
         return {}
@@ -41,7 +41,7 @@ def paired(one: Floats, other: Floats) -> dict[str, float]:
 
 
 def recovered(white: Floats, coloured: Floats, remedied: Floats) -> dict[str, float]:
-    """Return the fraction of the loss from white to coloured errors that the remedy recovers, from means over seeds.
+    """Return the share ("part", "low", "high") of the loss by coloured errors that a remedy recovers.
 
     The interval is a percentile bootstrap over seeds.
     """
@@ -82,7 +82,7 @@ def allan(errors: Sequence[Floats], period: float, longest: float | None = None)
 
 
 def _allan_variances(errors: Sequence[Floats], period: float, longest: float | None) -> tuple[Floats, Floats]:
-    """Return windows (K,) and the Allan variance of each seed (S, K), mean of both axes."""
+    """Return windows (K,) [s] and Allan variances (S, K) [m^2] of S seeds' errors (N, 2), mean of both axes."""
     most = len(errors[0]) // 3 if longest is None else round(longest / period)
     lengths = np.unique(np.round(np.geomspace(1, most, 16)).astype(np.int64))
     found = [overlapping_allan_deviation(error, period, lengths) for error in errors]

@@ -40,7 +40,7 @@ class Common:
 
     @property
     def weights(self) -> tuple[float, float]:
-        """Inverse standard deviations of c_0 and of the noise of one step [1/m]."""
+        """Inverse standard deviations [1/m] of the first common error and of the noise of a step."""
         return 1.0 / self.std, 1.0 / (self.std * (1.0 - self.decay**2) ** 0.5)
 
 
@@ -60,7 +60,7 @@ class JointGraph:
 
     @property
     def size(self) -> int:
-        """Number of unknowns of a time's block: the states of all vehicles, and a common bias."""
+        """Number of unknowns in the block of one time: all vehicles' states, and the common bias."""
         return len(self.graphs) * self.graphs[0].size + 2 * (self.common is not None)
 
     def columns(self, vehicle: int) -> npt.NDArray[np.int64]:
@@ -87,7 +87,7 @@ class JointGraph:
         return x[:, : 3 * len(self.graphs)].reshape(len(x), -1, 3).transpose(1, 0, 2)
 
     def _alone(self, x: Floats) -> list[tuple[Graph, Floats]]:
-        """Return each vehicle's graph and states; the common error is subtracted from its fixes."""
+        """Return (graph, states) of each vehicle, with the common error subtracted from its fixes."""
         states, common = self.split(x)
         if common is None:
             return list(zip(self.graphs, states, strict=True))
@@ -146,21 +146,19 @@ class JointGraph:
     def _add_fixes(
         self, graph: Graph, columns: npt.NDArray[np.int64], own: Floats, diagonal: Floats, gradient: Floats
     ) -> None:
-        """Add the terms of a vehicle's fixes that depend on the common error; ``graph``, ``own`` are as in
-        ``_single_graphs``.
-        """
+        """Add the fixes' terms in the common error to a vehicle's ``diagonal`` and ``gradient``, as in ``_alone``."""
         weight = np.asarray(graph.fix_weight) ** 2
         at = self.size - 2 + np.arange(2)
-        by = [columns[:2]] + ([columns[graph.base :]] if graph.bias else [])
+        by = [columns[:2]] + ([columns[graph.vehicle_size :]] if graph.bias else [])
         for those in by:
             diagonal[:, at, those] += weight[:, None]
             diagonal[:, those, at] += weight[:, None]
         diagonal[:, at, at] += weight[:, None]
-        believed = own[:, :2] + (own[:, graph.base :] if graph.bias else 0.0)
+        believed = own[:, :2] + (own[:, graph.vehicle_size :] if graph.bias else 0.0)
         gradient[:, -2:] += weight[:, None] * (believed - np.asarray(graph.fixes))
 
     def _add_between(self, x: Floats, diagonal: Floats, gradient: Floats) -> float:
-        """Add the ranges between vehicles; return half the sum of their squares."""
+        """Add the range terms between vehicles in place; return half their sum of squares."""
         weight, residual = self._range_residuals(x)
         position = self.positions(x)
         for p, (one, other) in enumerate(self.between.pairs):

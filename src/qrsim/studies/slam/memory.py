@@ -18,7 +18,7 @@ def state_size(states: str, bias: bool) -> int:
 
 
 def bytes_needed(states: int, size: int, landmarks: int) -> int:
-    """Return the peak memory [bytes] of a problem with ``states`` states of ``size`` numbers, and landmarks.
+    """Return the peak memory [bytes] of a problem with ``states`` states of ``size`` unknowns and landmarks.
 
     Each state has its blocks of Jacobians and of the matrix, its rows of what the landmarks are eliminated with, and
     its ranges. The factors are above those of measured problems (docs/explanation/slam.md); compiled

@@ -36,7 +36,7 @@ class Mirrors:
 
 
 def mirrors(point: Point, ranging: Ranging) -> Mirrors:
-    """Reflect the landmarks of a solution, with the trajectory fixed."""
+    """Return the reflections of a solution's landmarks, refitted to the ranges with the trajectory fixed."""
     count = len(point.landmarks)
     places, excess = np.full((count, 3), np.nan), np.full(count, np.nan)
     apart = np.zeros(count, bool)

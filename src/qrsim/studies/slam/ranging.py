@@ -39,7 +39,7 @@ class Ranging:
 
     @property
     def per_landmark(self) -> npt.NDArray[np.int64]:
-        """(L,) ranges to each landmark."""
+        """Number of ranges (L,) to each landmark."""
         return self.counts.sum(axis=0).astype(np.int64)
 
 
@@ -49,7 +49,7 @@ def generator(seed: int, purpose: int, *numbers: int) -> np.random.Generator:
 
 
 def _vehicle_words(vehicle: int) -> tuple[int, ...]:
-    """Return the words that separate a vehicle's draws from those of others; none for the first vehicle."""
+    """Return the seed words that separate a vehicle's draws from other vehicles'; () for vehicle 0."""
     return (vehicle,) if vehicle else ()
 
 
@@ -72,7 +72,7 @@ def guesses_of(seed: int, centre: Floats, count: int = LANDMARKS) -> Floats:
 def landmarks_given(
     north_east: Floats, true_ned: object, guess_ned: object, ranged: bool, seed: int
 ) -> tuple[Floats | None, Floats]:
-    """Return landmarks (L, 3), or None if unknown, and first guesses of them, given or drawn for a seed.
+    """Return true landmarks (L, 3), or None if unknown, and first guesses of them, given or drawn.
 
     Args:
         north_east: (T, 2) where was flown.
@@ -88,9 +88,10 @@ def landmarks_given(
     guess = None if guess_ned is None else _checked_positions("landmarks_guess_ned", guess_ned)
     if not ranged and known is None:
         known = landmarks_of(seed, centre)
-    if known is None and guess is None:
+    given = known if known is not None else guess
+    if given is None:
         raise UsageError("ranges: give the number of landmarks by landmarks_ned or landmarks_guess_ned, (L, 3)")
-    count = len(known if known is not None else guess)  # type: ignore[arg-type]
+    count = len(given)
     if guess is None:
         guess = guesses_of(seed, centre, count)
     if known is not None and len(guess) != count:
@@ -99,7 +100,7 @@ def landmarks_given(
 
 
 def _checked_positions(name: str, values: object) -> Floats:
-    """Return values as finite positions (L, 3) [m]; raises UsageError."""
+    """Return values as an array of positions (L, 3) [m]; raises UsageError unless they are finite."""
     array = np.asarray(values, np.float64)
     if array.ndim != 2 or array.shape[1:] != (3,) or not len(array) or not np.isfinite(array).all():
         raise UsageError(f"{name}: expected finite places (L, 3) [m], found shape {array.shape}")

@@ -89,7 +89,7 @@ class Damping:
 
 
 def banded(normal: Normal, damping: Damping) -> Floats:
-    """Return the states' matrix (2 D, (T + 1) D) in LAPACK's lower band form, damped."""
+    """Return the damped matrix of the states in LAPACK's lower band form, (2 D, (T + 1) D)."""
     diagonal, below = np.asarray(normal.diagonal), np.asarray(normal.below)
     count, size, _ = diagonal.shape
     band = np.zeros((2 * size, count * size))
@@ -121,7 +121,7 @@ class Reduced:
     border: Floats
 
     def back(self, right: Floats) -> Floats:
-        """Return L'^-1 times right-hand sides ((T + 1) D,) or ((T + 1) D, N)."""
+        """Solve L' x = right for right-hand sides ((T + 1) D,) or ((T + 1) D, N)."""
         return _triangular(self.factor, right, "T")
 
 

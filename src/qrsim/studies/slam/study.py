@@ -132,9 +132,12 @@ def check_size(
 
 
 def fly(
-    seeds: Sequence[int], noises: Sequence[str] = NOISES, duration: float = example.DURATION,
-    state_period: float = example.STATE_PERIOD, gnss: str | None = None,
-) -> dict[str, list[Flight]]:  # fmt: skip
+    seeds: Sequence[int],
+    noises: Sequence[str] = NOISES,
+    duration: float = example.DURATION,
+    state_period: float = example.STATE_PERIOD,
+    gnss: str | None = None,
+) -> dict[str, list[Flight]]:
     """Fly all seeds with each noise; white noise takes its size from the coloured flights.
 
     Coloured flights are those of the published receiver, or of one of type gnss with the preset ``gnss``.

@@ -108,7 +108,7 @@ def _world_seeds(seeds: Sequence[int], vehicles: int) -> list[int]:
 
 
 def rangings_of(flights: Sequence[Flight], seed: int) -> list[Ranging]:
-    """Measure ranges of N flights to the landmarks of their seed."""
+    """Measure ranges of N flights to the landmarks of their seed; return one ``Ranging`` each."""
     return [example.ranging_of(flight, seed, vehicle=i) for i, flight in enumerate(flights)]
 
 

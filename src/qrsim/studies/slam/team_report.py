@@ -49,7 +49,7 @@ def check_together(vehicles: int, graph: str, of_run: bool, given: Sequence[str]
 
 
 def numbers_of_run(found: CooperativeSlam) -> Content:
-    """Return the numbers of several vehicles of a run; None where there is no number."""
+    """Return the errors of a solved run of several vehicles as plain values, None for undefined ones."""
     import math
 
     import numpy as np

@@ -114,7 +114,7 @@ def cooperative_from_run(
 
 
 def _check_names(names: Sequence[str]) -> None:
-    """Check that there is a vehicle, and none twice; raises UsageError."""
+    """Raise UsageError if no vehicle is named, or one twice."""
     if not names:
         raise UsageError("vehicles: none; cooperative SLAM is of at least one")
     for name in names:

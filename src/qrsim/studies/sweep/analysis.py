@@ -36,7 +36,7 @@ class Response:
 def response(
     results: Results, parameter: Parameter, values: NumpyArray, limits: tuple[float, float] = (-np.inf, np.inf)
 ) -> Response:
-    """Compute the response of values (E,), which are within limits whatever is flown.
+    """Return the response (mean and interval at each level) of values (E,), which lie within limits by definition.
 
     At each level the means of the seeds (of sampled points: of the points) are what is independent; their Student t
     interval is the band, cut where the metric ends. All points of a study share their seeds, so that episodes are not
@@ -53,7 +53,7 @@ def response(
 
 
 def _mean(values: NumpyArray, groups: NumpyArray, limits: tuple[float, float]) -> tuple[float, float, float]:
-    """Return mean and interval of values whose groups are independent; the interval stays within limits."""
+    """Return mean and interval (mean, low, high) of values with independent groups, clipped to limits."""
     from scipy.stats import t
 
     mean = float(values.mean())
@@ -98,12 +98,12 @@ def share_interval(share: float, shares: NumpyArray, count: int) -> tuple[float,
 
 
 def failures(results: Results, parameter: Parameter) -> Response:
-    """Compute the share of the episodes that failed at each level of a parameter, with its exact interval."""
+    """Return the response of the failed share at each level of a parameter, with its exact interval."""
     return response(results, parameter, results.failed.astype(float))
 
 
 def heat_map(one: Parameter, other: Parameter, values: NumpyArray) -> NumpyArray:
-    """Compute the mean of values (E,) at each pair of levels (L1, L2), NaN for a pair without episodes."""
+    """Return the mean of values (E,) at each pair of levels (L1, L2), NaN for a pair without episodes."""
     fine = np.isfinite(values)
     cell = one.level[fine] * len(other.levels) + other.level[fine]
     size = len(one.levels) * len(other.levels)
@@ -137,7 +137,7 @@ class Boundary:
         return _logistic(self._terms(values) @ self.coefficients)
 
     def band(self, values: NumpyArray) -> tuple[NumpyArray, NumpyArray] | None:
-        """Return the interval of the probability at such values, None with too few seeds."""
+        """Return the interval (low, high) of the probability at values (..., d); None with too few seeds."""
         if not len(self.resampled):
             return None
         found = _logistic(self._terms(values) @ self.resampled.T)
@@ -149,7 +149,7 @@ class Boundary:
         return terms((values - self.middle) / self.scale, self.squares)
 
     def crossing(self, number: int) -> tuple[float, float, float] | None:
-        """Return the value of one parameter at which half of the episodes fail, with its interval, others mid-range.
+        """Return (value, low, high) of a parameter where half of the episodes fail, others mid-range; or None.
 
         None where it does not within the values that were flown.
         """
@@ -171,14 +171,14 @@ class Boundary:
         return tuple(parameter.uneven(np.array([at, low, high])).tolist())
 
     def line(self, number: int, count: int) -> NumpyArray:
-        """Return values (count, d) along one parameter, the others mid-range."""
+        """Return values (count, d) along one parameter, with the others mid-range."""
         line = np.tile(self.middle, (count, 1))
         middle, scale = float(self.middle[number]), float(self.scale[number])
         line[:, number] = np.linspace(middle - scale, middle + scale, count)
         return line
 
     def _beside(self, number: int, at: float) -> tuple[float, float]:
-        """Return the levels around a value where the fit is sure at both of them, else the value twice."""
+        """Return the levels on both sides of a value if the fit is sure at each; else (value, value)."""
         levels = self.parameters[number].even(np.asarray(self.parameters[number].levels, float))
         i = int(np.clip(np.searchsorted(levels, at), 1, len(levels) - 1))
         pair = np.tile(self.middle, (2, 1))
@@ -211,7 +211,7 @@ def _logistic(score: NumpyArray) -> NumpyArray:
 
 
 def boundary(results: Results) -> Boundary | str:
-    """Fit the boundary of failure; return a reason if there is none."""
+    """Fit the boundary of failure; return a text instead that says why there is none."""
     parameters = tuple(p for p in results.parameters.values() if p.numeric and np.ptp(p.values) > 0)
     failed = results.failed
     if not parameters:
@@ -248,7 +248,7 @@ class _Counts:
         return np.bincount(self._point, weight), np.bincount(self._point, weight * self._failed)
 
     def drawn(self, number: int) -> tuple[NumpyArray, NumpyArray]:
-        """Return episodes and failures of a resample of the seeds, or of the points where there is one seed."""
+        """Return episodes and failures at each point for a bootstrap resample, selected by its number."""
         size = self._seeds if self._seeds > 1 else len(self.values)
         random = np.random.default_rng(number)
         return self._count(np.bincount(random.integers(0, size, size), minlength=size).astype(float))
@@ -294,7 +294,7 @@ class Sensitivity:
 
 
 def sensitivity(results: Results, values: NumpyArray) -> Sensitivity | str:
-    """Compute Sobol indices by SALib; return a reason if there are none."""
+    """Return the Sobol indices of values, computed by SALib; or a text that says why there are none."""
     sampling = results.spec.sampling
     if sampling is None or sampling.type != "saltelli":
         return "they need 'sampling: {type: saltelli, ...}'"

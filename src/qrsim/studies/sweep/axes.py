@@ -53,7 +53,7 @@ class Axis:
 
     @property
     def labels(self) -> NumpyArray:
-        """Return the values as a coordinate: numbers, or texts if any value is not a number."""
+        """Return the axis's values as coordinates: numbers, or texts if any value is not a number."""
         assert self.values is not None
         if all(isinstance(value, int | float) and not isinstance(value, bool) for value in self.values):
             return np.array(self.values, np.float64)
@@ -61,11 +61,11 @@ class Axis:
         return np.array(texts, dtype=object)
 
     def ends(self) -> tuple[Any, Any]:
-        """Return the smallest and the largest value of numbers."""
+        """Return the smallest and the largest value of a numeric axis."""
         return (self.low, self.high) if self.values is None else (min(self.values), max(self.values))
 
     def scaled(self, unit: NumpyArray) -> NumpyArray:
-        """Return the values of numbers in [0, 1)."""
+        """Return the values of a numeric axis for numbers in [0, 1), by its scale."""
         if self.scale == "normal":
             from scipy.stats import truncnorm
 
@@ -78,7 +78,7 @@ class Axis:
 
 
 def in_ticks(values: NumpyArray, step: float) -> NumpyArray:
-    """Return times [s] rounded down to whole ticks of a step [s]; as they are where it is 0."""
+    """Return times [s] rounded down to multiples of ``step`` [s]; unchanged if that is 0."""
     return np.round(np.floor(values / step + 1e-6) * step, 9) if step else values
 
 
@@ -106,13 +106,13 @@ def axes_of(spec: StudySpec, time_step: float = 0.0) -> tuple[Axis, ...]:
 
 
 def apply(content: Content, path: str, value: object) -> None:
-    """Set a value of the content of a scenario, or those of a condition, in place."""
+    """Set a value, or the values of a condition, in a scenario's content, in place."""
     for text in overrides(content, path, value):
         apply_override(content, text)
 
 
 def overrides(content: Content, path: str, value: object) -> list[str]:
-    """Return the arguments of ``qrsim run --set`` that set a value, or those of a condition.
+    """Return ``qrsim run --set`` arguments that set a value, or the values of a condition.
 
     Raises:
         UsageError: a fleet has not so many vehicles.

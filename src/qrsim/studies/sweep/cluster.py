@@ -25,7 +25,7 @@ class Tls:
     key: Path
 
     def security(self) -> object:
-        """Return Dask's settings.
+        """Return the settings as Dask's ``Security`` object.
 
         Raises:
             UsageError: a file cannot be read.
@@ -109,7 +109,7 @@ def _reason(error: Exception) -> str:
 
 
 def check_workers(client: Any, address: str) -> None:
-    """Refuse a scheduler whose workers have other versions and could give other numbers.
+    """Raise an error if a worker of the scheduler has other versions, which could give other numbers.
 
     Raises:
         RunError: there is no worker, or one has no qrsim or other versions; the message says which.

@@ -24,7 +24,7 @@ LETTERS_PER_INCH = 11
 
 
 def _name(figure: Figure, results: Results, what: str) -> None:
-    """Give a figure its title, in lines that are not wider than it."""
+    """Set a figure's title, wrapped to its width."""
     some = "" if results.episodes == results.planned else f" of {results.planned}"
     text = f"{results.spec.name}: {what}\n{results.episodes}{some} episodes of {results.scenario['name']}"
     width = int(LETTERS_PER_INCH * figure.get_figwidth())
@@ -38,7 +38,7 @@ def _metric(results: Results, name: str) -> str:
 
 
 def _places(parameter: Parameter) -> NumpyArray:
-    """Return where the levels of a parameter are on an axis."""
+    """Return the positions (L,) of a parameter's levels on an axis: the values, or 0, 1, 2, ..."""
     return np.asarray(parameter.levels, float) if parameter.numeric else np.arange(len(parameter.levels), dtype=float)
 
 
@@ -63,7 +63,7 @@ def edges(parameter: Parameter) -> NumpyArray:
 
 
 def _name_levels(axis: Any, parameter: Parameter) -> None:
-    """Write the levels of a parameter that is not a number at an axis."""
+    """Label an axis with the levels of a parameter that is not numeric."""
     if not parameter.numeric:
         texts = [text if len(text) < 24 else f"{text[:21]}..." for text in parameter.levels]
         axis.set_ticks(_places(parameter), texts)
@@ -111,7 +111,7 @@ def draw_map(results: Results, pair: tuple[Parameter, Parameter], metric: str) -
 
 
 def _mesh(axes: Axes, pair: tuple[Parameter, Parameter], values: NumpyArray, colours: str, **limits: Any) -> Any:
-    """Draw a map, the first parameter to the right."""
+    """Draw values at pairs of levels (L1, L2) as a colour mesh, the first parameter to the right."""
     one, other = pair
     image = axes.pcolormesh(edges(one), edges(other), values.T, cmap=colours, **limits)
     # What was not flown has no colour of the scale.
@@ -124,7 +124,7 @@ def _mesh(axes: Axes, pair: tuple[Parameter, Parameter], values: NumpyArray, col
 
 
 def _scale(axes: Axes, one: Parameter, other: Parameter | None = None) -> None:
-    """Make the axes of what is spread evenly in its logarithm logarithmic."""
+    """Make the axes of logarithmic parameters logarithmic."""
     if one.log:
         axes.set_xscale("log")
     if other is not None and other.log:
@@ -155,7 +155,7 @@ def draw_boundary(results: Results, found: Boundary, pair: tuple[Parameter, Para
 
 
 def _is_flown(pair: tuple[Parameter, Parameter], lines: list[NumpyArray], values: NumpyArray) -> NumpyArray:
-    """Return for places (Y, X) whether they are in a cell of a map (L1, L2) that has episodes."""
+    """Return whether places (Y, X) lie in a cell of a map (L1, L2) that has episodes."""
     cells = [
         np.clip(np.searchsorted(edges(parameter), line, side="right") - 1, 0, len(parameter.levels) - 1)
         for parameter, line in zip(pair, lines, strict=True)

@@ -67,7 +67,7 @@ def dumped(group: Any) -> bytes:
 
 @lru_cache(maxsize=8)
 def _function(what: str, source: str, digest: str) -> Any:
-    """Return a user's function, the same object for all batches, so that it is compiled once."""
+    """Load a user's function, the same object for all batches, so that it compiles once."""
     from pathlib import Path
 
     from qrsim.errors import UsageError
@@ -81,7 +81,7 @@ def _function(what: str, source: str, digest: str) -> Any:
 
 
 def _own_metrics(job: Job) -> tuple[Any, Mapping[str, Metric]]:
-    """Return the user's metrics object of a job, and its ``Metric`` by name."""
+    """Return the user's metrics object of a job, and name -> ``Metric`` for it."""
     from qrsim.studies.sweep.study import OWN
 
     if job.own_metrics is None:
@@ -130,7 +130,7 @@ def _roll_out(job: Job) -> dict[str, NumpyArray]:
 
 @lru_cache(maxsize=8)
 def _beside_built_in(own_metrics: object, missions: bool) -> Any:
-    """Return a user's metrics with the built-in ones, the same object for all batches, so that it is compiled once."""
+    """Return an object with built-in and user's metrics, the same for all batches, so that it compiles once."""
     from qrsim.interface.metrics import FLIGHT_METRICS
     from qrsim.interface.mission_metrics import MISSION_METRICS
     from qrsim.studies.sweep.own_metrics import BothMetrics
@@ -140,7 +140,7 @@ def _beside_built_in(own_metrics: object, missions: bool) -> Any:
 
 @lru_cache(maxsize=8)
 def _recorder(dumped: bytes) -> Any:
-    """Return the function of a state that a track records, the same object for all batches of a group."""
+    """Return the function from a state to its track record, the same object for all batches of a group."""
     import jax.numpy as jnp
 
     from qrsim.interface.endurance import charges
@@ -164,7 +164,7 @@ def _until_the_end(tracks: NumpyArray, flown_s: NumpyArray, every: float) -> Num
 
 
 def _stacked(group: Any, job: Job, functions: dict[str, Any]) -> Any:
-    """Set up as ``setup_of`` does, without a World for each episode."""
+    """Return the set-up of a rollout, shared leaves and varied leaves, without one World per episode."""
     from dataclasses import replace
 
     import jax.numpy as jnp

@@ -20,6 +20,9 @@ from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.studies.sweep.axes import Axis, apply, in_ticks
 from qrsim.world.state import World
 
+# From so many ranges on their places are looked for together.
+MANY = 4
+
 
 @dataclass(frozen=True)
 class Place:
@@ -38,7 +41,7 @@ class Place:
     parts: tuple[tuple[int, NumpyArray], ...]
 
     def values(self, given: NumpyArray) -> NumpyArray:
-        """Convert scenario values to the World's units, in double precision."""
+        """Convert values of the scenario to the World's units (radians, ticks), as float64."""
         return np.array([_in_world(value, self.step, self.in_degrees) for value in given], np.float64)
 
 
@@ -91,7 +94,7 @@ class Group:
         return structure, fixed, [own[i] for i in sorted(own)], which
 
     def loaded(self, numbers: Mapping[str, NumpyArray], precision: str) -> list[World]:
-        """Return the world of each point, loaded one by one."""
+        """Return the World of each point, built by loading its scenario."""
         found: dict[Hashable, World] = {}
         rows = list(zip(*(numbers[path].tolist() for path in self.paths), strict=True))
         for row in rows:
@@ -100,12 +103,12 @@ class Group:
         return [found[row] for row in rows]
 
     def scenario(self, values: Mapping[str, object]) -> Scenario:
-        """Return the scenario of a point."""
+        """Return the scenario of the point with the given values."""
         return scenario_at(self.content, values)
 
 
 def scenario_at(content: Content, values: Mapping[str, object]) -> Scenario:
-    """Return the scenario of the given content with values set.
+    """Load a scenario's content with the values of a point set.
 
     Raises:
         UsageError, ScenarioError: it cannot be.
@@ -117,7 +120,7 @@ def scenario_at(content: Content, values: Mapping[str, object]) -> Scenario:
 
 
 def faults(content: Content, values: Mapping[str, object]) -> list[str]:
-    """Return the faults of a point, one sentence each."""
+    """Return the problems of the scenario at a point, one sentence each; [] if it is valid."""
     try:
         scenario_at(content, values)
     except ScenarioError as error:
@@ -140,7 +143,7 @@ def same_structure(one: Scenario, other: Scenario, precision: str) -> bool:
 
 
 def make_group(content: Content, choices: Mapping[str, object], numbers: Iterable[Axis], precision: str) -> Group:
-    """Build the group of some structural choices; the numbers in ``numbers`` vary in it.
+    """Build the group of structural choices, in which the numbers of ``numbers`` vary.
 
     Raises:
         ScenarioError: the scenario with these choices is wrong.
@@ -166,7 +169,7 @@ def make_group(content: Content, choices: Mapping[str, object], numbers: Iterabl
 
 
 def regrouped(group: Group, content: Content, axes: tuple[Axis, ...], precision: str) -> Group:
-    """Return the group of another scenario, whose World has the numbers of ``group`` at the same places.
+    """Return the group for another scenario, reusing the places in ``group`` if they fit.
 
     Raises:
         ScenarioError: the scenario is wrong.
@@ -182,7 +185,7 @@ def regrouped(group: Group, content: Content, axes: tuple[Axis, ...], precision:
 
 
 def _mixed(axes: tuple[Axis, ...]) -> list[Content]:
-    """Return points far from the lowest: all highest, and every other one."""
+    """Return two test points: all axes highest, and lowest and highest in turn."""
     highest = {axis.path: axis.ends()[1] for axis in axes}
     other = {axis.path: axis.ends()[i % 2] for i, axis in enumerate(axes)}
     return [highest, other]
@@ -206,7 +209,11 @@ def _same_bits(one: object, other: object) -> bool:
 def _places(
     base: Content, axes: tuple[Axis, ...], lowest: Mapping[str, object], world: World, precision: str
 ) -> tuple[Place, ...] | None:
-    """Return where the World has each number, None where one of them is not simply there."""
+    """Return the place of each axis's number in the World; None if one has none, or two share one."""
+    if len(axes) >= MANY and all(axis.values is None for axis in axes):
+        together = _places_together(base, axes, lowest, world, precision)
+        if together is not None:
+            return together
     found = []
     taken: dict[int, NumpyArray] = {}
     for axis in axes:
@@ -221,8 +228,49 @@ def _places(
     return tuple(found)
 
 
+def _places_together(
+    base: Content, axes: tuple[Axis, ...], lowest: Mapping[str, object], world: World, precision: str
+) -> tuple[Place, ...] | None:
+    """Return the place of each range in the World, found by changing all at once; None if one is ambiguous.
+
+    Two further worlds are built, in which each number has another part of its range, so that a changed element of the
+    World belongs to the one number that has its three values.
+    """
+    parts = np.arange(1, len(axes) + 1) / (len(axes) + 1.0)
+    given: list[list[Any]] = [[lowest[axis.path] for axis in axes]]
+    for part in (0.5 * parts, 0.5 + 0.5 * parts[::-1]):
+        chosen = zip(axes, part, strict=True)
+        given.append(
+            [float(in_ticks(axis.low + (axis.high - axis.low) * np.array(at), axis.step)) for axis, at in chosen]
+        )
+    paths = [axis.path for axis in axes]
+    worlds = [world, *(scenario_at(base, dict(zip(paths, row, strict=True))).world(precision) for row in given[1:])]
+    leaves = [[np.asarray(leaf) for leaf in jax.tree.leaves(item)] for item in worlds]
+    # Of each number in each of its two forms the values in the three worlds.
+    forms = [(i, step, degrees) for i, axis in enumerate(axes) for step, degrees in ((axis.step, False), (0.0, True))]
+    values = np.array([[_in_world(row[i], step, degrees) for i, step, degrees in forms] for row in given], np.float64)
+    found: dict[int, list[tuple[int, NumpyArray]]] = {}
+    for number, versions in enumerate(zip(*leaves, strict=True)):
+        differs = _differs(versions)
+        if not differs.any():
+            continue
+        known = values.astype(versions[0].dtype)
+        fits = np.all([versions[i][differs][:, None] == known[i] for i in range(3)], axis=0)
+        if (fits.sum(axis=1) != 1).any():
+            return None
+        owner = fits.argmax(axis=1)
+        for form in np.unique(owner):
+            elements = np.zeros(differs.shape, bool)
+            elements[differs] = owner == form
+            found.setdefault(int(form), []).append((number, elements))
+    if sorted(forms[form][0] for form in found) != list(range(len(axes))):
+        return None
+    each = sorted(found.items())
+    return tuple(Place(paths[forms[form][0]], *forms[form][1:], tuple(parts)) for form, parts in each)
+
+
 def _place(base: Content, axis: Axis, lowest: Mapping[str, object], world: World, precision: str) -> Place | None:
-    """Return where in the world the number of an axis is, found by changing it; None if it is nowhere alone."""
+    """Return the elements of the World that an axis sets, found by changing its value; None without any."""
     low, high = axis.ends()
     values = [low, _middle(axis), high]
     worlds = [world, *(scenario_at(base, {**lowest, axis.path: value}).world(precision) for value in values[1:])]
@@ -235,26 +283,24 @@ def _place(base: Content, axis: Axis, lowest: Mapping[str, object], world: World
 
 
 def _in_world(value: Any, step: float, in_degrees: bool) -> Any:
-    """Return the number in the world for a value of a scenario: in radians, in ticks or unchanged."""
+    """Convert a scenario's value to its number in the World: radians, ticks or unchanged."""
     if in_degrees:
         return math.radians(value)
     return round(value / step) if step else value
 
 
 def _middle(axis: Axis) -> object:
-    """Return the value in the middle of an axis."""
+    """Return the middle value of an axis."""
     if axis.values is None:
         return float(in_ticks(np.array(0.5 * (axis.low + axis.high)), axis.step))
     return sorted(axis.values)[len(axis.values) // 2]
 
 
 def _parts(leaves: list[list[NumpyArray]], values: list[float]) -> tuple[tuple[int, NumpyArray], ...]:
-    """Return the elements of leaves that are these values; none where one changes in another way."""
+    """Return (leaf index, mask) of the elements that equal ``values`` in turn; () if others change too."""
     found = []
     for number, versions in enumerate(zip(*leaves, strict=True)):
-        differs = np.zeros(versions[0].shape, bool)
-        for other in versions[1:]:
-            differs = differs | ~((versions[0] == other) | ((versions[0] != versions[0]) & (other != other)))
+        differs = _differs(versions)
         if not differs.any():
             continue
         for leaf, value in zip(versions, values, strict=True):
@@ -262,3 +308,11 @@ def _parts(leaves: list[list[NumpyArray]], values: list[float]) -> tuple[tuple[i
                 return ()
         found.append((number, differs))
     return tuple(found)
+
+
+def _differs(versions: tuple[NumpyArray, ...]) -> NumpyArray:
+    """Return a mask of the elements that are not the same in all versions of a leaf; NaN equals NaN."""
+    first, differs = versions[0], np.zeros(versions[0].shape, bool)
+    for other in versions[1:]:
+        differs = differs | ~((first == other) | ((first != first) & (other != other)))
+    return differs

@@ -37,7 +37,7 @@ class Metric:
 
 
 def _over(reduce: Callable[..., NumpyArray], name: str) -> Callable[[Found], NumpyArray]:
-    """Return a function that reduces a value of each vehicle to one of each episode, without NaN."""
+    """Return a function that reduces a per-vehicle metric to one value per episode, ignoring NaN."""
 
     def of(found: Found) -> NumpyArray:
         with warnings.catch_warnings():
@@ -49,7 +49,7 @@ def _over(reduce: Callable[..., NumpyArray], name: str) -> Callable[[Found], Num
 
 
 def _if_known(reduce: Callable[..., NumpyArray], name: str) -> Callable[[Found], NumpyArray]:
-    """Return a metric that only some worlds have; NaN in all others."""
+    """Return a per-episode metric that is NaN in worlds without the quantity ``name``."""
     of = _over(reduce, name)
     return lambda found: of(found) if name in found else np.full(len(found["reason"]), np.nan)
 
@@ -59,7 +59,7 @@ def _root_mean_square(values: NumpyArray, axis: int) -> NumpyArray:
 
 
 def _stopped(*kinds: str) -> Callable[[Found], NumpyArray]:
-    """Return a function that counts the vehicles of each episode that stopped by some kinds, or by any."""
+    """Return a function that counts each episode's vehicles that stopped for one of ``kinds``, or any reason."""
 
     def of(found: Found) -> NumpyArray:
         from qrsim.models.scene.area import REASONS
@@ -83,7 +83,7 @@ def _end_error(found: Found) -> NumpyArray:
 
 
 def _of_least(name: str, part: str) -> Callable[[Found], NumpyArray]:
-    """Return a function for a metric, such as a leg, of the vehicle with the least value of another, or its number."""
+    """Return a function for the ``part`` (or number) of the vehicle with the smallest ``name`` in each episode."""
 
     def of(found: Found) -> NumpyArray:
         values = np.asarray(found[name], np.float64)
@@ -98,7 +98,7 @@ def _of_least(name: str, part: str) -> Callable[[Found], NumpyArray]:
 
 
 def _mission(metric: Metric) -> Metric:
-    """Return a metric as one that needs a mission."""
+    """Return a metric marked as one that needs a mission."""
     return replace(metric, mission=True)
 
 
@@ -112,27 +112,40 @@ _MARGINS = {
 
 
 def _of_missions() -> dict[str, Metric]:
-    """Return the metrics of missions by name."""
+    """Return name -> metric of missions."""
     found = {
         "not_finished": Metric("1", "vehicles that did not finish their mission", _not_finished),
-        "finished_s": Metric("s", "time at which the last vehicle finished its mission",
-                             _over(np.nanmax, "finished_s")),
-        "down_s": Metric("s", "time at which the last vehicle finished, or was landed by a failsafe",
-                         _over(np.nanmax, "down_s")),
-        "charge_end": Metric("1", "charge left at the end of the mission, of the worst vehicle",
-                             _over(np.nanmin, "charge_end"), low_is_bad=True, limits=(0.0, 1.0)),
-        "home_m": Metric("m", "horizontal distance from the start at the end, of the farthest vehicle",
-                         _over(np.nanmax, "home_m")),
+        "finished_s": Metric(
+            "s", "time at which the last vehicle finished its mission", _over(np.nanmax, "finished_s")
+        ),
+        "down_s": Metric(
+            "s", "time at which the last vehicle finished, or was landed by a failsafe", _over(np.nanmax, "down_s")
+        ),
+        "charge_end": Metric(
+            "1",
+            "charge left at the end of the mission, of the worst vehicle",
+            _over(np.nanmin, "charge_end"),
+            low_is_bad=True,
+            limits=(0.0, 1.0),
+        ),
+        "home_m": Metric(
+            "m", "horizontal distance from the start at the end, of the farthest vehicle", _over(np.nanmax, "home_m")
+        ),
         "in_the_air": Metric("1", "vehicles in the air at the end", _over(np.sum, "in_the_air")),
-        "crashed": Metric("1", "vehicles that hit the ground, crashed, or lost their battery",
-                          _stopped("hit_ground", "crashed", "brown_out", "battery_empty")),
+        "crashed": Metric(
+            "1",
+            "vehicles that hit the ground, crashed, or lost their battery",
+            _stopped("hit_ground", "crashed", "brown_out", "battery_empty"),
+        ),
         "stopped_s": Metric("s", "time at which the first vehicle stopped", _over(np.nanmin, "stopped_at_s")),
-        "stopped_leg": Metric("1", "leg of the first vehicle that stopped, from 1",
-                              _of_least("stopped_at_s", "stopped_at_leg")),
-        "stopped_vehicle": Metric("1", "number of the first vehicle that stopped",
-                                  _of_least("stopped_at_s", "vehicle")),
+        "stopped_leg": Metric(
+            "1", "leg of the first vehicle that stopped, from 1", _of_least("stopped_at_s", "stopped_at_leg")
+        ),
+        "stopped_vehicle": Metric(
+            "1", "number of the first vehicle that stopped", _of_least("stopped_at_s", "vehicle")
+        ),
         "failsafe_s": Metric("s", "time at which the first failsafe took over", _over(np.nanmin, "failsafe_at_s")),
-    }  # fmt: skip
+    }
     for margin, doc in _MARGINS.items():
         found[f"{margin}_m"] = Metric(
             "m", doc, _over(np.nanmin, f"{margin}_m"), low_is_bad=True, limits=(-np.inf, np.inf)
@@ -201,7 +214,7 @@ METRICS: dict[str, Metric] = {
 
 
 def of_episodes(names: tuple[str, ...], found: Found, own: Mapping[str, Metric]) -> dict[str, NumpyArray]:
-    """Compute metrics (W,) of episodes by name, single precision, from those of all vehicles (W, n, ...).
+    """Compute the named metrics (W,) of episodes from those of all vehicles (W, n, ...), in float32.
 
     Args:
         names: built-in ones and own ones.

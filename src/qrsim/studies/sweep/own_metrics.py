@@ -24,7 +24,7 @@ EXAMPLE = "numbers = {'speed_max_m_s': {'unit': 'm/s', 'doc': 'largest speed', '
 
 
 def own_metrics(source: str) -> tuple[Any, dict[str, Metric]]:
-    """Load a user's metrics object; return it and its ``Metric`` by name.
+    """Load a user's metrics object; return it, and name -> ``Metric``.
 
     Args:
         source: FILE.py:NAME, MODULE:NAME, or a registered name of kind ``metric``.
@@ -59,7 +59,7 @@ def _metric(source: str, name: str, about: object) -> Metric:
 
 
 def _episode(source: str, name: str, reduce: Callable[..., NumpyArray]) -> Callable[[Found], NumpyArray]:
-    """Return a function that reduces a number of vehicles (W, n) to episodes (W,), or returns one that is (W,)."""
+    """Return a function that reduces a user's metric (W, n) to episodes (W,), and leaves one of (W,) as it is."""
 
     def of(found: Found) -> NumpyArray:
         if name not in found:
@@ -94,5 +94,5 @@ class BothMetrics:
         return self.first.update(memory[0], world, state, tick), self.second.update(memory[1], world, state, tick)
 
     def finish(self, memory: Any, world: World, state: Any) -> dict[str, Any]:
-        """Return the numbers of both."""
+        """Return the numbers of both metrics objects as one dict."""
         return {**self.second.finish(memory[1], world, state), **self.first.finish(memory[0], world, state)}

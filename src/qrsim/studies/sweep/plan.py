@@ -90,7 +90,7 @@ class Plan:
 
     @cached_property
     def track(self) -> tuple[int, ...]:
-        """Number of records, of vehicles, and of numbers of each: north, east, down, charge; () without tracks."""
+        """Shape of a track: records, vehicles, numbers (north, east, down, charge); () without tracks."""
         every = self.study.spec.track
         if every is None:
             return ()
@@ -113,7 +113,7 @@ class Plan:
 
     @cached_property
     def chunks(self) -> tuple[int, ...]:
-        """Size of a block along each dimension."""
+        """Size of a batch's block along each dimension."""
         single = [axis.path in self.structural for axis in self.crossed]
         if self.sampled:
             single.append(any(axis.path in self.structural for axis in self.sampled))
@@ -127,7 +127,7 @@ class Plan:
 
     @property
     def _wanted(self) -> int:
-        """Return how many episodes a batch should have."""
+        """Return the number of episodes that a batch should have."""
         if self.study.spec.batch:
             return self.study.spec.batch
         if self.study.spec.policy == BASELINE:
@@ -156,7 +156,7 @@ class Plan:
         )
 
     def batch(self, index: int) -> Batch:
-        """Return a batch."""
+        """Return the batch with an index: its group, region, numbers and seeds."""
         region = self.region(index)
         shape = tuple(part.stop - part.start for part in region)
         chosen: dict[str, int] = {}
@@ -176,7 +176,7 @@ class Plan:
         return Batch(index, region, shape, tuple(chosen[path] for path in self.structural), numbers, seeds)
 
     def _columns(self, region: tuple[slice, ...]) -> Iterator[tuple[Axis, NumpyArray, int]]:
-        """Yield each axis with its values in a region, or the number of the value where it is structural."""
+        """Yield (axis, its values in a region, dimension); indices in place of structural values."""
         for dimension, axis in enumerate(self.crossed):
             yield axis, self._of(axis, region[dimension]), dimension
         if self.sampled:
@@ -186,14 +186,14 @@ class Plan:
                 yield axis, rows[axis.path], len(self.crossed)
 
     def _of(self, axis: Axis, part: slice) -> NumpyArray:
-        """Return the values of a part of an axis; numbers of the choices if it changes the structure."""
+        """Return a slice of an axis's values; indices of its choices if the axis is structural."""
         assert axis.values is not None
         if axis.path in self.structural:
             return np.arange(part.start, part.stop)
         return np.array(axis.values)[part]
 
     def rows(self, start: int, stop: int) -> dict[str, NumpyArray]:
-        """Return the values of the sampled parameters at some points, by path; indices of structural ones."""
+        """Return path -> values of sampled parameters at points ``start`` to ``stop``; indices of structural ones."""
         if self.sample is None:
             return {axis.path: self._of(axis, slice(start, stop)) for axis in self.sampled}
         unit = self.sample.rows(start, stop)

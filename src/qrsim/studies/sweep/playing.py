@@ -44,7 +44,7 @@ class _Policy(BaselinePolicy):
     """A baseline that begins anew without being compiled anew."""
 
     def again(self, seed: int) -> None:
-        """Begin an episode with another seed."""
+        """Reset the policy for an episode with another seed."""
         self.seed, self._memory = seed, None
         self._baseline = baseline(self.play, seed)
 
@@ -84,7 +84,7 @@ _KEPT: dict[Hashable, _Point] = {}
 
 @cache
 def _summed() -> Any:
-    """Return the program that takes the states of some ticks into account."""
+    """Return the compiled program that updates flight metrics by the states of some ticks."""
 
     def summed(flight: object, world: World, states: object, ticks: object) -> object:
         def one(known: Any, at: Any) -> Any:

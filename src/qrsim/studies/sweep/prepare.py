@@ -52,7 +52,7 @@ def plan_of(study: Study) -> Plan:
 
 
 def plan_of_numbers(study: Study) -> Plan:
-    """Plan a study whose parameters are numbers with ranges that are known to be allowed.
+    """Plan a study of numeric parameters with known valid ranges, skipping the checks.
 
     ``plan_of`` tries every pair of parameters at their ends, which takes minutes for dozens of them. Here only the
     points with all lowest and all highest values are checked.
@@ -68,7 +68,7 @@ def plan_of_numbers(study: Study) -> Plan:
 
 
 def plan_of_conditions(study: Study) -> Plan:
-    """Plan a study of one parameter whose conditions are known to be allowed.
+    """Plan a study of one parameter with known valid conditions, skipping the checks.
 
     ``plan_of`` loads the scenario of each condition several times, here once.
 
@@ -99,12 +99,12 @@ def _warn_of_fixed_gust(study: Study, axes: tuple[Axis, ...]) -> None:
 
 
 def _first(axes: Sequence[Axis]) -> Content:
-    """Return the first value of each axis."""
+    """Return path -> first value of each axis."""
     return {axis.path: axis.values[0] if axis.values else axis.low for axis in axes}
 
 
 def _refuse_unknown(study: Study, axes: tuple[Axis, ...]) -> None:
-    """Refuse a scenario that is wrong by itself, and paths that it does not have."""
+    """Raise an error if the scenario alone is wrong, or lacks a path of the study."""
     name = study.spec.name
     own = faults(study.content, {})
     if own:
@@ -122,14 +122,14 @@ def _refuse_unknown(study: Study, axes: tuple[Axis, ...]) -> None:
 
 
 def _settings(axis: Axis, axes: Sequence[Axis]) -> Iterator[Content]:
-    """Yield points at which a value of an axis is tried: alone, and with the first values of all."""
+    """Yield two test points for an axis: its first value alone, and with the first values of all axes."""
     value = _first([axis])
     yield value
     yield {**_first(axes), **value}
 
 
 def _refuse_outside(study: Study, axes: tuple[Axis, ...]) -> None:
-    """Refuse values that are not allowed, before anything is flown."""
+    """Raise an error for axis values that are not allowed, before anything is flown."""
     lines, judged = [], []
     for axis in axes:
         bad = _bad_values(study.content, axis, _surroundings(axis, axes))
@@ -140,14 +140,14 @@ def _refuse_outside(study: Study, axes: tuple[Axis, ...]) -> None:
 
 
 def _surroundings(axis: Axis, axes: Sequence[Axis]) -> list[Content]:
-    """Return values of the other axes, with one of which a value of this one is allowed if it ever is."""
+    """Return test values of the other axes; a value of this axis counts as allowed if it works with one."""
     others = [other for other in axes if other is not axis]
     lasts = {other.path: other.values[-1] if other.values else other.high for other in others}
     return [_first(others), lasts, {}]
 
 
 def _bad_values(content: Content, axis: Axis, others: Sequence[Mapping[str, object]]) -> dict[object, str]:
-    """Return the values of an axis that are not allowed, and why; of a range its ends."""
+    """Return value -> problem for the values of an axis that are not allowed; of a range only its ends."""
 
     def wrong(value: object) -> str:
         """Return the problems of a value with all other conditions; "" if it works with one."""
@@ -173,7 +173,7 @@ def _bad_values(content: Content, axis: Axis, others: Sequence[Mapping[str, obje
 
 
 def _by_halving(ordered: Sequence[object], wrong: Callable[[object], str]) -> dict[object, str]:
-    """Return the bad ones of many ordered values, looking at some of them only."""
+    """Return value -> problem for many sorted values, by bisection between good and bad ones."""
     tried = [round(part * (len(ordered) - 1) / TRIED) for part in range(TRIED + 1)]
     good = next((i for i in tried if not wrong(ordered[i])), None)
     if good is None:
@@ -204,7 +204,7 @@ def _described(axis: Axis, bad: Mapping[object, str]) -> list[str]:
 
 
 def _count_bad(study: Study, judged: Sequence[tuple[Axis, Mapping[object, str]]]) -> str:
-    """Say how many points have a value that is not allowed."""
+    """Return the text that says how many points have a value that is not allowed."""
     crossed = [(axis, bad) for axis, bad in judged if axis.values is not None]
     sampling = study.spec.sampling
     if len(crossed) < len(judged) or (sampling is not None and sampling.type == "list"):
@@ -215,7 +215,7 @@ def _count_bad(study: Study, judged: Sequence[tuple[Axis, Mapping[object, str]]]
 
 
 def _is_structural(study: Study, axis: Axis, axes: Sequence[Axis]) -> bool:
-    """Return whether the values of an axis change what is compiled, or whether there is one only."""
+    """Return whether an axis changes what is compiled, or has a single value."""
     if not axis.numeric or axis.path.endswith(COUNT):
         return True
     low, high = axis.ends()
@@ -250,7 +250,7 @@ def _groups(study: Study, structural: tuple[Axis, ...], numbers: tuple[Axis, ...
 
 
 def _group(study: Study, chosen: Mapping[str, object], numbers: tuple[Axis, ...]) -> Group:
-    """Return the group of a structural choice: the world, and where the varied numbers are in it."""
+    """Return the group of a structural choice: its World, and the places of the varied numbers in it."""
     if study.spec.policy != BASELINE:
         return make_group(study.content, chosen, numbers, study.spec.precision)
     # Flown one by one from its scenario.
@@ -269,7 +269,7 @@ def _point(values: Mapping[str, object]) -> str:
 
 
 def _corners(axes: tuple[Axis, ...], every: bool) -> Iterator[Content]:
-    """Yield points whose numbers are at their ends: all of them, or where there are many, by two parameters."""
+    """Yield points at the axes' ends: with ``every`` all (of many axes by pairs), else the lowest and the highest."""
     if not axes:
         yield {}
         return
@@ -288,7 +288,7 @@ def _corners(axes: tuple[Axis, ...], every: bool) -> Iterator[Content]:
 
 
 def _refuse_listed(plan: Plan) -> None:
-    """Refuse wrong points of a list, each of which is looked at."""
+    """Raise an error for wrong points of a list, after checking each."""
     wrong = []
     for point in range(plan.shape[0]):
         values = plan.values_at((point, 0))

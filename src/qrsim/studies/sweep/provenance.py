@@ -27,7 +27,7 @@ def network_versions() -> dict[str, str]:
 
 
 def _source() -> str:
-    """Return a digest of the Python files that numbers come from, in which two copies of one version may differ."""
+    """Return a digest of the package's Python files that affect numbers."""
     total = hashlib.sha256()
 
     def add(folder: Traversable, path: str) -> None:
@@ -45,7 +45,7 @@ def _source() -> str:
 
 
 def differences(mine: dict[str, str], theirs: dict[str, str]) -> list[str]:
-    """Return the differences, each as "name: mine, theirs"."""
+    """Return the entries that differ between two dicts of versions, each as "name: mine, theirs"."""
     return [
         f"{name}: {mine.get(name, 'none')} here, {theirs.get(name, 'none')} there"
         for name in {**mine, **theirs}

@@ -38,6 +38,7 @@ class Report:
         boundary: of failure, or why there is none.
         sensitivity: Sobol indices, or why there are none.
         worst: numbers of the worst episodes.
+        best: number of the best episode, None where no other than the worst has a value.
         ranking: the metrics by which they are the worst, each with whether small values are the bad ones.
     """
 
@@ -49,11 +50,12 @@ class Report:
     boundary: analysis.Boundary | str
     sensitivity: analysis.Sensitivity | str
     worst: list[int]
+    best: int | None
     ranking: dict[str, bool]
 
 
 def find(path: Path, metric: str | None, pair: list[str]) -> Report:
-    """Return the analysis of a store: responses, boundary, sensitivity and worst episodes.
+    """Return the analysis of a store as a ``Report``: responses, boundary, sensitivity and worst episodes.
 
     Args:
         path: of the store.
@@ -81,6 +83,8 @@ def find(path: Path, metric: str | None, pair: list[str]) -> Report:
         failure = results.spec.failure
         ranking = {**ranking, failure.metric: failure.below is not None}
         ranking = dict(sorted(ranking.items(), key=lambda item: item[0] != failure.metric))
+    worst = analysis.worst(results, ranking, WORST)
+    best = analysis.worst(results, {name: not low_is_bad for name, low_is_bad in ranking.items()}, 1)
     return Report(
         results,
         chosen,
@@ -89,7 +93,8 @@ def find(path: Path, metric: str | None, pair: list[str]) -> Report:
         _pair(results, pair),
         analysis.boundary(results),
         analysis.sensitivity(results, values),
-        analysis.worst(results, ranking, WORST),
+        worst,
+        best[0] if best and best != worst[:1] else None,
         ranking,
     )
 
@@ -110,7 +115,22 @@ def _pair(results: Results, names: list[str]) -> tuple[Parameter, Parameter] | N
 
 
 def replay(results: Results, episode: int, folder: Path) -> str:
-    """Return the command that flies an episode again and records it."""
+    """Return a command that flies an episode again, records it and shows it."""
+    command, run = _flight(results, episode, folder)
+    return f"{command} && qrsim view {shlex.quote(str(run))}"
+
+
+def against_best(report: Report, folder: Path) -> str | None:
+    """Return a command that flies the worst and best episode again and shows both; None without a best."""
+    if report.best is None:
+        return None
+    flights = [_flight(report.results, episode, folder) for episode in (report.worst[0], report.best)]
+    shown = shlex.join(["qrsim", "view", *(str(run) for _, run in flights)])
+    return " && ".join([*(command for command, _ in flights), shown])
+
+
+def _flight(results: Results, episode: int, folder: Path) -> tuple[str, Path]:
+    """Return a command that flies an episode again and records it, and the run folder that it writes."""
     values = results.values_at(episode)
     source, changes = results.source, dict(results.spec.set)
     name, counts = _scenario_name(values)
@@ -127,20 +147,20 @@ def replay(results: Results, episode: int, folder: Path) -> str:
     words += ["--policy-ticks", str(spec.policy_ticks)] if spec.policy_ticks != 1 else []
     words += ["--precision", spec.precision] if spec.precision != "float32" else []
     run = folder / f"episode_{int(results.positions[episode])}"
-    return shlex.join([*words, "--out", str(run)]) + f" && qrsim view {shlex.quote(str(run))}"
+    return shlex.join([*words, "--out", str(run)]), run
 
 
 def _scenario_name(values: Mapping[str, object]) -> tuple[str, Content]:
-    """Return the file of the scenario of an episode, and the numbers of vehicles that are its own there."""
+    """Return the file name of an episode's scenario, and the values that only this file holds."""
     counts = {path: value for path, value in values.items() if path.endswith(COUNT)}
     return "_".join(["scenario", *map(str, counts.values())]) + ".yaml", counts
 
 
 def _write_scenarios(report: Report, folder: Path) -> list[str]:
-    """Write the scenario, and those of the worst episodes whose vehicles are too many words for a command."""
+    """Write the study's scenario, and those of worst episodes with too many numbers for a command; return names."""
     results = report.results
     contents = {SCENARIO: results.scenario}
-    for episode in report.worst:
+    for episode in [*report.worst, *([] if report.best is None else [report.best])]:
         name, counts = _scenario_name(results.values_at(episode))
         contents[name] = copy.deepcopy(results.scenario)
         for path, value in counts.items():
@@ -151,7 +171,7 @@ def _write_scenarios(report: Report, folder: Path) -> list[str]:
 
 
 def write(report: Report, folder: Path, form: str = "png") -> list[Path]:
-    """Write pictures (png, pdf or svg), the tables as JSON, and the scenario; return the files."""
+    """Write pictures (png, pdf or svg), the tables as JSON, and the scenario into a folder; return the files."""
     from qrsim.runs.picture import save_picture
     from qrsim.studies.sweep import figures
 
@@ -188,6 +208,7 @@ def to_json(report: Report, folder: Path) -> Content:
     found["sensitivity"] = indices if isinstance(indices, str) else _sensitivity_json(indices)
     found["worst_by"] = list(report.ranking)
     found["worst"] = [_worst_json(report, episode, folder) for episode in report.worst]
+    found["against_best"] = against_best(report, folder)
     return found
 
 
@@ -233,7 +254,7 @@ def _worst_json(report: Report, episode: int, folder: Path) -> Content:
 
 
 def _plain(values: object) -> list[float | None]:
-    """Return numbers as a list for JSON, None for those that are not finite."""
+    """Return numbers as a list for JSON, with None for NaN and infinity."""
     return [float(value) if np.isfinite(value) else None for value in np.asarray(values, float)]
 
 
@@ -261,10 +282,12 @@ def print_report(report: Report, folder: Path) -> None:
         print(f"  {numbers}  seed {results.seeds[episode]}, {where}")
     if report.worst:
         print(f"\nto fly the first again: {replay(results, report.worst[0], folder)}")
+        if (command := against_best(report, folder)) is not None:
+            print(f"\nto see it over the best: {command}")
 
 
 def _ranked_by(report: Report) -> str:
-    """Return the metrics that rank the worst episodes, in words."""
+    """Return as text which metrics rank the worst episodes."""
     parts = []
     for metric, low_is_bad in report.ranking.items():
         unit = report.results.unit(metric)

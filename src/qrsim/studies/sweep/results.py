@@ -153,18 +153,18 @@ class Results:
         return str(self.dataset[metric].attrs["units"])
 
     def limits(self, metric: str) -> tuple[float, float]:
-        """Return between which numbers a metric is, whatever is flown."""
+        """Return the bounds of a metric that hold by definition."""
         return METRICS[metric].limits if metric in METRICS else (-math.inf, math.inf)
 
     def low_is_bad(self, metric: str) -> bool:
-        """Return whether small values of a metric are the bad ones."""
+        """Return whether small values of a metric are worse than large ones."""
         # A store of an earlier version does not say so itself.
         known = METRICS[metric].low_is_bad if metric in METRICS else False
         return bool(self.dataset[metric].attrs.get("low_is_bad", known))
 
     @cached_property
     def failed(self) -> NumpyArray:
-        """Return whether each episode failed (E,); one without the metric did not."""
+        """Return whether each episode failed, (E,) bool; episodes without the metric count as not failed."""
         failure = self.spec.failure
         values = self.metric(failure.metric)
         if failure.above is not None:
@@ -180,7 +180,7 @@ class Results:
         return f"{failure.metric} {word} {limit:g}{'' if unit == '1' else f' {unit}'}"
 
     def _spread(self, name: str) -> NumpyArray:
-        """Return a coordinate at every place of the Dataset."""
+        """Return a coordinate of the Dataset at every episode, as a flat array."""
         return np.broadcast_to(
             self.dataset[name].broadcast_like(self.dataset[FLOWN]).transpose(*self.dataset[FLOWN].dims).values,
             self.dataset[FLOWN].shape,
@@ -193,7 +193,7 @@ class Results:
         return {name: self._parameter(name) for name in names}
 
     def _parameter(self, name: str) -> Parameter:
-        """Return a parameter of the store: its levels, and which of them each point has."""
+        """Return a parameter of the store: its levels, and the index of each point's level."""
         coordinate = self.dataset[name]
         unit = str(coordinate.attrs.get("units", ""))
         numeric = coordinate.dtype.kind in "fiu"
@@ -215,14 +215,14 @@ class Results:
         return Parameter(name, unit, levels, level[at], np.asarray(values, np.float64), numeric, sampled, log)
 
     def _spread_index(self, name: str) -> NumpyArray:
-        """Return which entry of a coordinate each episode has (E,)."""
+        """Return each episode's index (E,) along the dimension of a coordinate."""
         flown = self.dataset[FLOWN]
         (dimension,) = self.dataset[name].dims
         axis = flown.dims.index(dimension)
         return np.unravel_index(self.positions, flown.shape)[axis]
 
     def values_at(self, episode: int) -> Content:
-        """Return path and value of each parameter of an episode, in the scenario's terms."""
+        """Return path -> value of each parameter of an episode, in the scenario's terms."""
         found: Content = {}
         for path, item in self.spec.vary.items():
             index = int(self._spread_index(item.name or path)[episode])

@@ -27,7 +27,7 @@ class Sample:
 
     @property
     def size(self) -> int:
-        """Number of points: of saltelli, d + 2 for each of the base sample."""
+        """Number of points; for saltelli, (d + 2) times the size of the base sample."""
         return self.base * (self.dimensions + 2) if self.spec.type == "saltelli" else self.base
 
     def rows(self, start: int, stop: int) -> NumpyArray:
@@ -49,7 +49,7 @@ class Sample:
 
     @cached_property
     def _hypercube(self) -> NumpyArray:
-        """The base points (k, dimensions) of a Latin hypercube, in [0, 1)."""
+        """Base points (k, dimensions) of a Latin hypercube, in [0, 1)."""
         from scipy.stats import qmc
 
         found: NumpyArray = qmc.LatinHypercube(self.dimensions, rng=np.random.default_rng(self.spec.seed)).random(

@@ -80,7 +80,7 @@ class Store:
             raise RunError(f"{self.path}: another process writes to this store") from None
 
     def _create(self) -> None:
-        """Make the store without results, beside its place; it appears as a whole."""
+        """Create an empty store in a temporary folder and move it into place."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         beside = self.path.with_name(f".{self.path.name}.{os.getpid()}.new")
         try:
@@ -91,7 +91,7 @@ class Store:
             raise
 
     def _say_anew(self) -> None:
-        """Note words and limits that have changed since the store was made."""
+        """Update descriptions and limits in the store's attributes that have changed since it was made."""
         group, about = zarr.open_group(self.path, mode="r+"), _attributes(self.plan)
         if dict(group.attrs) != about:
             group.attrs.update(about)
@@ -173,7 +173,7 @@ class Store:
         )
 
     def _done(self) -> NumpyArray:
-        """Return which batches are in the store."""
+        """Return which batches are stored, as a bool array."""
         flown = self._group[FLOWN]
         found = np.zeros(self.plan.batches, bool)
         # One file for each batch that is done: only these are read.
@@ -206,7 +206,7 @@ class Store:
         self.done[batch.index] = True
 
     def bytes_per_episode(self) -> float:
-        """Return the size of the store for each episode that is in it."""
+        """Return the store's size [bytes] per stored episode."""
         total = sum(file.stat().st_size for file in self.path.rglob("*") if file.is_file())
         episodes = sum(
             math.prod(part.stop - part.start for part in self.plan.region(int(i))) for i in np.flatnonzero(self.done)
@@ -221,6 +221,7 @@ def _metrics(plan: Plan) -> tuple[str, ...]:
 
 
 def _without(about: Mapping[str, object], name: str) -> Content:
+    """Return a copy of a mapping without one key."""
     return {key: value for key, value in about.items() if key != name}
 
 
@@ -257,7 +258,7 @@ def _attributes(plan: Plan) -> Content:
 
 
 def _refuse_other(path: Path, plan: Plan) -> None:
-    """Refuse what is no store of this study."""
+    """Raise UsageError if the folder is not a store of this study, or was begun with other versions."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -287,7 +288,7 @@ def _refuse_other(path: Path, plan: Plan) -> None:
 
 
 def _differing(mine: object, theirs: object, path: str = "") -> Iterator[str]:
-    """Yield the settings that differ, with both values."""
+    """Yield a line for each setting that differs, with both values."""
     if isinstance(mine, dict) and isinstance(theirs, dict):
         for key in {**mine, **theirs}:
             yield from _differing(mine.get(key), theirs.get(key), f"{path}.{key}".lstrip("."))
@@ -302,6 +303,6 @@ def _short(value: object) -> str:
 
 
 def _tidy(path: Path) -> None:
-    """Remove what was half written when a process was killed."""
+    """Delete the partial files that a killed process left."""
     for left in path.rglob("*.partial"):
         left.unlink(missing_ok=True)

@@ -77,7 +77,7 @@ class FailureSpec(Part):
 
 
 def _in_one_line(policy: object) -> object:
-    """Return the policies of several teams as the command line has them."""
+    """Return policies by team as one text "TEAM=POLICY,..."; other values unchanged."""
     if isinstance(policy, dict) and all(isinstance(part, str) for pair in policy.items() for part in pair):
         return ",".join(f"{team}={source}" for team, source in policy.items())
     return policy
@@ -260,12 +260,12 @@ def _as_mapping(overrides: Iterable[str]) -> Content:
 
 
 def _mine(line: str) -> str:
-    """Return a fault of a study as it reads without the word of scenarios for the whole."""
+    """Return a problem's text without the prefix "scenario: "."""
     return line if line.startswith("scenario: missing") else line.removeprefix("scenario: ")
 
 
 def _read(source: str) -> tuple[str, Path]:
-    """Return the text of a study and the folder that its paths are relative to."""
+    """Return the text of a study, and the folder that its paths are relative to."""
     known = built_in_studies()
     if source in known:
         return resources.files("qrsim.studies.sweep").joinpath(f"{source}.yaml").read_text("utf-8"), Path.cwd()
@@ -283,7 +283,7 @@ def _read(source: str) -> tuple[str, Path]:
 
 
 def _changed(content: Content, changes: Content, values: int) -> Content:
-    """Return the content of a study with what the command line says."""
+    """Return a study's content with the changes of the command line applied."""
     content = copy.deepcopy(content)
     sampling = content.get("sampling")
     for name, value in changes.items():
@@ -305,7 +305,7 @@ def _changed(content: Content, changes: Content, values: int) -> Content:
 
 
 def _thinned(values: list[object], most: int) -> list[Any]:
-    """Return at most so many of some values, the first and the last among them."""
+    """Return at most ``most`` evenly spaced values, including the first and the last."""
     if most >= len(values) or most < 2:
         return values[: max(1, most)] if most < 2 else values
     return [values[round(i * (len(values) - 1) / (most - 1))] for i in range(most)]
@@ -321,7 +321,7 @@ def _own_metrics(spec: StudySpec, source: str) -> dict[str, Metric]:
 
 
 def _code(what: str, name: str, folder: Path) -> tuple[str, str]:
-    """Return a function's name that holds from any folder, and a digest of the file that it is in."""
+    """Return a function's name with absolute paths, and a digest of its file."""
     if what == "policy" and name == BASELINE:
         return name, ""
     teams = sources_by_team(name) if what == "policy" else None

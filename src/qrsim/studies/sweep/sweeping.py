@@ -37,7 +37,7 @@ def sweep(plan: Plan, store: Store, client: Any, progress: Callable[[Batch], Non
     finished = as_completed(loop=client.loop)
 
     def hand_out() -> None:
-        """Submit batches until each worker thread has some in reserve."""
+        """Submit batches until AHEAD of them are waiting or flying for each worker thread."""
         while len(waiting) < AHEAD * max(1, _threads(client)):
             index = next(missing, None)
             if index is None:
@@ -73,7 +73,7 @@ class Jobs:
         self._metrics = metrics
 
     def job(self, batch: Batch) -> Job:
-        """Return a batch in the form sent to a worker."""
+        """Return the job that a worker flies for a batch."""
         spec = self._spec
         return Job(
             self._groups[batch.group],
@@ -91,7 +91,7 @@ class Jobs:
 
 
 def _result(future: Any, batch: Batch, store: Store) -> dict[str, Any]:
-    """Return the results of a batch.
+    """Return the results of a batch from its future; raises RunError if it could not be flown.
 
     Raises:
         RunError: it could not be flown.
@@ -107,14 +107,14 @@ def _result(future: Any, batch: Batch, store: Store) -> dict[str, Any]:
 
 
 def _checked(found: dict[str, Any] | str, batch: Batch, store: Store) -> dict[str, Any]:
-    """Return the results of a batch; raise RunError if the worker returned words instead."""
+    """Return the results of a batch; raises RunError if the worker returned a text instead."""
     if isinstance(found, str):
         raise RunError(f"batch {batch.index + 1}: {found}; {_kept(store)}")
     return found
 
 
 def _kept(store: Store) -> str:
-    """Return the words that say how many batches are kept."""
+    """Return as text how many batches are stored."""
     return f"the {int(store.done.sum())} batches written before are kept, and the same command goes on from there"
 
 

@@ -50,7 +50,7 @@ class TeamErrors:
     }
 
     def init(self, world: object, state: State) -> TeamMemory:
-        """Return empty sums."""
+        """Return the sums at the start of a flight."""
         place = state.fleets[0].vehicle.position_ned
         zero = jnp.zeros_like(place.x)
         nowhere = jnp.full((*zero.shape, STEPS), jnp.nan, zero.dtype)
@@ -65,7 +65,7 @@ class TeamErrors:
         true, known = fleet.vehicle.position_ned, fleet.estimate.position_ned
 
         def mean_square(position: Sequence[Array], wanted: Sequence[Array]) -> Array:
-            """Return for each vehicle the mean square [m^2] by which neighbours are off where they are wanted."""
+            """Return each vehicle's mean square error [m^2] of its neighbours' relative positions."""
             off = (_differences(axis) - _differences(other) for axis, other in zip(position, wanted, strict=True))
             square = sum(jnp.square(each) for each in off)
             return jnp.sum(jnp.where(near, square, 0.0), axis=1) / neighbours
@@ -98,14 +98,14 @@ def _differences(values: Array) -> Array:
 
 
 def _neighbours(north: Array, east: Array) -> Array:
-    """Return which vehicles (n, n) are neighbours of those that start at places (n,)."""
+    """Return a bool matrix (n, n) of which vehicles are neighbours: the closest pairs at the start."""
     square = jnp.square(_differences(north)) + jnp.square(_differences(east))
     square = jnp.where(jnp.eye(square.shape[0], dtype=bool), jnp.inf, square)
     return square < 1.01 * jnp.min(square)
 
 
 def missed_share(passed_east: Array, start_north: Array, start_east: Array) -> Array:
-    """Return the part (W,) of the strip between the outer vehicles that no swath covers; NaN where they are no line.
+    """Return the share (W,) of the strip between the outer vehicles that no swath covers; NaN if not in line.
 
     Args:
         passed_east: (W, n, STEPS) east coordinate [m] where vehicles passed each step; NaN where they did not.

@@ -82,7 +82,7 @@ class VarySpec(Part):
 
     @property
     def listed(self) -> list[object] | None:
-        """Values one by one, of conditions as ``Condition``; None where there are ends."""
+        """Values as a list, of conditions as ``Condition``; None for a range."""
         if self.conditions is None:
             return self.values
         return [Condition(name, settings) for name, settings in self.conditions.items()]

@@ -84,7 +84,7 @@ def _simulate_errors(sensor: str, model: Sensor, seconds: int, vehicles: int) ->
 
 
 def read(sensor: str, model: object, title: str, std: float, time_constant: float, unit: str, vehicles: int) -> Process:
-    """Simulate the errors of a sensor of many vehicles at rest, over a few of its time constants, in float32."""
+    """Simulate a sensor's errors for many vehicles at rest, over two time constants, in float32."""
     rows, squares = _simulate_errors(sensor, cast(model, np.float32), round(2.0 * time_constant), vehicles)
     errors = np.asarray(rows, np.float64)
     return Process(
@@ -93,7 +93,7 @@ def read(sensor: str, model: object, title: str, std: float, time_constant: floa
 
 
 def processes(vehicles: int) -> dict[str, Process]:
-    """Return both sensors with their defaults; the three angles of an attitude count as three vehicles."""
+    """Return name -> process of both sensors; the three angles of an attitude count as three vehicles."""
     return {
         "barometer": read("barometer", Barometer(), "barometric height", *BAROMETER, "m", vehicles),
         "attitude": read("attitude", AttitudeEstimator(), "attitude estimate", *ATTITUDE, "rad", vehicles // 2),
@@ -206,12 +206,12 @@ def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
 
 
 def _curve_lags(of: Process) -> Floats:
-    """Return the lags of the curve in rows, up to LONGEST time constants."""
+    """Return the lags of the autocorrelation curve in rows, up to LONGEST time constants."""
     return np.unique(np.linspace(0.0, LONGEST * of.time_constant / KEPT_S, 31).round().astype(int))
 
 
 def _correlation_curve(of: Process) -> dict[str, list[float]]:
-    """Return the autocorrelation at some lags [s], and its standard error."""
+    """Return the autocorrelation at several lags [s], with its standard error."""
     found = [mean_and_error(autocovariance(of.errors, int(lag)) / of.std**2) for lag in _curve_lags(of)]
     return {
         "lags_s": (KEPT_S * _curve_lags(of)).tolist(),

@@ -180,7 +180,7 @@ def _results(
 
 
 def _describe_outside(numbers: Content, name: str) -> str:
-    """Return in words at which windows the recording leaves the band, by axis."""
+    """Return as text at which windows the recording leaves a model's band, by axis."""
     words = []
     for axis in AXES:
         good = numbers[name]["inside"][axis]

@@ -53,7 +53,7 @@ def _simulate_gusts(turbulence: Turbulence, wind: LogShear, height: jax.Array, k
         return turbulence.step(state, Draw(stream, now, like), height, still, mean, DT), None
 
     def some(state: Any, start: jax.Array) -> Any:
-        """Advance by EVERY ticks; return the gust (vehicles, 3)."""
+        """Advance by EVERY ticks; return the state, and the gust (vehicles, 3)."""
         state, _ = jax.lax.scan(tick, state, start + jnp.arange(EVERY, dtype=jnp.uint32))
         return state, turbulence.gust_ned(state, height).stack()
 

@@ -143,7 +143,7 @@ def fly_in_wind(start: Floats, commands: Floats, wind_ned: Floats) -> tuple[Floa
 
 
 def fit_wind(still: Floats, response: Floats, recorded: Floats) -> Floats:
-    """Fit the constant horizontal wind (2,) [m/s], north and east, to recorded velocities.
+    """Return the constant horizontal wind (2,) [m/s], north and east, that best fits the recorded velocities.
 
     Attitude and thrust do not depend on the wind, and the rest of the model is linear in velocity and wind, so that
     the velocity is exactly the one in still air plus a response to each component: linear least squares.
@@ -158,7 +158,7 @@ def fit_wind(still: Floats, response: Floats, recorded: Floats) -> Floats:
 
 
 def fly_pieces(flight: Outdoor, wind_ned: Floats, steps: int, spacing: int) -> tuple[Floats, Floats]:
-    """Restart from the record every ``spacing`` rows, and fly ``steps`` rows open loop.
+    """Fly ``steps`` rows open loop from every ``spacing``-th row; return simulated and recorded velocities.
 
     Returns:
         Velocities (steps, n, 3) [m/s] simulated, and recorded.

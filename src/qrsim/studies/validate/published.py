@@ -77,7 +77,7 @@ def dryden_scales(height: float, speed_20ft: float) -> tuple[Floats, Floats]:
 
 
 def wind_over_20ft(height: float) -> float:
-    """Return the mean wind at a height [m] per that at 20 ft (MIL-F-8785C, 3.7.3.4: z0 = 0.15 ft)."""
+    """Return the mean wind at a height [m] divided by that at 20 ft (MIL-F-8785C, 3.7.3.4: z0 = 0.15 ft)."""
     return math.log(height / FOOT / 0.15) / math.log(20.0 / 0.15)
 
 

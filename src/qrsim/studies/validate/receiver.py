@@ -139,5 +139,5 @@ def range_autocovariance(errors: RangeErrors, period: float, count: int) -> Floa
 
 
 def allan_deviations(positions: Floats, period: float, lengths: Floats) -> Floats:
-    """Return overlapping Allan deviations (K, ...) of positions (T, ...) for windows of so many rows (K,)."""
+    """Return overlapping Allan deviations (K, ...) of positions (T, ...) for windows of ``lengths`` (K,) rows."""
     return overlapping_allan_deviation(positions, period, lengths)[1]

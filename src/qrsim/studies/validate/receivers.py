@@ -61,7 +61,7 @@ def _pdop(rays: Floats) -> float:
 
 
 def fixes(preset: str, starts: int, worlds: int, **change: object) -> Fixes:
-    """Return the last fixes of a receiver of a preset that hovers for two seconds, over a day in many worlds."""
+    """Return the last fixes of a hovering receiver of a preset, over many start times and worlds."""
     errors, reported = [], []
     for number in range(starts):
         start = DAY + timedelta(hours=24.0 * number / starts)
@@ -92,7 +92,7 @@ def cep(of: Fixes) -> float:
 
 
 def honest(preset: str, of: Fixes, count: int) -> list[Check]:
-    """Return the checks that reported accuracies match the errors in the mean square."""
+    """Return checks that the squared errors agree in the mean with the reported accuracies."""
     z, checks = widest_z(count), []
     squares = {"horizontal": np.sum(np.square(of.error[:, :2]), axis=1), "vertical": np.square(of.error[:, 2])}
     for (what, each), stated in zip(squares.items(), of.reported.T, strict=True):

@@ -41,7 +41,7 @@ class Check:
         return abs(self.value - self.expected) <= self.tolerance
 
     def to_json(self) -> dict[str, object]:
-        """Return the fields and the outcome; a non-finite value becomes null."""
+        """Return the fields and whether it passed; non-finite values become None."""
         value = self.value if math.isfinite(self.value) else None
         return {
             "name": self.name,
@@ -130,7 +130,7 @@ class Part:
 
 
 def share_verdict(explained: float) -> Verdict:
-    """Return the verdict on a simulation that explains this share of a record's variance."""
+    """Return the verdict on a simulation that explains a share of a record's variance."""
     if explained >= FITS:
         return "fits"
     return "fits in part" if explained >= FITS_IN_PART else "does not fit"
@@ -146,5 +146,5 @@ def reference_check(name: str, value: float, reference: str, unit: str) -> Check
 
 
 def worst(checks: Iterable[Check]) -> Check:
-    """Return the check with the largest share of its tolerance used."""
+    """Return the check whose error is the largest fraction of its tolerance."""
     return max(checks, key=lambda check: abs(check.value - check.expected) / check.tolerance)

@@ -66,7 +66,7 @@ def _simulate_series(turbulence: Dryden, steps: int, key: Key, height: jax.Array
 
 
 def our_series(case: Case, steps: int, seed: int) -> Floats:
-    """Simulate the same quantities (5, VEHICLES, steps / VEHICLES) by this project's component, in float32."""
+    """Simulate u, v, w [m/s], q, r [rad/s] (5, VEHICLES, steps / VEHICLES) by this project's float32 Dryden."""
     # With the wind from the south, wind axes are north, east and down.
     turbulence = cast(record_of(Dryden, case.speed_20ft, math.pi, SPAN, SEVERITY), np.float32)
     like = np.ones(VEHICLES, np.float32)

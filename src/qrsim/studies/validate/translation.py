@@ -51,7 +51,7 @@ class Windy(NamedTuple):
 
 
 def fly_winds(flight: Outdoor) -> Windy:
-    """Fly in still air, in the best constant wind, and in the best wind of the first half."""
+    """Fly in calm, in the best constant wind, and in the best constant wind of the first half."""
     steps = len(flight.commands)
 
     def fly(winds: Floats) -> tuple[Floats, Floats]:

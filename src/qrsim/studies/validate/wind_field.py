@@ -71,7 +71,7 @@ def gusts(place: Floats, seconds: Floats, worlds: int, evolution: Evolution = "l
 
 
 def closed(r: float) -> dict[str, float]:
-    """Return the correlations in closed form at a separation [m]: along it, across it, and of vertical gusts."""
+    """Return the closed-form correlations at a separation [m]: longitudinal, lateral and vertical gusts."""
     (length, _, vertical), _ = dryden_scales(HEIGHT, SPEED_20FT)
     return {
         "along": float(np.exp(-r / length)),
@@ -127,7 +127,7 @@ def _component(gust: Floats, axis: Floats) -> Floats:
 
 
 def kept(lifetimes: object) -> Floats:
-    """Return the correlation of gusts after times in lifetimes, of any shape, in the field's moving frame.
+    """Return the correlation of gusts after times (in lifetimes, any shape), in the field's moving frame.
 
     The autocorrelation of sin^2 over half a turn.
     """

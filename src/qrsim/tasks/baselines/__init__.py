@@ -80,7 +80,7 @@ def baseline(play: Play, seed: int = 0) -> Baseline:
 
 
 def oracle(play: Play, seed: int = 0) -> Baseline:
-    """Return the policy of a task that is told the truth, by ``know(state)`` before every ``act``.
+    """Return the task's policy that knows the truth; call ``know(state)`` before every ``act``.
 
     Raises:
         UsageError: the task has none.
@@ -135,7 +135,7 @@ class BaselinePolicy:
         return given
 
     def answer(self) -> NumpyArray | None:
-        """Return what the baseline hands in at the end, (n, ...); None if it hands in nothing."""
+        """Return the agents' answers (n, ...) at the end of an episode; None for a task without answers."""
         policy = self._baseline
         return np.asarray(policy.answer(), self._like.dtype) if isinstance(policy, Answering) else None
 

@@ -61,7 +61,7 @@ class Chasing:
         return np.clip(wanted / self._limit, -1.0, 1.0)
 
     def _way(self, mouse: NumpyArray) -> float:
-        """Return the heading that the mouse is to take [rad]."""
+        """Return the heading [rad] in which the cats should drive the mouse."""
         offset = mouse - self._middle
         distance = float(np.linalg.norm(offset))
         outward = float(np.arctan2(offset[1], offset[0]))
@@ -69,7 +69,7 @@ class Chasing:
 
     @staticmethod
     def _fan(offset: NumpyArray, heading: float) -> NumpyArray:
-        """Return where each cat is to be from the mouse, unit vectors (n, 2): in the order in which they are now."""
+        """Return the directions (n, 2) from the mouse to each cat's goal, a fan behind it in their present order."""
         count = len(offset)
         side = _wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - heading)
         rank = np.argsort(np.argsort(side))

@@ -59,7 +59,7 @@ class Ellipsoids:
         self._guesses = self._like(self._prior, np.diag(self._doubt.ravel() ** 2))
 
     def measured(self, points: NumpyArray, values: NumpyArray) -> None:
-        """Update with all measurements so far: values (M,) at points (M, 3) [m]."""
+        """Fit the guesses to all measurements so far: values (M,) at points (M, 3) [m]."""
         loud = np.argsort(-np.abs(values), kind="stable")[:MOST_POINTS]
         points, values = points[loud], values[loud]
 
@@ -86,11 +86,11 @@ class Ellipsoids:
         return self._field(self._guesses, np.asarray(points, float))
 
     def variance(self, mean: NumpyArray, seconds: NumpyArray | float) -> NumpyArray:
-        """Return the variance of means of measurements over some time whose expectation is ``mean``."""
+        """Return the variance of measurements averaged over ``seconds`` with the expectation ``mean``."""
         return np.asarray(self._white**2 / seconds + RELATIVE**2 * mean * mean)
 
     def promising(self, count: int) -> NumpyArray:
-        """Return positions (count, 3) [m] where some guesses expect concentration."""
+        """Return positions (count, 3) [m] at which guesses expect concentration, good for measuring."""
         random = self._random
         rows, which = random.integers(0, len(self._guesses), count), random.integers(0, self._prior.shape[0], count)
         gaussian = self._guesses[rows, which]
@@ -100,7 +100,7 @@ class Ellipsoids:
         return np.asarray(gaussian[:, :3] + np.stack([north, east, offset[:, 2]], axis=1))
 
     def _told(self, locations: NumpyArray, count: int) -> tuple[float, NumpyArray, NumpyArray]:
-        """Return the misfit of ``count`` ellipsoids to locations, their Gaussians (K, 7) and the errors of those."""
+        """Return the misfit of ``count`` ellipsoids to locations, their Gaussians (K, 7), and the errors of these."""
         middle = np.broadcast_to(0.5 * (self._low + self._high), (count, NUMBERS)).copy()
         doubt = np.broadcast_to(0.5 * (self._high - self._low), (count, NUMBERS)).copy()
         if len(locations) < count:
@@ -129,7 +129,7 @@ class Ellipsoids:
         return cost, middle, doubt
 
     def _like(self, best: NumpyArray, covariance: NumpyArray) -> NumpyArray:
-        """Return guesses (G, K, 7) like the best one (K, 7)."""
+        """Draw guesses (G, K, 7) around the best one (K, 7), by its covariance."""
         drawn = self._random.multivariate_normal(best.ravel(), covariance, GUESSES, check_valid="ignore", method="eigh")
         return np.asarray(np.clip(drawn.reshape(GUESSES, *best.shape), self._low, self._high))
 

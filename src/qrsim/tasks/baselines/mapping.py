@@ -34,18 +34,18 @@ class Fit(Protocol):
     """Guesses (G,) of an episode's plume, about equally likely."""
 
     def measured(self, points: NumpyArray, values: NumpyArray) -> None:
-        """Update with all measurements so far: values (M,) at points (M, 3) [m]."""
+        """Fit the guesses to all measurements so far: values (M,) at points (M, 3) [m]."""
 
     def concentration(self, points: NumpyArray) -> NumpyArray:
         """Return the mean concentration (G, P) that each guess expects at points (P, 3)."""
         ...
 
     def variance(self, mean: NumpyArray, seconds: NumpyArray | float) -> NumpyArray:
-        """Return the variance of means of measurements over some time whose expectation is ``mean``."""
+        """Return the variance of measurements averaged over ``seconds`` with the expectation ``mean``."""
         ...
 
     def promising(self, count: int) -> NumpyArray:
-        """Return positions (count, 3) [m] where some guesses expect concentration."""
+        """Return positions (count, 3) [m] at which guesses expect concentration, good for measuring."""
         ...
 
 
@@ -73,7 +73,7 @@ class Mapping:
         self._limit = float(play.axes[0].high)
 
     def act(self, seen: dict[str, NumpyArray]) -> NumpyArray:
-        """Return the actions (n, 3)."""
+        """Return the actions (n, 3), velocities towards places to measure at."""
         vehicle = np.asarray(seen["vehicle"], np.float64)
         place, velocity = vehicle[:, :3], vehicle[:, 3:6]
         if self._fit is None:
@@ -109,7 +109,7 @@ class Mapping:
         return np.broadcast_to(found, (len(self._play.agents), *shape)).copy()
 
     def _begun(self) -> Fit:
-        """Return a fit to the locations that lie in the plume."""
+        """Return the first fit, to the locations where the plume is known to be."""
         play, task = self._play, cast(PlumeMapping, self._play.task)
         fleet = play.world.fleets[number_of(play.world, play.task.fleet)]
         sensor = fleet.sensors[fleet.sensor_names.index(task.sensor)]
@@ -125,7 +125,7 @@ class Mapping:
         self._fit.measured(np.concatenate(self._points), np.concatenate(self._values))
 
     def _targets(self, place: NumpyArray) -> NumpyArray:
-        """Return where each vehicle is to fly: of some places the best, none near that of another."""
+        """Return each vehicle's next position to measure at: the best of several, none near another's."""
         assert self._fit is not None
         places = np.clip(self._fit.promising(CANDIDATES), self._low, self._high)
         there, asked = self._fit.concentration(places), self._fit.concentration(self._locations)

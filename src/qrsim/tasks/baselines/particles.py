@@ -60,7 +60,7 @@ class Guess:
 
     @property
     def rates(self) -> NumpyArray:
-        """Rates (N, S), 0 where no source is."""
+        """Rates (N, S), 0 for missing sources."""
         return np.where(self.there, np.exp(self.rate), np.zeros_like(self.rate))
 
     @property
@@ -69,7 +69,7 @@ class Guess:
         return np.broadcast_to(self.bearing[:, None], self.rate.shape)
 
     def picked(self, rows: NumpyArray) -> Guess:
-        """Return some of the particles."""
+        """Return the particles with the given indices."""
         return Guess(**{name: value[rows] for name, value in vars(self).items()})
 
     def copy(self) -> Guess:
@@ -77,7 +77,7 @@ class Guess:
         return Guess(**{name: value.copy() for name, value in vars(self).items()})
 
     def where(self, taken: NumpyArray, other: Guess) -> Guess:
-        """Replace particles by those of another guess where ``taken`` (N,)."""
+        """Replace the particles selected by the mask ``taken`` (N,) by those of another guess, in place."""
 
         def either(own: NumpyArray, others: NumpyArray) -> NumpyArray:
             """Return the rows of others where they are taken, else the own rows."""
@@ -111,7 +111,7 @@ class Particles:
             self._search()
 
     def measured(self, points: NumpyArray, values: NumpyArray) -> None:
-        """Update with all measurements so far, once a second: values (M,) at points (M, 3) [m]."""
+        """Update with all measurements so far, at most once a second: values (M,) at points (M, 3) [m]."""
         cells, which = np.unique(np.floor(points / CELL).astype(int), axis=0, return_inverse=True)
         which, count = which.ravel(), len(cells)
         seconds = np.bincount(which, minlength=count).astype(float)
@@ -132,13 +132,13 @@ class Particles:
         return self.plume.mean_rate * _summed(self.guess.rates, unit)
 
     def variance(self, mean: NumpyArray, seconds: NumpyArray | float) -> NumpyArray:
-        """Return the variance of means of measurements over some time whose expectation is ``mean``."""
+        """Return the variance of measurements averaged over ``seconds`` with the expectation ``mean``."""
         # Puffs take some time to pass, so the first seconds say little more than one.
         relative = RELATIVE**2 + self.plume.restless / (np.asarray(seconds) + 3.0)
         return np.asarray(self._white**2 / seconds + relative * mean * mean)
 
     def promising(self, count: int) -> NumpyArray:
-        """Return positions (count, 3) [m] where some particles expect concentration."""
+        """Return positions (count, 3) [m] at which particles expect concentration, good for measuring."""
         random, guess = self._random, self.guess
         rows = random.integers(0, len(guess.bearing), count)
         slot = np.argmax(guess.there[rows] + random.uniform(size=(count, guess.there.shape[1])), axis=1)
@@ -174,7 +174,7 @@ class Particles:
         return guess
 
     def _bearings(self, count: int) -> NumpyArray:
-        """Return bearings (N,): more likely those along which many locations are close in line."""
+        """Draw wind bearings (N,), preferring those along which many locations line up."""
         random = self._random
         if len(self._locations) < 2:
             return random.uniform(-np.pi, np.pi, count).astype(np.float32)
@@ -189,12 +189,12 @@ class Particles:
         return np.asarray(turned, np.float32)
 
     def _random_rates(self, shape: int | tuple[int, ...]) -> NumpyArray:
-        """Return logarithms of rates of sources."""
+        """Draw logarithms of source rates of the given shape."""
         low, high = np.log(self.plume.rates)
         return np.asarray(self._random.uniform(low, high, shape), np.float32)
 
     def _new_places(self, guess: Guess) -> NumpyArray:
-        """Return places (N, 3) for new sources: upwind of a location that no tube holds yet, or anywhere.
+        """Draw positions (N, 3) of new sources: upwind of a location outside all tubes, or anywhere.
 
         Where nobody tells locations, upwind of where something was smelt.
         """
@@ -217,18 +217,18 @@ class Particles:
         return np.clip(places, *self._inner).astype(np.float32)
 
     def _least(self, guess: Guess) -> NumpyArray:
-        """Return the concentration (N,) above which locations lie."""
+        """Return each particle's concentration threshold (N,) that locations exceed."""
         smallest = np.where(guess.there, guess.rate, np.inf).min(axis=1)
         return np.asarray(self.plume.threshold * np.exp(smallest), np.float32)
 
     def _weigh(self, guess: Guess, which: NumpyArray) -> None:
-        """Compute the volumes of tubes (N, S) anew."""
+        """Recompute the tubes' volumes (N, S) of the selected particles."""
         which = which & guess.there
         least = self._least(guess)[:, None] / np.exp(guess.rate)
         guess.volume[which] = self.plume.volume(guess.place[which], guess.bearings[which], least[which])
 
     def _likelihood(self, guess: Guess) -> NumpyArray:
-        """Return the logarithm (N,) of the posterior density, but for a constant."""
+        """Return the log of the posterior density (N,), up to a constant."""
         rates = guess.rates
         total = np.where(guess.there, guess.rate, 0.0).sum(axis=1) - PER_SOURCE * guess.there.sum(axis=1)
         if len(self._locations):
@@ -245,14 +245,14 @@ class Particles:
         return np.asarray(np.where(self._possible(guess), total, -np.inf), np.float64)
 
     def _possible(self, guess: Guess) -> NumpyArray:
-        """Return whether all sources of particles (N,) are where sources may be, and release what they may."""
+        """Return whether all sources of each particle (N,) have allowed places and rates."""
         low, high = np.log(self.plume.rates)
         inside = np.all((guess.place >= self._inner[0]) & (guess.place <= self._inner[1]), axis=2)
         inside &= (guess.rate >= low - 1e-5) & (guess.rate <= high + 1e-5)
         return np.all(inside | ~guess.there, axis=1)
 
     def _search(self) -> None:
-        """Find the tubes that hold the locations: edges that are soft at first, so that small steps lead there."""
+        """Fit tubes to the locations, with soft edges at first so that small steps improve the fit."""
         for softness in SOFTNESS:
             self._softness = softness
             self._drawn_anew(SEARCHERS)
@@ -261,7 +261,7 @@ class Particles:
         self._drawn_anew(self._count)
 
     def _drawn_anew(self, count: int) -> None:
-        """Draw particles again, those more often that have become likelier than they were."""
+        """Resample the particles by the change of their likelihood since the last time."""
         likely = self._likelihood(self.guess)
         gain = likely - self._likely
         weight = np.exp(np.maximum(gain - gain.max(), -50.0))
@@ -274,7 +274,7 @@ class Particles:
         self.guess, self._likely = self.guess.picked(rows), likely[rows]
 
     def _sweep(self) -> None:
-        """Move every particle a little, some by a source more or less."""
+        """Propose small changes to every particle, with a source added or removed in some."""
         for _ in range(self.plume.most):
             self._accept_moves(self._shifted())
         self._accept_moves(self._turned())
@@ -301,12 +301,12 @@ class Particles:
         return new
 
     def _any_slot(self) -> NumpyArray:
-        """Return a random source of each particle."""
+        """Return a random existing source's index for each particle."""
         there = self.guess.there
         return np.argmax(there + self._random.uniform(size=there.shape), axis=1)
 
     def _shifted(self) -> Guess:
-        """Return the particles with one of their sources moved."""
+        """Propose particles with one source moved."""
         slot, random, old = self._any_slot(), self._random, self.guess
         which = np.arange(len(slot)), slot
         # Each number has a size of step of its own: a long way along the wind goes with a short one across it.
@@ -318,7 +318,7 @@ class Particles:
         return self._changed(slot, old.place[which] + step, new_rate, old.there[which])
 
     def _replaced(self) -> Guess:
-        """Return the particles with a source more, less, or at another place."""
+        """Propose particles with a source added, removed or placed elsewhere."""
         random, old, plume = self._random, self.guess, self.plume
         slot, count = self._any_slot(), old.there.sum(axis=1)
         kind = random.integers(0, 3, len(slot))
@@ -327,7 +327,7 @@ class Particles:
         return self._changed(np.where(more, np.argmin(old.there, axis=1), slot), self._new_places(old), rate, ~less)
 
     def _turned(self) -> Guess:
-        """Return the particles in another wind; sources are turned about the middle of their plumes."""
+        """Propose particles with another wind bearing, and sources turned about their plumes' centres."""
         old, random, plume = self.guess, self._random, self.plume
         turn = TURN * 10.0 ** random.uniform(-2.0, 0.5, len(old.bearing)) * random.normal(size=len(old.bearing))
         new = old.copy()

@@ -66,7 +66,7 @@ class Searching:
         return np.clip(over_ground(wanted + apart(place, SEPARATION), place) / self._limit, -1.0, 1.0)
 
     def _look(self, ratio: NumpyArray, corners: NumpyArray, grid: NumpyArray) -> NumpyArray:
-        """Add a picture to the maps, and return where it was taken."""
+        """Add a picture to the maps of belief and coverage; return the camera's position (3,) [m]."""
         corners = np.asarray(corners, np.float64)
         shown = view(corners, grid, self._belief.camera)
         places = self._belief.look(ratio, shown, corners, grid)
@@ -75,7 +75,7 @@ class Searching:
         return shown.place
 
     def _follow(self, i: int, here: NumpyArray, velocity: NumpyArray) -> None:
-        """Keep to the likely person, or end the visit: it is found, not likely any more, or waited for in vain."""
+        """Update the target of a visit, or end the visit: confirmed, no longer likely, or out of patience."""
         target, odds = self._belief.best(self._target[i], 1.5)
         near = float(np.linalg.norm(self._target[i] - here[:2])) < NEAR + 1.0 and -here[2] < HEIGHT + 1.0
         self._waited[i] += near
@@ -87,7 +87,7 @@ class Searching:
             self._target[i] = target
 
     def _assign(self, place: NumpyArray) -> None:
-        """Give the suspected persons to the vehicles, on tours; a survey goes on as long as these leave time for it."""
+        """Assign suspected persons to vehicles as tours; surveys go on while these leave time."""
         suspected = self._belief.suspected(LIKELY, APART)
         if not len(suspected):
             self._target[:] = np.nan
@@ -108,7 +108,7 @@ class Searching:
                 self._waited[i] = self._rested[i] = 0
 
     def _steer(self, i: int, place: NumpyArray, velocity: NumpyArray, yaw: float) -> NumpyArray:
-        """Return the velocity NED [m/s] of a vehicle."""
+        """Return the commanded velocity NED [m/s] of vehicle ``i``."""
         here = place[i]
         if np.isfinite(self._target[i, 0]):
             distance = float(np.linalg.norm(self._target[i] - here[:2]))

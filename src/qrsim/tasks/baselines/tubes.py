@@ -51,7 +51,7 @@ class WindPlume:
 
     @staticmethod
     def of(play: Play) -> WindPlume:
-        """Read the parameters from a scenario."""
+        """Return the plume parameters of a task's scenario."""
         world, plume = play.world, play.world.contents.plume
         bounds = [[float(getattr(world.area, f"{axis}_{end}")) for axis in "xyz"] for end in ("min", "max")]
         wind = surroundings(world, ContentsState(), jnp.int32(0)).carrying_wind(jnp.float32)
@@ -82,7 +82,7 @@ class WindPlume:
         return self.rates[0] == self.rates[1]
 
     def spread(self, along: NumpyArray) -> NumpyArray:
-        """Return the spread s [m^2] at a distance downwind [m]."""
+        """Return the plume's spread (variance) [m^2] at a distance downwind [m]."""
         return np.asarray(2.0 * self.factor * np.exp(self.exponent * np.log(np.maximum(along, 1e-3))))
 
     def along_across(self, place: NumpyArray, bearing: NumpyArray, points: NumpyArray) -> tuple[NumpyArray, NumpyArray]:
@@ -92,7 +92,7 @@ class WindPlume:
         return cosine * north + sine * east, cosine * east - sine * north
 
     def unit(self, place: NumpyArray, bearing: NumpyArray, points: NumpyArray) -> NumpyArray:
-        """Return the concentration (..., P) at points (P, 3) of sources (..., 3) of rate 1, winds blowing to (...)."""
+        """Return the concentration (..., P) at points (P, 3) of unit sources (..., 3), for wind bearings (...)."""
         along, across = self.along_across(place, bearing, points)
         spread = self.spread(along)
         height, source = points[:, 2], place[..., 2, None]
@@ -126,7 +126,7 @@ class WindPlume:
         return np.asarray(reach * np.mean(area * self._inside(place, bearing, along, radius), axis=-1))
 
     def _inside(self, place: NumpyArray, bearing: NumpyArray, along: NumpyArray, radius: NumpyArray) -> NumpyArray:
-        """Return which part of the chords of discs across the wind is in the box."""
+        """Return the share of cross-wind discs' chords that lies in the box."""
         first, last = -radius, radius
         sine, cosine = np.sin(bearing)[..., None], np.cos(bearing)[..., None]
         for i, (way, side) in enumerate(((cosine, -sine), (sine, cosine))):

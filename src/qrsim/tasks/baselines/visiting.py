@@ -17,7 +17,7 @@ SEPARATION = 12.0
 
 
 def toward(here: NumpyArray, point: NumpyArray, height: float = HEIGHT) -> NumpyArray:
-    """Return the velocity NED (3,) [m/s] of a vehicle at ``here`` (3,) that is to rest near ``point`` (2,).
+    """Return a velocity NED (3,) [m/s] that brings a vehicle at ``here`` (3,) to rest above ``point`` (2,).
 
     It goes down as late as it can, so that it sees most on its way, and stops as soon as it is near.
     """
@@ -33,7 +33,7 @@ def toward(here: NumpyArray, point: NumpyArray, height: float = HEIGHT) -> Numpy
 
 
 def over_ground(velocity: NumpyArray, place: NumpyArray) -> NumpyArray:
-    """Return velocities NED (n, 3) [m/s] that lead no vehicle at (n, 3) [m] into the ground.
+    """Return velocities NED (n, 3) [m/s], limited so that no vehicle at (n, 3) [m] descends into the ground.
 
     One that others above it push away would go there.
     """

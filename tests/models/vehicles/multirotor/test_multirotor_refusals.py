@@ -66,3 +66,14 @@ def test_a_command_of_another_vehicle_is_named() -> None:
         checker.actions(Command(*np.ones((5, 1), np.float32)))
     with pytest.raises(UsageError, match=r"throttle of vehicle 0 \('a_0'\) is 1.5; allowed: 0 to 1"):
         checker.actions(AttitudeCommand(*np.array([[0.1], [0.1], [1.5], [0.0]], np.float32)))
+
+
+def test_the_weakest_of_vehicles_with_their_own_masses_is_named() -> None:
+    content = scenario({"mass": [1.0, 4.0, 1.0]})
+    vehicle = content["fleets"]["a"]["vehicles"][0]
+    north, east, down = vehicle["position_ned"]
+    content["fleets"]["a"]["vehicles"] = [{**vehicle, "position_ned": [north, east + 9.0 * i, down]} for i in range(3)]
+    with pytest.raises(ScenarioError, match=r"4 rotors lift 34\.19 N at speed_max, and it weighs 39\.24 N"):
+        qrsim.load_scenario(content)
+    content["fleets"]["a"]["vehicle"]["mass"] = [1.0, 1.2, 1.0]
+    assert qrsim.load_scenario(content).spec.fleets["a"].vehicle.mass == [1.0, 1.2, 1.0]

@@ -22,7 +22,7 @@ class ArmingChecks:
         self._fix_since: float | None = None
 
     def look(self, craft: Craft) -> None:
-        """Note since when there is a fix; to be called at every tick."""
+        """Record the time at which the present 3-D GNSS fix began; call it at every tick."""
         if craft.seen.fix_type < 3:
             self._fix_since = None
         elif self._fix_since is None:

@@ -28,18 +28,18 @@ class Circle:
         self.turned = self._entry = 0.0
 
     def begin(self, craft: Craft, centre: Triple) -> None:
-        """Begin where the vehicle is, seen from a place NED [m]."""
+        """Begin the circle at the vehicle's present bearing from a centre NED [m]."""
         here = craft.seen.position_ned
         self.turned, self._entry = 0.0, math.atan2(here[1] - centre[1], here[0] - centre[0])
 
     def tangent(self, radius: float) -> float:
-        """Return the heading along the circle [rad]; a radius below 0 is counterclockwise."""
+        """Return the heading [rad] along the circle at its present angle; a radius below 0 is counterclockwise."""
         sign = math.copysign(1.0, radius)
         angle = self._entry + sign * self.turned
         return math.atan2(sign * math.cos(angle), -sign * math.sin(angle))
 
     def fly(self, craft: Craft, centre: Triple, radius: float, speed: float) -> tuple[Order, bool]:
-        """Move on; return the order, and whether the point moves.
+        """Advance the point on the circle by a tick; return the order to follow it, and whether the point moved.
 
         Args:
             craft: vehicle.
@@ -78,7 +78,7 @@ class Orbit:
 
     @staticmethod
     def ahead(craft: Craft) -> Orbit:
-        """Return ArduPilot's CIRCLE: round a place ahead of the vehicle."""
+        """Return the orbit of ArduPilot's CIRCLE mode, with its centre CIRCLE_RADIUS ahead of the vehicle."""
         (north, east, down), yaw = craft.seen.position_ned, craft.seen.attitude[2]
         orbit = Orbit()
         centre = (north + CIRCLE_RADIUS * math.cos(yaw), east + CIRCLE_RADIUS * math.sin(yaw), down)
@@ -86,7 +86,7 @@ class Orbit:
         return orbit
 
     def ask(self, craft: Craft, centre: Triple, radius: float = NAN, speed: float = NAN, looks: float = NAN) -> None:
-        """Begin another orbit; numbers that are NaN are those of before.
+        """Set another orbit; arguments that are NaN keep their old values, and radius and speed are clipped.
 
         Args:
             craft: vehicle.
@@ -130,7 +130,7 @@ class Orbit:
 
 
 def edge(centre: Triple, begin: Triple, radius: float) -> Triple:
-    """Return the place of a circle that is nearest to where a vehicle comes from; north of a centre that it is at."""
+    """Return the point NED [m] of a circle nearest to ``begin``; the north point if ``begin`` is the centre."""
     north, east = begin[0] - centre[0], begin[1] - centre[1]
     away = math.hypot(north, east)
     share = abs(radius) / away if away > 0.01 else 0.0
@@ -138,5 +138,5 @@ def edge(centre: Triple, begin: Triple, radius: float) -> Triple:
 
 
 def turn_radius(item: Item) -> float:
-    """Return the radius [m] of a circle, negative for the other way; one that says none has 10 m."""
+    """Return the radius [m] of a loiter item, below 0 counterclockwise; 10 m if the item has none."""
     return item.params[2] if abs(item.params[2]) > 0.1 else 10.0

@@ -94,7 +94,7 @@ def _take_off(stack: Flight, command: Command) -> Result:
 
 
 def _z_of(stack: Flight, command: Command) -> float:
-    """Return the position down [m], here, of the altitude of a command."""
+    """Return the z coordinate [m, down] of the altitude in a command, according to the command's frame."""
     craft, altitude = stack.craft, command.params[6]
     if command.frame in RELATIVE:
         return craft.home_z - altitude
@@ -210,7 +210,7 @@ def _yaw(stack: Flight, value: float) -> float:
 
 
 def place_in(stack: Flight, command: Command) -> Triple | None:
-    """Return the place of a command NED [m]; here for what it leaves out, None where there is no such place."""
+    """Return the position NED [m] of a command; its NaN fields are the vehicle's own, None for an invalid place."""
     latitude, longitude, altitude = command.params[4:7]
     craft = stack.craft
     here = craft.seen.position_ned
@@ -229,13 +229,13 @@ def place_in(stack: Flight, command: Command) -> Triple | None:
 
 
 def _speed(stack: Flight, command: Command) -> Result:
-    """Change the speed of horizontal flight, climb or descent."""
+    """Obey DO_CHANGE_SPEED: change the horizontal, climb or descent speed."""
     taken = change_speed(stack.craft, _number(command.params[0]), _number(command.params[1], -1.0))
     return Result.ACCEPTED if taken else Result.DENIED
 
 
 def _heading(stack: Flight, command: Command) -> Result:
-    """Turn to a heading [deg], absolute or relative."""
+    """Obey CONDITION_YAW: turn to a heading [deg], absolute or relative."""
     angle, _, direction, relative = command.params[:4]
     if math.isnan(angle):
         return Result.DENIED
@@ -299,7 +299,7 @@ def _inject(stack: Flight, command: Command) -> Result:
 
 
 def _whole(value: float) -> int:
-    """Return a number without its fraction; -1 for NaN."""
+    """Return a number truncated to an integer; -1 for NaN."""
     return -1 if math.isnan(value) else int(value)
 
 

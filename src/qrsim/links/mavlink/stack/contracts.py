@@ -131,7 +131,7 @@ class Seen:
 
     @property
     def end(self) -> str:
-        """Why nothing more can be asked of a vehicle whose flight has ended."""
+        """Return the refusal text for commands to a vehicle whose flight has ended."""
         return f"flight has ended: {self.stopped}; reboot"
 
 
@@ -258,6 +258,9 @@ class Text:
     text: str
 
 
+EventKind = Literal["item_reached", "mission", "landed", "mode", "armed", "home", "fence", "plan", "reboot"]
+
+
 @dataclass(frozen=True, slots=True)
 class Event:
     """Something that changed, which clients are told at once.
@@ -269,7 +272,7 @@ class Event:
         number: what belongs to it.
     """
 
-    kind: Literal["item_reached", "mission", "landed", "mode", "armed", "home", "fence", "plan", "reboot"]
+    kind: EventKind
     number: int = 0
 
 
@@ -290,83 +293,83 @@ class Stack(Protocol):
 
     @property
     def home(self) -> Home | None:
-        """Where it returns to; None before there was a position."""
+        """Home position to return to; None before the first position estimate."""
 
     @property
     def origin(self) -> Triple:
-        """Origin of its local frame, in the site's frame NED [m]."""
+        """Origin of the vehicle's local frame, in the site's frame NED [m]."""
 
     def place(self, position_ned: Triple) -> Triple:
         """Return latitude and longitude [deg] and altitude above mean sea level [m] of a position NED [m]."""
 
     def tick(self, seen: Seen) -> Order | None:
-        """Advance by one tick; return the order for the vehicle, None where the last one holds."""
+        """Advance by one tick; return the vehicle's new order, or None to keep the last one."""
 
     def reset(self) -> None:
         """Begin again as after a boot: disarmed, time at zero; parameters and plans stay."""
 
     def command(self, command: Command) -> Ack:
-        """Obey or refuse a command: those of flight and mission; of requests for messages it knows nothing."""
+        """Obey or refuse a command of flight or mission; requests for messages are not handled here."""
 
     def set_mode(self, base_mode: int, custom_mode: int) -> Result:
         """Obey or refuse a SET_MODE message."""
 
     def setpoint(self, target: Target) -> bool:
-        """Take a set-point; return whether it can be flown. It is flown in OFFBOARD (GUIDED)."""
+        """Take a set-point for OFFBOARD (GUIDED); return whether it can be flown."""
 
     def sticks(self, roll: float, pitch: float, throttle: float, yaw: float) -> None:
-        """Take sticks, each -1 to 1, NaN for one that is not told: right, forwards, up, right."""
+        """Take stick positions, each -1 to 1, positive right, forwards, up and right; NaN: unchanged."""
 
     def follow_target(self, target: FollowTarget) -> None:
-        """Take where the target of follow-me is."""
+        """Take the position of the target of follow-me."""
 
     def modes(self) -> tuple[ModeInfo, ...]:
-        """Return the modes that clients can ask for, or that it can be in."""
+        """Return the modes of the vehicle: those that clients can request, and those of failsafes."""
 
     def current_modes(self) -> tuple[ModeInfo, ModeInfo]:
-        """Return the mode that is flown, and the one that was asked for, which differs in a failsafe."""
+        """Return the mode that is flown, and the requested mode, which differs in a failsafe."""
 
     def orbiting(self) -> OrbitStatus | None:
         """Return the orbit that is flown, None while none is."""
 
     def go_to(self, item: Item) -> bool:
-        """Fly to the place of a waypoint at once, in ArduPilot's GUIDED; return whether it does."""
+        """Fly to a waypoint at once, in ArduPilot's GUIDED; return whether the stack does so."""
 
     def change_altitude(self, item: Item) -> None:
-        """Take the altitude of a guided item of ArduPilot alone, which changes that of a fixed wing."""
+        """Take only the altitude of an ArduPilot guided item; only fixed wings obey."""
 
     def accept(self, kind: PlanKind, items: Sequence[Item]) -> tuple[PlanResult, int]:
-        """Replace a plan, none of it where one item is bad; return the result and the seq of that item, else -1."""
+        """Replace a plan, or keep the old one if an item is bad; return the result and the bad item's seq, else -1."""
 
     def items(self, kind: PlanKind) -> tuple[Item, ...]:
-        """Return a plan as it was accepted."""
+        """Return the items of the accepted plan of a kind."""
 
     def thrust_of(self, throttle: float) -> float:
-        """Return the normalised thrust of a throttle of its vehicle, both 0 to 1; ``MPC_THR_HOVER`` in hover."""
+        """Return the normalised thrust of a throttle, both 0 to 1; hover throttle gives ``MPC_THR_HOVER``."""
 
     def home_item(self) -> Item | None:
-        """Return the item 0 of ArduPilot, which is home and can be read without a mission; None without one."""
+        """Return item 0 of ArduPilot's mission, which is home; None before there is a home, and for PX4."""
 
     def set_current(self, seq: int) -> bool:
-        """Go on with another item of the mission; return whether there is one."""
+        """Make another item of the mission the current one; return whether it exists."""
 
     def heard_ground(self) -> None:
         """Note a heartbeat of a ground station (MAV_TYPE 6)."""
 
     def heartbeat(self) -> Heartbeat:
-        """Return what HEARTBEAT and EXTENDED_SYS_STATE say."""
+        """Return the fields of HEARTBEAT and EXTENDED_SYS_STATE."""
 
     def health(self) -> Health:
-        """Return the bits that SYS_STATUS has from the stack."""
+        """Return the sensor bits of SYS_STATUS."""
 
     def mission(self) -> MissionStatus:
-        """Return what MISSION_CURRENT says."""
+        """Return the fields of MISSION_CURRENT."""
 
     def fence(self) -> FenceStatus:
-        """Return what FENCE_STATUS says."""
+        """Return the fields of FENCE_STATUS."""
 
     def texts(self) -> list[Text]:
-        """Return the texts for clients since the last call."""
+        """Return the status texts queued since the last call, and empty the queue."""
 
     def events(self) -> list[Event]:
-        """Return the events since the last call."""
+        """Return the events queued since the last call, and empty the queue."""

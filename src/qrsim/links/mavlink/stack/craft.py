@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack.codes import GROUND_ROVER, Landed, Result, Severity
-from qrsim.links.mavlink.stack.contracts import Event, Facts, Home, Seen, Text, Triple
+from qrsim.links.mavlink.stack.contracts import Event, EventKind, Facts, Home, Seen, Text, Triple
 from qrsim.links.mavlink.stack.fence import Fence
 from qrsim.links.mavlink.stack.geodesy import Geodesy
 from qrsim.links.mavlink.stack.parameters import Parameters
@@ -87,10 +87,10 @@ class Craft:
         del self._texts[:-63]
         self._texts.append(Text(severity, text))
 
-    def tell(self, kind: str, number: int = 0) -> None:
+    def tell(self, kind: EventKind, number: int = 0) -> None:
         """Queue an event for clients, such as a change of mode."""
         del self._events[:-255]
-        self._events.append(Event(kind, number))  # type: ignore[arg-type]
+        self._events.append(Event(kind, number))
 
     def texts(self) -> list[Text]:
         """Return the queued texts and empty the queue."""
@@ -105,7 +105,7 @@ class Craft:
     # ---- where it is ----
 
     def look(self, seen: Seen) -> None:
-        """Take the state at a tick; an invalid estimate is replaced by the last valid one."""
+        """Store the state of a tick; an invalid estimate is replaced by the last valid one."""
         if seen.valid:
             self._known = (seen.position_ned, seen.velocity_ned, seen.attitude, seen.altitude)
             self._estimates += 1
@@ -124,12 +124,12 @@ class Craft:
         self.rose = self.rose or self.stood_z - seen.position_ned[2] > UPRIGHT_UNTIL
 
     def set_home(self, home: Home) -> None:
-        """Set where it returns to."""
+        """Set the home position and queue an event for clients."""
         self.home = home
         self.tell("home")
 
     def home_here(self) -> bool:
-        """Set home to where it is; return whether it knows that."""
+        """Set home to the vehicle's position; return False, with no change, without a valid position."""
         seen = self.seen
         if not (seen.valid and math.isfinite(seen.latitude + seen.longitude + seen.altitude)):
             return False
@@ -138,15 +138,15 @@ class Craft:
 
     @property
     def home_z(self) -> float:
-        """Position down of home [m]; 0 without one."""
+        """z coordinate [m, down] of home; 0 without a home."""
         return self.home.position_ned[2] if self.home else 0.0
 
     def z_of_altitude(self, altitude: float) -> float:
-        """Return the position down [m], here, of an altitude above mean sea level [m]."""
+        """Return the z coordinate [m, down], at the vehicle's place, of an altitude above mean sea level [m]."""
         return self.seen.position_ned[2] - (altitude - self.seen.altitude)
 
     def allows(self, place: Triple, lands: bool = False) -> bool:
-        """Return whether a place NED [m] is inside the fence, and between floor and ceiling of the area.
+        """Return whether a position NED [m] is inside the fence, and between floor and ceiling of the area.
 
         On the ground heights do not count; ``lands``: the floor does not.
         """
@@ -169,20 +169,20 @@ class Craft:
         )
 
     def begin_path(self) -> None:
-        """Begin a path at where the vehicle is."""
+        """Begin a path at the vehicle's present position and velocity."""
         self.path.begin(self.seen.position_ned, self.seen.velocity_ned)
 
     @property
     def is_low(self) -> bool:
-        """Whether it is near the height at which it stood last."""
+        """Whether the vehicle is within LOW [m] of the height at which it last was on the ground."""
         return abs(self.stood_z - self.seen.position_ned[2]) < LOW
 
     def is_ground(self, z: float) -> bool:
-        """Return whether a position down [m] is that of the ground where it stood, as well as an estimate knows it."""
+        """Return whether a z coordinate [m, down] is near that of the ground where the vehicle last was."""
         return -TAKES_OFF <= z - self.stood_z < LOW
 
     def stopping_place(self) -> Triple:
-        """Return where it stops at once, not lower than it is: the path of a landing leads below the ground."""
+        """Return the position NED [m] where the path stops if it brakes now, not below the vehicle."""
         stop = self.path.stop(self.parameters.values["MPC_ACC_HOR"])
         return stop[0], stop[1], min(stop[2], self.seen.position_ned[2])
 
@@ -194,7 +194,7 @@ class Craft:
         along: Triple = STANDS,
         begin: Triple | None = None,
     ) -> Order:
-        """Move on to a place; straight up first where it has just left the ground.
+        """Advance the path towards a goal and return the order to follow it; just after lift-off it only climbs.
 
         Args:
             goal: NED [m].
@@ -217,17 +217,17 @@ class Craft:
         return self.follow(path.position, path.velocity, path.acceleration)
 
     def follow(self, position: Triple, velocity: Triple = ZERO, acceleration: Triple = ZERO) -> Order:
-        """Return the order to follow a point."""
+        """Return the order to follow a point with a position, velocity and acceleration NED [m, m/s, m/s^2]."""
         self._idle = None
         return Order(self.facts.name, "path", (*position, *velocity, *acceleration, self.yaw))
 
     def fly(self, velocity: Triple) -> Order:
-        """Return the order to fly at a velocity NED [m/s]."""
+        """Return the order to fly at a velocity NED [m/s], with the commanded heading."""
         self._idle = None
         return Order(self.facts.name, "velocity", (*velocity, self.yaw))
 
     def lean(self, roll: float, pitch: float, throttle: float) -> Order:
-        """Return the order to lean [rad] with a throttle 0 to 1."""
+        """Return the order for a roll and pitch [rad], clipped to the tilt limit, and a throttle from 0 to 1."""
         self._idle = None
         facts = self.facts
         most = facts.tilt_max
@@ -237,7 +237,7 @@ class Craft:
 
     @property
     def freedom(self) -> float:
-        """How far it may lean: 0 on the ground, 1 once it was half a metre above."""
+        """Share of the tilt limit that is allowed: 0 on the ground, rising to 1 at UPRIGHT_UNTIL above it."""
         if self.rose or not self.flies:
             return float(self.flies)
         risen = self.stood_z - self.seen.position_ned[2]
@@ -255,7 +255,7 @@ class Craft:
         return _through(throttle, self.facts.hover_throttle, self.parameters.values["MPC_THR_HOVER"])
 
     def idle(self) -> Order | None:
-        """Return the order to stop the motors, or None where that is what it does already."""
+        """Return the order to stop the motors; None if they were already ordered to stop."""
         if self._idle is not None:
             return None
         order = self.lean(0.0, 0.0, 0.0)
@@ -263,18 +263,18 @@ class Craft:
         return order
 
     def turn_to(self, yaw: float) -> None:
-        """Turn to a heading [rad]."""
+        """Set the commanded heading [rad]."""
         self.yaw = math.remainder(yaw, 2.0 * math.pi)
 
     def look_to(self, north: float, east: float, farther: float = 1.0) -> None:
-        """Turn to a place [m], unless it is nearer than ``farther``."""
+        """Set the commanded heading towards a place [m], unless it is nearer than ``farther`` [m]."""
         here = self.seen.position_ned
         dx, dy = north - here[0], east - here[1]
         if dx * dx + dy * dy > farther * farther:
             self.yaw = math.atan2(dy, dx)
 
     def head_to(self, north: float, east: float, farther: float = 1.0) -> bool:
-        """Turn on the way to a place [m] as ``MPC_YAW_MODE`` says; return whether it is to turn before it moves."""
+        """Set the heading for the way to a place [m] by ``MPC_YAW_MODE``; return whether it must turn before moving."""
         mode, home = int(self.parameters.values["MPC_YAW_MODE"]), self.home
         if mode in (TO_HOME, FROM_HOME) and home is not None:
             self.look_to(home.position_ned[0], home.position_ned[1], farther)
@@ -293,7 +293,7 @@ class Craft:
 
 
 def _through(value: float, middle: float, image: float) -> float:
-    """Return a number 0 to 1 on the two lines from 0 to 0, from ``middle`` to ``image``, and on to 1."""
+    """Map a number 0 to 1 piecewise linearly, with 0 to 0, ``middle`` to ``image``, and 1 to 1."""
     if value <= middle or middle >= 1.0:
         return image * value / middle
     return image + (1.0 - image) * (value - middle) / (1.0 - middle)

@@ -65,15 +65,15 @@ class Failsafes:
             craft.say(Severity.INFO, "Link to the ground regained")
 
     def armed(self) -> None:
-        """Forget battery level and breach at the begin of a flight."""
+        """Reset battery level and fence breach at the start of a flight."""
         self._battery, self.breached, self._fence_due = 0, False, 0.0
 
     def fence(self) -> FenceStatus:
-        """Return what FENCE_STATUS says."""
+        """Return the fields of FENCE_STATUS."""
         return FenceStatus(self.breached, self._breaches, self._breach, self._breached_at)
 
     def look(self, craft: Craft, mode: Mode, offboard: Offboard, factor: float) -> int:
-        """Return the action of a failsafe that begins now, for an armed vehicle; NOTHING if none does."""
+        """Check battery, fence, data link and set-points in flight; return the action that begins now, else NOTHING."""
         values = craft.parameters.values
         stretch = max(1.0, factor)
         asked = self._look_at_battery(craft)
@@ -94,7 +94,7 @@ class Failsafes:
         return asked
 
     def look_at_sticks(self, craft: Craft, mode: Mode, fresh: bool) -> int:
-        """Return what a vehicle that is flown by sticks is to do once they are ``fresh`` no more."""
+        """Return the failsafe action of a mode flown by sticks once ``fresh`` is False; NOTHING otherwise."""
         if mode not in BY_STICKS or fresh:
             return NOTHING
         craft.say(Severity.CRITICAL, "Failsafe: no manual control input")
@@ -102,7 +102,7 @@ class Failsafes:
         return int(link_action(True, int(craft.parameters.values["NAV_RCL_ACT"]))) or HOLD
 
     def _look_at_battery(self, craft: Craft) -> int:
-        """Return the action for a battery level that was just reached, and tell the client."""
+        """Return the action for a newly reached battery level and warn the client; NOTHING without one."""
         charge, values = craft.seen.charge, craft.parameters.values
         if not charge <= values["BAT_LOW_THR"]:
             return NOTHING
@@ -117,7 +117,7 @@ class Failsafes:
         return asked
 
     def _look_at_fence(self, craft: Craft) -> int:
-        """Return the action for a breach of the fence that has just begun, and tell the client."""
+        """Return the action for a fence breach that has just begun and warn the client; NOTHING without one."""
         seen, values = craft.seen, craft.parameters.values
         action = int(values["GF_ACTION"])
         breach, why = beyond(craft) if seen.valid else (Breach.NONE, "")
@@ -136,7 +136,7 @@ class Failsafes:
 
 
 def _leaves(craft: Craft) -> Breach:
-    """Return the limit of its area that a vehicle would cross before it could stop."""
+    """Return which limit of the area the vehicle would cross before it could stop: boundary, ceiling or none."""
     (north, east, down), (vn, ve, vd) = craft.seen.position_ned, craft.seen.velocity_ned
     speed = math.hypot(vn, ve)
     if abs(vd) > 0.5:
@@ -152,7 +152,7 @@ def _leaves(craft: Craft) -> Breach:
 
 
 def beyond(craft: Craft) -> tuple[Breach, str]:
-    """Return the breach of the fence, or of the area ahead, and words for it; NONE and "" inside."""
+    """Return the breach of the fence or of the area ahead, and its description; (NONE, "") without one."""
     here, values = craft.seen.position_ned, craft.parameters.values
     if not craft.fence.inside(*here):
         return Breach.BOUNDARY, "outside the area"

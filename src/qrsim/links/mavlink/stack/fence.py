@@ -33,11 +33,11 @@ class Fence:
 
     @property
     def empty(self) -> bool:
-        """Whether there is nothing to stay in or out of."""
+        """Whether there are no zones."""
         return not self._zones.all and (self._guard is None or self._guard.empty)
 
     def inside(self, north: float, east: float, down: float = math.nan) -> bool:
-        """Return whether a place [m] is in one of the inclusions, if any, in no exclusion, and inside the guard.
+        """Return whether a position NED [m] is in an inclusion (if there are any), in no exclusion, and in the guard.
 
         Without ``down`` the zones reach over all heights.
         """
@@ -46,7 +46,7 @@ class Fence:
         return self._zones.inside(north, east, None if math.isnan(down) else down)
 
     def crosses(self, begin: Triple, end: Triple) -> bool:
-        """Return whether a straight way between two places leaves the fence, looked at every 2 m at the most."""
+        """Return whether the straight line between two positions NED [m] leaves the fence, sampled every 2 m."""
         length = math.hypot(*(b - a for a, b in zip(begin, end, strict=True) if math.isfinite(b - a)))
         steps = max(1, math.ceil(length / 2.0))
         return not all(
@@ -56,13 +56,13 @@ class Fence:
 
     @staticmethod
     def of(items: Sequence[Item], geodesy: Geodesy, guard: Fence | None = None) -> tuple[Fence, PlanResult, int]:
-        """Return the fence of a plan within a guard, the result, and the seq of the item that is bad, else -1."""
+        """Return the fence of a plan within a guard, the result, and the seq of the bad item (-1: none)."""
         zones, result, bad = zones_of(items, geodesy)
         return Fence(zones, guard), result, bad
 
 
 def zones_of(items: Sequence[Item], geodesy: Geodesy) -> tuple[list[Zone], PlanResult, int]:
-    """Return the zones of a plan up to the item that is bad, the result, and the seq of that item, else -1."""
+    """Return the zones of a fence plan up to its first bad item, the result, and the seq of that item (-1: none)."""
     zones: list[Zone] = []
     index = 0
     if len(items) > MOST_ITEMS:
@@ -115,7 +115,7 @@ def items_of(zones: Sequence[Zone], geodesy: Geodesy) -> tuple[Item, ...]:
 
 
 def _corners(items: Sequence[Item], first: int) -> tuple[int, PlanResult, int]:
-    """Return the number of corners of a polygon that begins at an item, the result, and the item at fault."""
+    """Return the corner count of the polygon at item ``first``, the result, and the bad item's index (-1: none)."""
     begin = items[first]
     count = begin.params[0]
     if not (math.isfinite(count) and count == int(count) and 3 <= count <= MOST_ITEMS):
@@ -135,7 +135,7 @@ def _corners(items: Sequence[Item], first: int) -> tuple[int, PlanResult, int]:
 
 
 def rally_points(items: Sequence[Item]) -> tuple[PlanResult, int]:
-    """Return whether a plan is one of rally points: the result, and the seq of the item that is bad, else -1."""
+    """Check a rally plan; return the result, and the seq of the first bad item (-1: none)."""
     if len(items) > MOST_ITEMS:
         return PlanResult.NO_SPACE, MOST_ITEMS
     for index, item in enumerate(items):
@@ -152,7 +152,7 @@ def rally_points(items: Sequence[Item]) -> tuple[PlanResult, int]:
 
 
 def bad_place(item: Item) -> PlanResult | None:
-    """Return what is wrong with latitude or longitude of an item, None where nothing is."""
+    """Return the result for an item whose latitude or longitude is out of range; None if both are valid."""
     if abs(item.x) > 900_000_000:
         return PlanResult.INVALID_PARAM5_X
     return PlanResult.INVALID_PARAM6_Y if abs(item.y) > 1_800_000_000 else None

@@ -28,8 +28,7 @@ from qrsim.models.site import Site
 
 TAKEN_OFF = 0.3  # distance from its height at which a take-off is done [m]
 RC_OVERRIDE_TIME = 3.0  # age at which stick messages expire in ArduPilot's flavour [s]
-# Default of GUID_TIMEOUT: time without velocities after which GUIDED holds [s] (ArduCopter/Parameters.cpp).
-GUIDED_TIMEOUT = 3.0
+GUIDED_TIMEOUT = 3.0  # age of velocities at which GUIDED holds [s]: GUID_TIMEOUT (ArduCopter/Parameters.cpp)
 
 
 class Flight:
@@ -115,7 +114,7 @@ class Flight:
         return order if self.armed else craft.idle() or order
 
     def _fly(self) -> tuple[Order | None, bool]:
-        """Return the order of the mode, and whether the vehicle has landed."""
+        """Fly the mode by one tick; return the order (None: keep the last), and whether the vehicle has landed."""
         craft, mode = self.craft, self.mode
         if not craft.seen.valid and mode is not Mode.OFFBOARD:
             # Blind: level, and a little less than the weight.
@@ -143,7 +142,7 @@ class Flight:
         return self.offboard.fly(craft)
 
     def _hold(self) -> tuple[Order | None, bool]:
-        """Return the order to hold a place, or to land if that is at the ground, and whether the vehicle has landed."""
+        """Return the order to hold the position, or to land if that is at the ground, and whether it has landed."""
         craft = self.craft
         if not craft.flies and craft.seen.on_ground:
             rests = self._descent.touchdown.seconds(craft, craft.seen.position_ned[2])
@@ -160,7 +159,7 @@ class Flight:
         return self.by_sticks.fresh(self.craft, limit * max(1.0, self.factor))
 
     def _loiters_by_sticks(self) -> bool:
-        """Return whether it is in ArduPilot's LOITER, which sticks move while there are any."""
+        """Return whether sticks now move the vehicle in ArduPilot's LOITER; also handle the start and end of that."""
         before = self._loiters
         mine = self.mode is Mode.HOLD and not self.guided and self.flavour.name == "ardupilot"
         self._loiters = mine and self._has_sticks
@@ -180,6 +179,7 @@ class Flight:
         return craft.go(self._goal or here, (level, min(up, self.parameters["MPC_TKO_SPEED"]), down))
 
     def _fly_mission(self) -> tuple[Order | None, bool]:
+        """Fly the mission by a tick and change the mode at its end; return the order, and whether it has landed."""
         craft, mission = self.craft, self.plan
         order, over = mission.fly(craft)
         if not over:
@@ -230,7 +230,7 @@ class Flight:
 
     @property
     def lands(self) -> bool:
-        """Whether it is coming down to the ground."""
+        """Whether the vehicle is descending to land."""
         mode = self.mode
         return (
             mode is Mode.LAND
@@ -242,7 +242,7 @@ class Flight:
     # ---- arming ----
 
     def arm(self, force: bool = False) -> Result:
-        """Arm, or report the reasons against it; ``force`` leaves the checks out."""
+        """Arm, or report the reasons against it and return the refusal; ``force`` skips the checks."""
         craft = self.craft
         if self.armed:
             return Result.ACCEPTED
@@ -307,12 +307,12 @@ class Flight:
     # ---- modes ----
 
     def request_number(self, custom_mode: int) -> Result:
-        """Change to the mode of a custom_mode, or report the reason against it."""
+        """Change to the mode with a custom_mode, or report why not and return the refusal."""
         mode = self.flavour.mode_of(custom_mode)
         return self.refuse_mode(custom_mode, "not flown here") if mode is None else self.request(mode)
 
     def request(self, mode: Mode) -> Result:
-        """Change the mode on request, or report the reason against it."""
+        """Change the mode for a client, or report why not and return the refusal."""
         craft = self.craft
         # ArduPilot's Copter takes any mode while it is disarmed, and is not armed in one that it cannot fly.
         free = self.flavour.name == "ardupilot" and not self.armed
@@ -338,12 +338,12 @@ class Flight:
         return Result.ACCEPTED
 
     def refuse_mode(self, custom_mode: int, why: str) -> Result:
-        """Report a refused mode as PX4's Commander or ArduPilot's Copter do, and return the result."""
+        """Send the refusal of a mode in PX4's or ArduPilot's words, and return the result for the acknowledgement."""
         self.craft.say(Severity.CRITICAL, self.flavour.refusal(custom_mode, why))
         return Result.TEMPORARILY_REJECTED if self.flavour.name == "px4" else Result.FAILED
 
     def switch(self, mode: Mode, goal: Triple | None = None) -> None:
-        """Change the mode; ``goal`` [m] is where HOLD and TAKEOFF go."""
+        """Change the mode without checks; ``goal`` NED [m] is the position of HOLD or TAKEOFF."""
         craft, before = self.craft, self.mode
         self.mode, self._goal, self._meant = mode, goal, (mode, self.guided)
         if self._landed_at is not None and mode in FLIES_AGAIN:
@@ -373,11 +373,11 @@ class Flight:
         craft.tell("mode")
 
     def fresh(self) -> bool:
-        """Return whether set-points are recent."""
+        """Return whether the last set-point is younger than COM_OF_LOSS_T."""
         return self.offboard.fresh(self.craft, self.parameters["COM_OF_LOSS_T"] * max(1.0, self.factor))
 
     def _fail_over(self, asked: int) -> None:
-        """Take the action that a failsafe commands, unless a graver one is under way."""
+        """Take the action of a failsafe, unless the present mode is at least as grave."""
         craft = self.craft
         if asked == TERMINATE:
             self.terminate()

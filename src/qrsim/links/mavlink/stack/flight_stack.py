@@ -59,17 +59,17 @@ class FlightStack(Flight):
         return self.craft.geodesy.to_geodetic(position_ned)
 
     def command(self, command: Command) -> Ack:
-        """Obey or refuse a command: those of flight and mission; of requests for messages it knows nothing."""
+        """Obey or refuse a command of flight or mission; requests for messages are not handled here."""
         return Ack(obey(self, command))
 
     def set_mode(self, base_mode: int, custom_mode: int) -> Result:
-        """Obey or refuse a SET_MODE message; without the flag of custom modes none is meant."""
+        """Obey or refuse a SET_MODE message; it is refused without the custom-mode flag."""
         if not base_mode & 1:
             return Result.UNSUPPORTED
         return self.request_number(custom_mode)
 
     def setpoint(self, target: Target) -> bool:
-        """Take a set-point; return whether it can be flown. It is flown in OFFBOARD (GUIDED)."""
+        """Take a set-point for OFFBOARD (GUIDED); return whether it can be flown."""
         why = self.craft.seen.end if self.craft.seen.stopped else ""
         if self.mode is Mode.NOGPS and not isinstance(target, AttitudeTarget):
             why = "GUIDED_NOGPS flies attitudes alone"
@@ -82,7 +82,7 @@ class FlightStack(Flight):
         return taken
 
     def sticks(self, roll: float, pitch: float, throttle: float, yaw: float) -> None:
-        """Take sticks, each -1 to 1, NaN for one that is not told: right, forwards, up, right."""
+        """Take stick positions, each -1 to 1, positive right, forwards, up and right; NaN: unchanged."""
         moved = self.by_sticks.take((roll, pitch, throttle, yaw), self.craft)
         overrides = self.flavour.name == "px4" and int(self.parameters["COM_RC_OVERRIDE"]) & 1
         automatic = self.armed and self.craft.flies and self.mode in OVERRIDDEN
@@ -91,15 +91,15 @@ class FlightStack(Flight):
             self.switch(Mode.POSITION)
 
     def follow_target(self, target: FollowTarget) -> None:
-        """Take where the target of follow-me is."""
+        """Take the position of the target of follow-me."""
         self.follow.take(target, self.craft)
 
     def modes(self) -> tuple[ModeInfo, ...]:
-        """Return the modes that clients can ask for, or that it can be in."""
+        """Return the modes of the vehicle: those that clients can request, and those of failsafes."""
         return self.flavour.infos()
 
     def current_modes(self) -> tuple[ModeInfo, ModeInfo]:
-        """Return the mode that is flown, and the one that was asked for, which differs in a failsafe."""
+        """Return the mode that is flown, and the requested mode, which differs in a failsafe."""
         return self.flavour.info(self.mode, self.guided), self.flavour.info(*self._meant)
 
     def orbiting(self) -> OrbitStatus | None:
@@ -107,15 +107,15 @@ class FlightStack(Flight):
         return OrbitStatus(self.orbit.radius, self.orbit.centre) if self.mode is Mode.ORBIT else None
 
     def thrust_of(self, throttle: float) -> float:
-        """Return the normalised thrust of a throttle of its vehicle, both 0 to 1; ``MPC_THR_HOVER`` in hover."""
+        """Return the normalised thrust of a throttle, both 0 to 1; hover throttle gives ``MPC_THR_HOVER``."""
         return self.craft.thrust_of(throttle)
 
     def _refuse(self, what: str, why: str) -> None:
-        """Warn the client that something is denied, and why."""
+        """Send the client a warning "WHAT denied: WHY"."""
         self.craft.say(Severity.WARNING, f"{what} denied: {why}")
 
     def go_to(self, item: Item) -> bool:
-        """Fly to the place of a waypoint at once, in ArduPilot's GUIDED; return whether it does."""
+        """Fly to a waypoint at once, in ArduPilot's GUIDED; return whether the stack does so."""
         if item.command != WAYPOINT or not self.guided:
             self.craft.say(Severity.WARNING, "Guided item rejected: a waypoint, in GUIDED, is needed")
             return False
@@ -123,7 +123,7 @@ class FlightStack(Flight):
         return self.command(place).result is Result.ACCEPTED
 
     def change_altitude(self, item: Item) -> None:
-        """Take the altitude of ArduPilot's guided item with ``current`` 3: Copter and Rover change nothing by it."""
+        """Ignore an ArduPilot guided item that changes only the altitude, as Copter and Rover do, and say so."""
         self.craft.say(Severity.INFO, "Change of altitude ignored, as by ArduPilot's Copter: fly to a place instead")
 
     def heard_ground(self) -> None:
@@ -133,7 +133,7 @@ class FlightStack(Flight):
     # ---- plans ----
 
     def accept(self, kind: PlanKind, items: Sequence[Item]) -> tuple[PlanResult, int]:
-        """Replace a plan, none of it where one item is bad; return the result and the seq of that item, else -1."""
+        """Replace a plan, or keep the old one if an item is bad; return the result and the bad item's seq, else -1."""
         craft = self.craft
         if kind is PlanKind.MISSION:
             result, bad = self.plan.accept(items, craft)
@@ -156,11 +156,11 @@ class FlightStack(Flight):
         return result, bad
 
     def items(self, kind: PlanKind) -> tuple[Item, ...]:
-        """Return a plan as it was accepted; the fence is that of the scenario before."""
+        """Return the items of the accepted plan of a kind; before an upload the fence is that of the scenario."""
         return {PlanKind.MISSION: self.plan.items, PlanKind.FENCE: self._fence_items, PlanKind.RALLY: self.rally}[kind]
 
     def home_item(self) -> Item | None:
-        """Return the item 0 of ArduPilot, which is home and can be read without a mission; None without one."""
+        """Return item 0 of ArduPilot's mission, which is home; None before there is a home, and for PX4."""
         home = self.craft.home
         if self.flavour.name != "ardupilot" or home is None:
             return None
@@ -169,23 +169,23 @@ class FlightStack(Flight):
         return Item(0, 0, WAYPOINT, (0.0, 0.0, 0.0, 0.0), *place, home.altitude)
 
     def set_current(self, seq: int) -> bool:
-        """Go on with another item of the mission; return whether there is one."""
+        """Make another item of the mission the current one; return whether it exists."""
         return self.plan.set_current(seq, self.craft)
 
     # ---- what it says ----
 
     @property
     def home(self) -> Home | None:
-        """Where it returns to; None before there was a position."""
+        """Home position to return to; None before the first position estimate."""
         return self.craft.home
 
     @property
     def origin(self) -> Triple:
-        """Origin of its local frame, in the site's frame NED [m]."""
+        """Origin of the vehicle's local frame, in the site's frame NED [m]."""
         return self.craft.origin
 
     def heartbeat(self) -> Heartbeat:
-        """Return what HEARTBEAT and EXTENDED_SYS_STATE say."""
+        """Return the fields of HEARTBEAT and EXTENDED_SYS_STATE."""
         told, craft = self._heartbeat, self.craft
         told.base_mode = self.flavour.flags(self.mode) | (ARMED_FLAG if self.armed else 0)
         told.custom_mode = self.flavour.custom_mode(self.mode, self.guided)
@@ -198,7 +198,7 @@ class FlightStack(Flight):
         return told
 
     def health(self) -> Health:
-        """Return the bits that SYS_STATUS has from the stack."""
+        """Return the sensor bits of SYS_STATUS."""
         craft, seen = self.craft, self.craft.seen
         reasons = [] if self.armed else self.checks.reasons(craft)
         battery = Sensor.BATTERY if seen.charge == seen.charge else 0
@@ -211,17 +211,17 @@ class FlightStack(Flight):
         return Health(int(present), int(present), int(healthy), reasons)
 
     def mission(self) -> MissionStatus:
-        """Return what MISSION_CURRENT says."""
+        """Return the fields of MISSION_CURRENT."""
         return self.plan.status(self.mode is Mode.MISSION)
 
     def fence(self) -> FenceStatus:
-        """Return what FENCE_STATUS says."""
+        """Return the fields of FENCE_STATUS."""
         return self.failsafes.fence()
 
     def texts(self) -> list[Text]:
-        """Return the texts for clients since the last call."""
+        """Return the status texts queued since the last call, and empty the queue."""
         return self.craft.texts()
 
     def events(self) -> list[Event]:
-        """Return the events since the last call."""
+        """Return the events queued since the last call, and empty the queue."""
         return self.craft.events()

@@ -27,7 +27,7 @@ class Follow:
         self._goal: Triple | None = None
 
     def take(self, target: FollowTarget, craft: Craft) -> None:
-        """Take a FOLLOW_TARGET."""
+        """Store the target's position and velocity of a FOLLOW_TARGET; messages with invalid numbers are ignored."""
         numbers = (target.latitude, target.longitude, target.altitude, *target.velocity)
         if not all(map(math.isfinite, numbers)) or abs(target.altitude) > 1e5 or max(map(abs, target.velocity)) > 1e3:
             return
@@ -41,7 +41,7 @@ class Follow:
         self._goal = craft.path.stop(craft.parameters["MPC_ACC_HOR"])
 
     def fly(self, craft: Craft, stretch: float) -> Order | None:
-        """Return the order; ``stretch``: simulated seconds per second of the target."""
+        """Return the order to follow the target; ``stretch``: simulated seconds per second of the target."""
         here, values, dt = craft.seen.position_ned, craft.parameters.values, craft.facts.time_step
         if self._place is None:
             return craft.go(self._goal or here) if craft.flies else craft.idle()

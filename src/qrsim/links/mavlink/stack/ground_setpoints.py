@@ -16,7 +16,7 @@ class GroundOffboard(Offboard):
     def _take_motion(
         self, target: LocalTarget | GlobalTarget, position: Triple, velocity: Triple, acceleration: Triple
     ) -> str:
-        """Take a set-point without its vertical axis; return why not, "" if it is taken."""
+        """Take a set-point, ignoring its vertical axis; return the reason for refusing it, "" if it is taken."""
         # On the ground no height is needed.
         place, speeds = (position[0], position[1], 0.0), (velocity[0], velocity[1], 0.0)
         whole = any(all(map(math.isfinite, part)) for part in (place, speeds))
@@ -27,11 +27,11 @@ class GroundOffboard(Offboard):
         return super()._take_motion(target, place, speeds, acceleration)
 
     def _take_attitude(self, target: object, craft: Craft) -> str:
-        """Refuse a set-point of attitude; return why."""
+        """Refuse any attitude set-point; return the reason."""
         return "a rover has no attitude to fly"
 
     def fly(self, craft: Craft) -> tuple[Order | None, bool]:
-        """Return the order; it never lands."""
+        """Return the order of the last set-point, and False, since a ground vehicle never lands."""
         (north, east, _), (vn, ve, _) = self._position, self._velocity
         level = craft.speeds()[0]
         speed = math.hypot(vn, ve)

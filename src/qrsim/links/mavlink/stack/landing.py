@@ -26,11 +26,11 @@ class Touchdown:
         self.since: float | None = None
 
     def clear(self) -> None:
-        """Forget that it touched the ground."""
+        """Reset the time of the first ground contact."""
         self.since = None
 
     def seconds(self, craft: Craft, wanted_z: float) -> float:
-        """Return how long a vehicle that is asked down to ``wanted_z`` [m] has been on the ground [s]."""
+        """Return how long [s] a vehicle commanded down to ``wanted_z`` [m] has rested on the ground; 0 in the air."""
         seen = craft.seen
         speed = abs(seen.velocity_ned[2])
         held = wanted_z - seen.position_ned[2] > HELD and speed < HELD_SPEED
@@ -51,12 +51,12 @@ class Descent:
         self._slow_since: float | None = None
 
     def begin(self) -> None:
-        """Forget the last descent."""
+        """Reset the state of the last descent."""
         self.touchdown.clear()
         self._slow_since = None
 
     def fly(self, craft: Craft, place: Triple) -> tuple[Order | None, bool]:
-        """Return the order, and whether it has landed.
+        """Descend by a tick; return the order, and whether the vehicle has landed.
 
         Args:
             craft: vehicle.
@@ -78,7 +78,7 @@ class Descent:
         return order, False
 
     def _touches(self, craft: Craft, share: float) -> bool:
-        """Return whether a foot may be on the ground: at landing speed for a while, and held above its path.
+        """Return whether a foot may be on the ground: at landing speed for a while, and above its path.
 
         Where it is low the while is none. ``share``: 0 at landing speed, 1 at that of its faster descent.
         """

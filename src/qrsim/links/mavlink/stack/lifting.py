@@ -25,12 +25,12 @@ class Lift:
         self._stood, self._integral = True, 0.0
 
     def begin(self, craft: Craft) -> None:
-        """Begin to fly by it."""
+        """Reset ground contact and integral at the start of flight by attitude."""
         self.touchdown.clear()
         self._stood, self._integral = not craft.flies, 0.0
 
     def stands(self, craft: Craft, rises: bool, lands: bool) -> tuple[Order | None, bool] | None:
-        """Return the order of a vehicle on the ground and whether it has landed; None for one that is to fly.
+        """Return the order of a vehicle on the ground and whether it has landed; None if it is to fly.
 
         Args:
             craft: vehicle.
@@ -52,7 +52,7 @@ class Lift:
         return None
 
     def throttle(self, craft: Craft, sinks: float, speeds: Triple) -> float:
-        """Return the throttle for the height of the path, which moves on; sideways nothing brakes.
+        """Move the path's height on by a tick, and return the throttle to follow it; horizontal motion is left alone.
 
         Args:
             craft: vehicle.

@@ -60,7 +60,7 @@ class Mission:
         self._forget()
 
     def _forget(self) -> None:
-        """Begin with the item that is flown."""
+        """Reset the progress within the current item."""
         self._goal: Triple | None = None
         self._way = Way()
         self._from: Triple | None = None
@@ -84,7 +84,7 @@ class Mission:
         return result, -1
 
     def why_not(self, craft: Craft) -> str:
-        """Return why the mission cannot be flown, and say it; "" where it can."""
+        """Return why the mission cannot be flown, and warn clients; "" if it can."""
         why = "no mission" if not self.items else ""
         seq = self._outside(craft)
         if seq is not None:
@@ -94,14 +94,15 @@ class Mission:
         return why
 
     def _outside(self, craft: Craft) -> int | None:
+        """Return the seq of the first item outside the fence or area; None if all are inside."""
         return plan.outside(self.items, craft)
 
     def status(self, in_mode: bool) -> MissionStatus:
-        """Return what MISSION_CURRENT says."""
+        """Return the fields of MISSION_CURRENT."""
         return MissionStatus(self.current, len(self.items), self.state, in_mode)
 
     def set_current(self, seq: int, craft: Craft, reset: bool = False) -> bool:
-        """Go on with another item; return whether there is one.
+        """Make another item the current one; return whether it exists.
 
         An item before the first that is flown stands for the whole plan, as with ArduPilot.
 
@@ -123,13 +124,13 @@ class Mission:
         return True
 
     def restart(self, craft: Craft) -> None:
-        """Begin the plan again, not started."""
+        """Go back to the first item, in the state NOT_STARTED."""
         self._start_at(min(self._first, max(0, len(self.items) - 1)))
         self.state = MissionState.NOT_STARTED if self.items else MissionState.NO_MISSION
         craft.tell("mission")
 
     def _start_at(self, seq: int) -> None:
-        """Begin with an item, with all jumps to come."""
+        """Make an item the current one and reset all jump counters."""
         self._jumps.clear()
         self._go_to(seq)
 
@@ -142,7 +143,7 @@ class Mission:
     # ---- flight ----
 
     def begin(self, craft: Craft) -> None:
-        """Start or go on; a mission that was completed starts again."""
+        """Start or resume the mission; a completed one starts from its first item."""
         if self.state is MissionState.COMPLETE or self.current >= len(self.items):
             self._start_at(min(self._first, max(0, len(self.items) - 1)))
         self._forget()
@@ -151,13 +152,13 @@ class Mission:
         craft.tell("mission")
 
     def pause(self, craft: Craft) -> None:
-        """Note that it is no longer flown."""
+        """Note that the mission is no longer flown."""
         if self.state is MissionState.ACTIVE:
             self.state = MissionState.PAUSED
             craft.tell("mission")
 
     def fly(self, craft: Craft) -> tuple[Order | None, bool]:
-        """Return the order, and whether the mission is over."""
+        """Fly the mission by a tick; return the order, and whether the mission is over."""
         # Items without a place take no time, but two of them may jump to each other.
         for _ in range(len(self.items)):
             item = self.items[self.current]
@@ -172,7 +173,7 @@ class Mission:
         return None, False
 
     def _next(self, item: Item, craft: Craft) -> bool:
-        """Go over to the next item; return whether there is none."""
+        """Advance to the next item, obeying jumps; return whether the mission is over."""
         craft.tell("item_reached", self.current)
         self.returns = item.command == known.RETURN
         following = self.current + 1
@@ -203,7 +204,7 @@ class Mission:
         return over
 
     def _fly_item(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
-        """Return whether an item is done, and the order."""
+        """Fly or execute an item for a tick; return whether it is done, and the order."""
         command, params, now = item.command, item.params, craft.seen.time
         if command == known.LAND:
             return self._land(item, craft)
@@ -226,7 +227,7 @@ class Mission:
         return True, None
 
     def _on_the_way(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
-        """Fly to the next place, until it is near enough or a gate is passed; without a next place, go on at once.
+        """Fly to the next place until its condition holds (distance or gate); return whether it does, and the order.
 
         A gate is the plane through its place across the way from there to the next one, as in PX4's MissionBlock.
         """
@@ -244,14 +245,14 @@ class Mission:
         return (here[0] - gate[0]) * north + (here[1] - gate[1]) * east >= 0.0, order
 
     def _turns_to(self, item: Item) -> float:
-        """Return the heading that is asked for on the way to an item [rad], NaN where none is."""
+        """Return the heading [rad] required on the way to an item, NaN without one."""
         if self._heading is not None:
             return self._heading
         asks = self._flavour == "px4" and item.command in (known.WAYPOINT, known.TAKEOFF)
         return math.radians(item.params[3]) if asks else math.nan
 
     def _stay(self, craft: Craft) -> Order | None:
-        """Return the order to hold the place, or to keep the motors off on the ground."""
+        """Return the order to hold the position, or to keep the motors off on the ground."""
         if not craft.flies and craft.seen.on_ground:
             return craft.idle()
         if self._goal is None:
@@ -259,6 +260,7 @@ class Mission:
         return craft.go(self._goal)
 
     def _take_off(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
+        """Climb to the item's height, then fly to its place with PX4; return whether it is done, and the order."""
         if self._away:
             return self._go(item, craft)
         self.rises = True
@@ -325,7 +327,7 @@ class Mission:
         return self._arrived is not None and now - self._arrived >= hold, order
 
     def _pass_through(self, item: Item, craft: Craft, place: Triple, onward: float) -> Order:
-        """Return the order to fly through a place at which the way to an item bends, and so far on [m]."""
+        """Return the order to fly through a place where the way bends, as if it went on straight ``onward`` [m]."""
         if math.isfinite(turn := self._turns_to(item)):
             craft.turn_to(turn)
         else:
@@ -341,7 +343,7 @@ class Mission:
         return item.params[0] if timed and item.params[0] > 0.0 else 0.0
 
     def _circle(self, item: Item, craft: Craft, centre: Triple) -> tuple[bool, Order | None]:
-        """Fly turns round a place, beginning where the vehicle is; a negative radius is the other way."""
+        """Fly a circle with its turns around a centre NED [m]; return whether they are complete, and the order."""
         radius, turns = turn_radius(item), self._turns
         if self._arrived is None:
             self._arrived = craft.seen.time
@@ -356,6 +358,7 @@ class Mission:
         return done and moves, order
 
     def _land(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
+        """Fly to the place of the item and descend; return whether it has landed, and the order."""
         here = craft.seen.position_ned
         if self._goal is None:
             place = plan.place_of(item, craft, self._from or here)
@@ -371,10 +374,7 @@ class Mission:
 
 
 def heading(craft: Craft, angle: float, direction: float, relative: float) -> float:
-    """Return the heading [rad] that a CONDITION_YAW asks for: an angle [deg], or with ``relative`` 1 a turn.
-
-    A negative ``direction`` turns a relative angle to the left.
-    """
+    """Return the heading [rad] of CONDITION_YAW: an angle [deg], absolute or relative (to the left: direction < 0)."""
     turn = math.radians(angle)
     if not relative > 0.0:
         return turn
@@ -382,7 +382,7 @@ def heading(craft: Craft, angle: float, direction: float, relative: float) -> fl
 
 
 def change_speed(craft: Craft, kind: float, speed: float) -> bool:
-    """Obey DO_CHANGE_SPEED: kind 0 and 1 over ground, 2 up, 3 down; [m/s], -1 no change, -2 the default.
+    """Obey DO_CHANGE_SPEED; kind 0, 1: horizontal, 2: climb, 3: descent; speed [m/s], -1: unchanged, -2: default.
 
     Return whether it can be obeyed.
     """

@@ -52,7 +52,7 @@ _ADVANCED = frozenset((Mode.STABILIZED, Mode.OFFBOARD, Mode.FOLLOW, Mode.ORBIT))
 
 
 def _px4(main: int, sub: int = 0) -> int:
-    """Return PX4's number of a mode, custom_mode of the heartbeat."""
+    """Return PX4's custom_mode of a main mode and sub-mode."""
     return (main << 16) | (sub << 24)
 
 
@@ -81,7 +81,7 @@ class Flavour:
     guided: int = -1
 
     def custom_mode(self, mode: Mode, guided: bool = False) -> int:
-        """Return the custom_mode of HEARTBEAT; ``guided``: HOLD is that of ArduPilot's GUIDED."""
+        """Return the custom_mode of a mode in HEARTBEAT; ``guided``: HOLD is reported as ArduPilot's GUIDED."""
         return self.guided if guided and mode is Mode.HOLD and self.guided >= 0 else self.numbers[mode]
 
     def flags(self, mode: Mode) -> int:
@@ -89,11 +89,11 @@ class Flavour:
         return _STICKS_FLAGS if mode in BY_STICKS and self.name == "px4" else self.base_mode
 
     def custom_of(self, main: int, sub: int) -> int:
-        """Return the custom_mode of DO_SET_MODE's numbers; of ArduPilot it is the first."""
+        """Return the custom_mode of DO_SET_MODE's main and sub-mode; ArduPilot uses only the first."""
         return main if self.name == "ardupilot" else _px4(main, sub)
 
     def mode_of(self, custom_mode: int) -> Mode | None:
-        """Return the mode of a custom_mode, None where there is none.
+        """Return the mode of a custom_mode, None for an unknown one.
 
         As in PX4's Commander any sub mode of Position is Position, and that of AUTO without one is Mission; an orbit
         begins by its command alone.
@@ -107,7 +107,7 @@ class Flavour:
         return next((mode for mode, number in self.numbers.items() if number == custom_mode), None)
 
     def info(self, mode: Mode, guided: bool = False) -> ModeInfo:
-        """Return what AVAILABLE_MODES and CURRENT_MODE say of a mode."""
+        """Return the entry of a mode in AVAILABLE_MODES and CURRENT_MODE."""
         custom = self.custom_mode(mode, guided)
         if self.name == "ardupilot":
             return ModeInfo(custom, name=self.names[custom])
@@ -117,7 +117,7 @@ class Flavour:
         return ModeInfo(custom, standard, properties, "" if standard else self.names[custom])
 
     def infos(self) -> tuple[ModeInfo, ...]:
-        """Return what AVAILABLE_MODES says of all modes of the vehicle, by their numbers."""
+        """Return the entries of AVAILABLE_MODES for all modes of the vehicle, sorted by custom_mode."""
         found = {info.custom_mode: info for info in map(self.info, self.modes)}
         if self.guided >= 0:
             found[self.guided] = ModeInfo(self.guided, name=self.names[self.guided])
@@ -125,12 +125,12 @@ class Flavour:
         return tuple(found[custom] for custom in sorted(found))
 
     def standard_mode(self, number: int) -> Mode | None:
-        """Return the mode of a MAV_STANDARD_MODE, None where the vehicle has none that can be asked for."""
+        """Return the mode of a MAV_STANDARD_MODE, None if clients cannot request it."""
         found = next((mode for mode, standard in STANDARD.items() if standard == number), None)
         return found if found in self.modes and found is not Mode.ORBIT else None
 
     def refusal(self, custom_mode: int, why: str) -> str:
-        """Return what a vehicle says that cannot have a mode, in the words of PX4's Commander or ArduPilot's Copter."""
+        """Return the text that refuses a mode, in the words of PX4's Commander or ArduPilot's Copter."""
         name = self.names.get(custom_mode)
         if self.name == "px4":
             return f"Switching to mode '{name}' is currently not possible: {why}" if name else "Unsupported mode"
@@ -151,11 +151,23 @@ _PX4_NUMBERS = {
     Mode.OFFBOARD: _px4(6),
 }
 _PX4_NAMES = {
-    _px4(1): "Manual", _px4(2): "Altitude", _px4(3): "Position", _px4(3, 1): "Orbit", _px4(3, 2): "Position Slow",
-    _px4(4, 2): "Takeoff", _px4(4, 3): "Hold", _px4(4, 4): "Mission", _px4(4, 5): "Return", _px4(4, 6): "Land",
-    _px4(4, 8): "Follow Target", _px4(4, 9): "Precision Landing", _px4(4, 10): "VTOL Takeoff", _px4(5): "Acro",
-    _px4(6): "Offboard", _px4(7): "Stabilized",
-}  # fmt: skip
+    _px4(1): "Manual",
+    _px4(2): "Altitude",
+    _px4(3): "Position",
+    _px4(3, 1): "Orbit",
+    _px4(3, 2): "Position Slow",
+    _px4(4, 2): "Takeoff",
+    _px4(4, 3): "Hold",
+    _px4(4, 4): "Mission",
+    _px4(4, 5): "Return",
+    _px4(4, 6): "Land",
+    _px4(4, 8): "Follow Target",
+    _px4(4, 9): "Precision Landing",
+    _px4(4, 10): "VTOL Takeoff",
+    _px4(5): "Acro",
+    _px4(6): "Offboard",
+    _px4(7): "Stabilized",
+}
 # A multicopter's Manual is its Stabilized; Mission stands for AUTO without a sub mode.
 _PX4_ALIASES = {_px4(1): Mode.STABILIZED, _px4(4): Mode.MISSION}
 _COPTER = dict(enumerate((
@@ -165,23 +177,56 @@ _COPTER = dict(enumerate((
 )))  # fmt: skip
 # GUIDED is where scripts take off and send set-points.
 _COPTER_NUMBERS = {
-    Mode.STABILIZED: 0, Mode.ALTITUDE: 2, Mode.MISSION: 3, Mode.HOLD: 5, Mode.RTL: 6, Mode.ORBIT: 7, Mode.LAND: 9,
-    Mode.POSITION: 16, Mode.TAKEOFF: 4, Mode.OFFBOARD: 4, Mode.NOGPS: 20,
-}  # fmt: skip
+    Mode.STABILIZED: 0,
+    Mode.ALTITUDE: 2,
+    Mode.MISSION: 3,
+    Mode.HOLD: 5,
+    Mode.RTL: 6,
+    Mode.ORBIT: 7,
+    Mode.LAND: 9,
+    Mode.POSITION: 16,
+    Mode.TAKEOFF: 4,
+    Mode.OFFBOARD: 4,
+    Mode.NOGPS: 20,
+}
 _ROVER = {
-    0: "MANUAL", 1: "ACRO", 3: "STEERING", 4: "HOLD", 5: "LOITER", 6: "FOLLOW", 7: "SIMPLE", 8: "DOCK", 9: "CIRCLE",
-    10: "AUTO", 11: "RTL", 12: "SMART_RTL", 15: "GUIDED",
-}  # fmt: skip
+    0: "MANUAL",
+    1: "ACRO",
+    3: "STEERING",
+    4: "HOLD",
+    5: "LOITER",
+    6: "FOLLOW",
+    7: "SIMPLE",
+    8: "DOCK",
+    9: "CIRCLE",
+    10: "AUTO",
+    11: "RTL",
+    12: "SMART_RTL",
+    15: "GUIDED",
+}
 _PLANE = {
-    0: "MANUAL", 1: "CIRCLE", 2: "STABILIZE", 3: "TRAINING", 4: "ACRO", 5: "FBWA", 6: "FBWB", 7: "CRUISE",
-    8: "AUTOTUNE", 10: "AUTO", 11: "RTL", 12: "LOITER", 13: "TAKEOFF", 15: "GUIDED", 24: "THERMAL",
-}  # fmt: skip
+    0: "MANUAL",
+    1: "CIRCLE",
+    2: "STABILIZE",
+    3: "TRAINING",
+    4: "ACRO",
+    5: "FBWA",
+    6: "FBWB",
+    7: "CRUISE",
+    8: "AUTOTUNE",
+    10: "AUTO",
+    11: "RTL",
+    12: "LOITER",
+    13: "TAKEOFF",
+    15: "GUIDED",
+    24: "THERMAL",
+}
 
 
 def _flavours(
     own: Mapping[Mode, int], names: Mapping[int, str], guided: int, aliases: Mapping[int, Mode] | None = None
 ) -> dict[str, Flavour]:
-    """Return both flavours of a kind of vehicle, by its modes in ArduPilot's numbers."""
+    """Return PX4's and ArduPilot's flavour of a vehicle type, from its modes with ArduPilot's numbers."""
     modes = frozenset(own)
     return {
         "px4": Flavour(

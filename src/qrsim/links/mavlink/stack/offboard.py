@@ -56,7 +56,7 @@ class Offboard:
     # ---- what comes in ----
 
     def take(self, target: Target, craft: Craft) -> bool:
-        """Take a set-point; return whether it can be flown."""
+        """Take a set-point; return whether it is accepted, and warn clients if not."""
         if isinstance(target, AttitudeTarget):
             why = self._take_attitude(target, craft)
         elif isinstance(target, LocalTarget):
@@ -69,14 +69,14 @@ class Offboard:
         return True
 
     def refuse(self, craft: Craft, why: str) -> bool:
-        """Say why a set-point is not flown, once in 5 s, for clients repeat them; return that it is not taken."""
+        """Warn clients why a set-point is refused, at most once in 5 s; always return False."""
         if craft.seen.time - self._complained >= 5.0 or craft.seen.time < self._complained:
             self._complained = craft.seen.time
             craft.say(Severity.WARNING, f"Set-point refused: {why}")
         return False
 
     def _take_local(self, target: LocalTarget, craft: Craft) -> str:
-        """Take a set-point in a local frame; return why not, "" if it is taken."""
+        """Take a set-point in a local frame; return the reason for refusing it, "" if it is taken."""
         frame = target.frame
         if frame not in (LOCAL_NED, LOCAL_OFFSET, BODY_NED, BODY_OFFSET, BODY_FRD):
             return f"frame {frame} is not supported"
@@ -89,7 +89,7 @@ class Offboard:
         return self._take_motion(target, position, velocity, acceleration)
 
     def _take_global(self, target: GlobalTarget, craft: Craft) -> str:
-        """Take a set-point in latitude and longitude; return why not, "" if it is taken."""
+        """Take a set-point in latitude and longitude; return the reason for refusing it, "" if it is taken."""
         if target.frame not in GLOBAL:
             return f"frame {target.frame} is not supported"
         ignored, velocity, acceleration = _unmasked(target)
@@ -108,7 +108,7 @@ class Offboard:
     def _take_motion(
         self, target: LocalTarget | GlobalTarget, position: Triple, velocity: Triple, acceleration: Triple
     ) -> str:
-        """Take position, velocity, acceleration in NED, NaN where unset; return why not, "" if taken."""
+        """Take position, velocity, acceleration NED, NaN if unset; return the reason for refusing them, or ""."""
         numbers = (*position, *velocity, *acceleration)
         yaw = NAN if target.mask & NO_YAW else target.yaw
         rate = NAN if target.mask & NO_YAW_RATE else target.yaw_rate
@@ -127,7 +127,7 @@ class Offboard:
         return ""
 
     def _take_attitude(self, target: AttitudeTarget, craft: Craft) -> str:
-        """Take a set-point of attitude or rates, and thrust; return why not, "" if it is taken."""
+        """Take a set-point of attitude or rates, and thrust; return the reason for refusing it, or ""."""
         if target.mask & NO_THRUST or not 0.0 <= target.thrust <= 1.0:
             return f"thrust {target.thrust:g}, 0 to 1 needed" if not target.mask & NO_THRUST else "no thrust"
         tilt, yaw = None, NAN
@@ -150,7 +150,7 @@ class Offboard:
     # ---- what goes out ----
 
     def fresh(self, craft: Craft, limit: float) -> bool:
-        """Return whether a set-point came in the last ``limit`` seconds, or one that is kept."""
+        """Return whether the last set-point is at most ``limit`` [s] old, or is a position that does not expire."""
         if self.keeps_places and self._is_place:
             return True
         # A small part of a tick is left for the rounding of times.
@@ -164,7 +164,7 @@ class Offboard:
         )
 
     def begin(self, craft: Craft) -> None:
-        """Begin to fly by set-points."""
+        """Reset the state of flight by set-points, at the vehicle's present position and heading."""
         self._descent.begin()
         self._descends = False
         self._lift.begin(craft)
@@ -174,7 +174,7 @@ class Offboard:
         craft.yaw = craft.seen.attitude[2]
 
     def fly(self, craft: Craft) -> tuple[Order | None, bool]:
-        """Return the order, and whether it has landed."""
+        """Fly the set-point by a tick; return the order, and whether the vehicle has landed."""
         dt, here = craft.facts.time_step, craft.seen.position_ned
         if self._kind == "attitude":
             return self._fly_attitude(craft, dt)
@@ -206,11 +206,11 @@ class Offboard:
         return self._motion(craft, dt), False
 
     def _sinks(self) -> float:
-        """Return the speed of descent [m/s] near the ground: the one asked for, or 0.5."""
+        """Return the descent speed [m/s] near the ground: that of the set-point, or 0.5."""
         return self._velocity[2] if self._velocity[2] > 0.0 else 0.5
 
     def _rises(self, craft: Craft) -> bool:
-        """Return whether the set-point keeps a vehicle off the ground."""
+        """Return whether the set-point lifts the vehicle off the ground or keeps it in the air."""
         here = craft.seen.position_ned[2]
         if math.isfinite(self._position[2]):
             # In flight, a place no higher than the estimate may drift above where it stood is a landing: nobody hovers
@@ -222,7 +222,7 @@ class Offboard:
         return self._acceleration[2] < (0.5 if craft.flies else -0.5)
 
     def _motion(self, craft: Craft, dt: float) -> Order:
-        """Return the order for a set-point of position, velocity or acceleration."""
+        """Return the order for a set-point of position, velocity or acceleration, within the speed limits."""
         position, velocity, acceleration = self._position, self._velocity, self._acceleration
         values, facts, seen = craft.parameters.values, craft.facts, craft.seen
         level = min(values["MPC_XY_VEL_MAX"], facts.speed_limit)
@@ -253,13 +253,13 @@ class Offboard:
         return craft.follow((place[0], place[1], place[2]), motion, (push[0], push[1], push[2]))
 
     def level(self, craft: Craft) -> None:
-        """Ask for level flight at the height and heading of now, as ArduPilot's GUIDED_NOGPS does by itself."""
+        """Set an attitude set-point: level, at the present heading and height, as ArduPilot's GUIDED_NOGPS does."""
         self._kind, self.climbs, self._thrust = "attitude", True, 0.5
         self._tilt, self._rates, self._yaw = (0.0, 0.0), (0.0, 0.0, 0.0), craft.yaw
         self.heard = None
 
     def _fly_attitude(self, craft: Craft, dt: float) -> tuple[Order | None, bool]:
-        """Return the order for a set-point of attitude, and whether it has landed."""
+        """Return the order for a set-point of attitude or rates, and whether the vehicle has landed."""
         roll, pitch = self._lean(craft, dt)
         if not self.climbs:
             landed = craft.seen.on_ground and self._thrust < 0.1
@@ -274,7 +274,7 @@ class Offboard:
         return craft.lean(roll, pitch, self._lift.throttle(craft, sinks, (facts.speed_limit, up, down))), False
 
     def _lean(self, craft: Craft, dt: float) -> tuple[float, float]:
-        """Return the roll and pitch to fly, and turn."""
+        """Return the roll and pitch [rad] of the set-point, integrating rates, and set the heading."""
         rates, freedom = self._rates, craft.freedom
         if not freedom:
             # What stands and leans tips over.
@@ -304,13 +304,13 @@ def _unmasked(target: LocalTarget | GlobalTarget) -> tuple[Triple, Triple, Tripl
 
 
 def _turned(vector: Triple, yaw: float) -> Triple:
-    """Return a vector along the heading in NED; where one of its two axes is free, so are both."""
+    """Return a vector rotated from heading axes to NED by a yaw [rad]; NaN on one horizontal axis spreads to both."""
     sine, cosine = math.sin(yaw), math.cos(yaw)
     return cosine * vector[0] - sine * vector[1], sine * vector[0] + cosine * vector[1], vector[2]
 
 
 def _limited(velocity: Triple, level: float, up: float, down: float) -> Triple:
-    """Return a velocity in NED [m/s] within a horizontal speed, a climb and a descent."""
+    """Return a velocity NED [m/s], clipped to a horizontal, an upward and a downward speed [m/s]."""
     size = math.hypot(velocity[0], velocity[1])
     ratio = min(1.0, level / size) if size > 0.0 else 1.0
     return velocity[0] * ratio, velocity[1] * ratio, min(max(velocity[2], -up), down)

@@ -23,7 +23,7 @@ BELOW, BESIDE = 5.0, 20.0
 
 
 def airspeed(craft: Craft) -> float:
-    """Return the airspeed that is flown [m/s]."""
+    """Return the commanded airspeed [m/s]."""
     return craft.facts.airspeed if craft.cruise is None else craft.cruise
 
 
@@ -33,7 +33,7 @@ def tightest(speed: float) -> float:
 
 
 def why_no_radius(radius: float, speed: float) -> str:
-    """Return why a circle [m] cannot be flown at a speed [m/s]; "" where it can, and for a radius that is NaN."""
+    """Return why a circle's radius [m] cannot be flown at a speed [m/s]; "" if it can, and for NaN."""
     least = tightest(speed)
     if abs(radius) < least:
         return f"a radius of {abs(radius):g} m is too tight, at least {math.ceil(least)} m"
@@ -41,23 +41,23 @@ def why_no_radius(radius: float, speed: float) -> str:
 
 
 def usual_radius(craft: Craft) -> float:
-    """Return the radius [m] of circles that say none."""
+    """Return the loiter radius [m] of circles without their own radius."""
     return craft.parameters["NAV_LOITER_RAD"]
 
 
 def circle(craft: Craft, centre: Triple, radius: float) -> Order:
-    """Return the order to go round a place [m]; a radius [m] below 0 is counterclockwise, a tight one is widened."""
+    """Return the order to circle a centre NED [m]; radius [m], below 0 counterclockwise; too tight ones are widened."""
     wide = math.copysign(max(abs(radius), tightest(airspeed(craft))), radius)
     return Order(craft.facts.name, "track", (*centre, *centre, wide, airspeed(craft), 0.0))
 
 
 def line(craft: Craft, begin: Triple, end: Triple) -> Order:
-    """Return the order to fly along a line [m]."""
+    """Return the order to fly along the straight line between two points NED [m]."""
     return Order(craft.facts.name, "track", (*begin, *end, 0.0, airspeed(craft), 0.0))
 
 
 def fits(fence: Fence, centre: Triple, radius: float) -> bool:
-    """Return whether a circle [m] lies inside a fence."""
+    """Return whether a circle with a centre NED [m] and radius [m] lies inside a fence, sampled at PLACES points."""
     angles = [2.0 * math.pi * number / PLACES for number in range(PLACES)]
     radius = abs(radius)
     return all(
@@ -67,7 +67,7 @@ def fits(fence: Fence, centre: Triple, radius: float) -> bool:
 
 
 def fitted(craft: Craft, place: Triple, radius: float) -> Triple:
-    """Return the place nearest to another, on the way to the middle of the area, round which a circle [m] fits.
+    """Return the centre NED [m] nearest to ``place``, towards the area's middle, whose circle fits into the fence.
 
     Where none fits, the middle. The height is below the ceiling.
     """
@@ -86,14 +86,14 @@ def fitted(craft: Craft, place: Triple, radius: float) -> Triple:
 
 
 def _around(craft: Craft, place: Triple) -> tuple[Point, ...]:
-    """Return the corners of the zone to stay in that a place is in, or of the first one; none without any."""
+    """Return the outline of the inclusion zone that contains a place, else of the first one; () without any."""
     kept = [zone for zone in craft.facts.zones if zone.keep]
     held = [zone for zone in kept if zone.over(place[0], place[1])]
     return (held or kept)[0].outline if kept else ()
 
 
 def here(craft: Craft) -> tuple[Triple, float]:
-    """Return centre and radius [m] of a circle where a wing is: round that place, or beside it where the fence is."""
+    """Return centre NED [m] and radius [m] of a circle at the vehicle's place, or to one side of it near the fence."""
     place, usual, (vn, ve, _) = craft.seen.position_ned, usual_radius(craft), craft.seen.velocity_ned
     if fits(craft.fence, place, usual + BESIDE):
         return (place[0], place[1], max(place[2], craft.facts.z_min + BELOW)), usual
@@ -111,7 +111,7 @@ def here(craft: Craft) -> tuple[Triple, float]:
 
 
 def wind(craft: Craft) -> tuple[float, float]:
-    """Return the wind, north and east [m/s], as it seems: speed over ground less that through the air, straight on."""
+    """Return the wind, north and east [m/s], as ground velocity minus airspeed along the heading."""
     yaw, fast, (north, east, _) = craft.seen.attitude[2], airspeed(craft), craft.seen.velocity_ned
     return north - fast * math.cos(yaw), east - fast * math.sin(yaw)
 
@@ -122,7 +122,7 @@ def can_turn(craft: Craft) -> bool:
 
 
 def _turns(craft: Craft, side: float) -> bool:
-    """Return whether it stays inside on a turn to one side, until a way straight on does so for ``AHEAD_S``."""
+    """Return whether a turn to one side (1 right, -1 left), then straight flight for ``AHEAD_S``, stays in the area."""
     seen, fast, (blown_north, blown_east) = craft.seen, airspeed(craft), wind(craft)
     yaw, radius, inside, down = seen.attitude[2], tightest(fast), craft.area.inside, seen.position_ned[2]
     sine, cosine = math.sin(yaw), math.cos(yaw)

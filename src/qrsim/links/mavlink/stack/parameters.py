@@ -152,19 +152,19 @@ class Parameters:
         return self.values[name]
 
     def at(self, index: int) -> Parameter | None:
-        """Return the parameter of a number in the list, None where there is none."""
+        """Return the parameter at an index of the list, None if the index is out of range."""
         return self._rows[index] if 0 <= index < len(self._rows) else None
 
     def index(self, name: str) -> int:
-        """Return the number of a parameter in the list; raises KeyError."""
+        """Return a parameter's index in the list; raises KeyError for an unknown name."""
         return self._index[name]
 
     def parameter(self, name: str) -> Parameter | None:
-        """Return the entry of a parameter by name, None if there is none."""
+        """Return the entry of a parameter by name, None if it is unknown."""
         return self._table.get(name)
 
     def set(self, name: str, value: float, type: int | None = None) -> Outcome:
-        """Set a parameter; a value beyond its range becomes the nearest one in it.
+        """Set a parameter, clipped to its range; return the outcome: set, clamped, or why it is refused.
 
         Args:
             name: of it.
@@ -188,6 +188,6 @@ class Parameters:
 
 
 def _within(known: Parameter, value: float) -> float:
-    """Return the value nearest to ``value`` that a parameter may have."""
+    """Return a value clipped to a parameter's range, and rounded for integers."""
     clamped = min(max(value, known.low), known.high)
     return float(round(clamped)) if known.type == INT32 else clamped

@@ -35,16 +35,16 @@ class Path:
         self.acceleration: Triple = (0.0, 0.0, 0.0)
 
     def begin(self, position: Triple, velocity: Triple) -> None:
-        """Put the point to where a vehicle is, unless it is there already."""
+        """Move the point to a vehicle's position and velocity NED, unless it is near them already."""
         if math.dist(position, self.position) > 1.5 or math.dist(velocity, self.velocity) > 1.0:
             self.position, self.velocity, self.acceleration = position, velocity, (0.0, 0.0, 0.0)
 
     def shift(self, position: Triple) -> None:
-        """Let the point stand at a place."""
+        """Put the point at a position NED [m], at rest."""
         self.position, self.velocity, self.acceleration = position, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
 
     def stop(self, most: float) -> Triple:
-        """Return where the point would come to rest with an acceleration of at most ``most`` [m/s^2]."""
+        """Return where the point would come to rest, braking at most ``most`` [m/s^2]."""
         north, east, down = self.velocity
         way = braking_way(math.hypot(north, east), most)
         ratio = way / max(math.hypot(north, east), 1e-9)
@@ -62,7 +62,7 @@ class Path:
         along: Triple = STANDS,
         begin: Triple | None = None,
     ) -> None:
-        """Move the point on by a step, to a goal or along the straight line that ends there.
+        """Move the point by one time step, to a goal or along the straight line that ends there.
 
         Off a line it returns to it: errors across the line are corrected before those along it.
 
@@ -88,10 +88,16 @@ class Path:
         self.position = (px + vx * dt, py + vy * dt, pz + vz * dt)
 
     def _to_goal(
-        self, goal: Triple, speeds: Triple, limits: tuple[float, float], dt: float, beyond: float, along: Triple,
+        self,
+        goal: Triple,
+        speeds: Triple,
+        limits: tuple[float, float],
+        dt: float,
+        beyond: float,
+        along: Triple,
         rate: float,
-    ) -> Triple:  # fmt: skip
-        """Return the acceleration towards a goal; ``rate``: share of the speed that a vehicle behind leaves."""
+    ) -> Triple:
+        """Return the point's acceleration [m/s^2] towards a goal; ``rate`` scales its speed if the vehicle lags."""
         px, py, pz = self.position
         vx, vy, vz = self.velocity
         ax, ay, az = self.acceleration
@@ -118,10 +124,16 @@ class Path:
         return ax + _within(bx - ax, step), ay + _within(by - ay, step), az + _within(bz - az, step)
 
     def _on_line(
-        self, begin: Triple, goal: Triple, speeds: Triple, limits: tuple[float, float], step: float, beyond: float,
+        self,
+        begin: Triple,
+        goal: Triple,
+        speeds: Triple,
+        limits: tuple[float, float],
+        step: float,
+        beyond: float,
         rate: float,
-    ) -> Triple:  # fmt: skip
-        """Return the acceleration along a line; ``step``: its largest change, ``rate`` as for ``_to_goal``."""
+    ) -> Triple:
+        """Return the point's acceleration [m/s^2] along a line; ``step``: its largest change, ``rate``: as above."""
         line = _minus(goal, begin)
         length = math.hypot(*line)
         unit = (line[0] / length, line[1] / length, line[2] / length)
@@ -149,20 +161,20 @@ class Path:
 
 
 def approach(way: float, most: float) -> float:
-    """Return the speed [m/s] at a distance [m] from a goal, from which ``most`` [m/s^2] brakes in time."""
+    """Return the largest speed [m/s] at a distance [m] from a goal that still brakes in time with ``most`` [m/s^2]."""
     linear = most / (APPROACH * APPROACH)
     return APPROACH * way if way < linear else math.sqrt(2.0 * most * (way - 0.5 * linear))
 
 
 def braking_way(speed: float, most: float) -> float:
-    """Return the distance [m] at which ``approach`` is a speed [m/s]."""
+    """Return the braking distance [m] from a speed [m/s] at BRAKING times ``most`` [m/s^2]."""
     most *= BRAKING
     linear = most / (APPROACH * APPROACH)
     return speed / APPROACH if speed < APPROACH * linear else speed * speed / (2.0 * most) + 0.5 * linear
 
 
 def _answer(error: float, most: float, jerk: float) -> float:
-    """Return the acceleration [m/s^2] for an error of speed [m/s], which the jerk [m/s^3] can end in time."""
+    """Return the acceleration [m/s^2] that removes a speed error [m/s] within an acceleration and jerk limit."""
     return min(ANSWER * error, SOON * math.sqrt(2.0 * jerk * error), most)
 
 

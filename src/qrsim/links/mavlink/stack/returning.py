@@ -30,7 +30,7 @@ class Return:
         self._descent = Descent()
 
     def begin(self, craft: Craft, rally: tuple[Item, ...]) -> None:
-        """Choose where to return to and how high."""
+        """Choose the nearest of home and rally points to return to, and the height of the return."""
         here, values = craft.seen.position_ned, craft.parameters.values
         places: list[Triple] = [craft.home.position_ned if craft.home else here]
         places += [place_of(item, craft, here) for item in rally]
@@ -49,7 +49,7 @@ class Return:
         self._from = here
 
     def fly(self, craft: Craft) -> tuple[Order | None, bool]:
-        """Return the order, and whether it has landed."""
+        """Fly the return by a tick (climb, fly, descend, land); return the order, and whether it has landed."""
         if not craft.flies and not self.lands:
             return craft.idle(), craft.seen.on_ground
         here, place = craft.seen.position_ned, self._place

@@ -33,11 +33,11 @@ class Drive(Mission):
         return super().accept(items, craft)
 
     def _stay(self, craft: Craft) -> Order | None:
-        """Return no order: a rover stops by itself where its path ends."""
+        """Return None, no order: a rover stops by itself at the end of its path."""
         return None
 
     def _go(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
-        """Return whether it has been at a place for as long as the item says, and the order; None: to stand."""
+        """Return whether the rover has been at an item's place for its hold time, and the order; None: stand still."""
         here, now = craft.seen.position_ned, craft.seen.time
         if self._goal is None:
             self._goal = plan.place_of(item, craft, self._from or here)
@@ -58,13 +58,13 @@ class RoverStack(FlightStack):
     _plan = Drive
 
     def reset(self) -> None:
-        """Begin again as after a boot."""
+        """Restart as after a boot: disarmed, time at zero."""
         super().reset()
         self._stands, self.offboard = False, GroundOffboard()
         self.offboard.keeps_places = self.flavour.name == "ardupilot"
 
     def tick(self, seen: Seen) -> Order | None:
-        """Advance by one tick; return the order for the vehicle, None where the last one holds."""
+        """Advance by one tick; return the vehicle's new order, or None to keep the last one."""
         craft = self.craft
         seen.on_ground = True
         craft.look(seen)
@@ -87,14 +87,14 @@ class RoverStack(FlightStack):
         return self._stand()
 
     def _stand(self) -> Order | None:
-        """Return the order to stop, once; None after that."""
+        """Return the order to stop at the first call; None, nothing new, at later ones."""
         if self._stands:
             return None
         self._stands = True
         return Order(self.facts.name, "velocity", (0.0, 0.0, 0.0, 0.0))
 
     def _drive(self) -> Order | None:
-        """Return the order of the mode; None: to stand."""
+        """Return the order of the present mode; None: stand still."""
         craft = self.craft
         if self.mode is Mode.MISSION:
             order, over = self.plan.fly(craft)
@@ -115,7 +115,7 @@ class RoverStack(FlightStack):
         return None
 
     def arm(self, force: bool = False) -> Result:
-        """Arm, or say why not; ``force`` leaves the checks out."""
+        """Arm, or report the reasons against it; ``force`` skips the checks."""
         result = super().arm(force)
         # There is nothing to take off for.
         self.craft.flies = self.armed
@@ -129,14 +129,14 @@ class RoverStack(FlightStack):
         return Ack(Result.DENIED)
 
     def request(self, mode: Mode) -> Result:
-        """Change the mode as somebody asks, or say why not."""
+        """Change the mode for a client, or report why not and return the refusal."""
         if mode in self.flavour.modes or mode is Mode.GUIDED:
             return super().request(mode)
         self._refuse("Mode", f"a rover has no {mode.value}")
         return Result.DENIED
 
     def switch(self, mode: Mode, goal: Triple | None = None) -> None:
-        """Change the mode; for modes that a rover lacks it holds."""
+        """Change the mode; a mode that a rover lacks becomes HOLD."""
         if mode in self.flavour.modes:
             super().switch(mode, goal)
         else:

@@ -16,10 +16,10 @@ _KINDS: dict[int, type[FlightStack]] = {GROUND_ROVER: RoverStack, FIXED_WING: Wi
 
 
 def stack_of(flavour: FlavourName = "px4", local_origin: LocalOrigin = "start") -> Callable[[Facts, Site], Stack]:
-    """Return what makes the stack of a vehicle, by its type."""
+    """Return a function that builds the flight stack for a vehicle's MAV_TYPE from its facts and site."""
 
     def make(facts: Facts, site: Site) -> Stack:
-        """Make the stack of a vehicle of its type."""
+        """Build the flight stack for the MAV_TYPE in ``facts``."""
         own = replace(facts, local_origin=local_origin)
         return _KINDS.get(facts.mav_type, FlightStack)(own, site, flavour=flavour)
 

@@ -40,7 +40,7 @@ class Sticks:
         self._lift = Lift()
 
     def take(self, values: Sequence[float], craft: Craft) -> bool:
-        """Take roll, pitch, throttle and yaw, NaN for one that is not told; return whether one has moved far."""
+        """Store roll, pitch, throttle and yaw, -1 to 1, NaN: unchanged; return whether a stick has moved far."""
         if all(map(math.isnan, values)):
             return False
         before = list(self._values)
@@ -51,11 +51,11 @@ class Sticks:
         return known and any(abs(a - b) > TAKES_OVER for a, b in zip(before, self._values, strict=True))
 
     def fresh(self, craft: Craft, limit: float) -> bool:
-        """Return whether they were told in the last ``limit`` seconds."""
+        """Return whether stick positions arrived within the last ``limit`` [s]."""
         return self.heard is not None and craft.seen.time - self.heard < limit + 0.01 * craft.facts.time_step
 
     def begin(self, craft: Craft) -> None:
-        """Begin to fly by them."""
+        """Reset the state of flight by sticks."""
         craft.begin_path()
         craft.yaw = craft.seen.attitude[2]
         self._lift.begin(craft)
@@ -74,7 +74,7 @@ class Sticks:
         return order, False
 
     def _turn(self, craft: Craft) -> None:
-        """Turn by the yaw stick; a vehicle that stands keeps its heading."""
+        """Set the heading by the yaw stick's rate; a vehicle on the ground keeps its heading."""
         yaw = craft.seen.attitude[2]
         if not craft.flies:
             craft.yaw = yaw
@@ -84,7 +84,7 @@ class Sticks:
         craft.turn_to(yaw + min(max(ahead, -TURNS_AHEAD), TURNS_AHEAD) if rate else craft.yaw)
 
     def _speeds(self, craft: Craft) -> Triple:
-        """Return the largest speeds by stick [m/s]: horizontal, up, down."""
+        """Return the speeds [m/s] at full stick deflection: horizontal, up, down."""
         values, facts = craft.parameters.values, craft.facts
         return (
             min(values["MPC_VEL_MANUAL"], facts.speed_limit),
@@ -93,7 +93,7 @@ class Sticks:
         )
 
     def _position(self, craft: Craft, throttle: float) -> Order:
-        """Fly at the velocity of the sticks, along the heading; with sticks in the middle the place is held."""
+        """Return the order to fly at the sticks' velocity, in heading axes; centred sticks hold the position."""
         level, up, down = speeds = self._speeds(craft)
         right, forward = _in_circle(_shaped(self._values[0]), _shaped(self._values[1]))
         sine, cosine = math.sin(craft.yaw), math.cos(craft.yaw)
@@ -105,13 +105,13 @@ class Sticks:
         return craft.go(craft.path.position, speeds, along=along)
 
     def _altitude(self, craft: Craft, throttle: float) -> Order:
-        """Lean by the sticks at the height of the path; nothing brakes."""
+        """Return the order to lean by the sticks while the throttle stick sets the climb rate; nothing brakes."""
         _, up, down = speeds = self._speeds(craft)
         roll, pitch = self._tilt(craft, shaped=True)
         return craft.lean(roll, pitch, self._lift.throttle(craft, -throttle * (up if throttle > 0.0 else down), speeds))
 
     def _stabilized(self, craft: Craft) -> tuple[Order | None, bool]:
-        """Lean by the sticks; the throttle stick is the thrust, that of hover in the middle."""
+        """Return the order to lean by the sticks with the throttle stick as thrust, and whether it has landed."""
         self.lands = False
         throttle = self._values[2]
         if craft.seen.on_ground and throttle < IDLES:
@@ -124,7 +124,7 @@ class Sticks:
         return craft.lean(roll, pitch, lift), False
 
     def _tilt(self, craft: Craft, shaped: bool) -> tuple[float, float]:
-        """Return the roll and pitch that the sticks ask for [rad]."""
+        """Return the roll and pitch [rad] that the sticks command."""
         most = math.radians(craft.parameters["MPC_MAN_TILT_MAX"]) * craft.freedom
         right, forward = (_shaped(value) if shaped else value for value in self._values[:2])
         right, forward = _in_circle(right, forward)
@@ -132,7 +132,7 @@ class Sticks:
 
 
 def _shaped(value: float) -> float:
-    """Return a stick with its dead middle and its cubic share, -1 to 1, as PX4's ``expo_deadzone``."""
+    """Return a stick position, -1 to 1, after dead zone and exponential curve, as PX4's ``expo_deadzone``."""
     beyond = math.copysign(max(abs(value) - DEAD, 0.0) / (1.0 - DEAD), value)
     return (1.0 - CUBIC) * beyond + CUBIC * beyond**3
 

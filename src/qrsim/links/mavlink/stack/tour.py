@@ -34,7 +34,7 @@ class Tour(Mission):
         self.end: Triple | None = None
 
     def _forget(self) -> None:
-        """Forget how the last item was flown."""
+        """Reset the progress within the current item."""
         super()._forget()
         self._begin: Triple = (0.0, 0.0, 0.0)
         self._centre: Triple | None = None
@@ -52,12 +52,12 @@ class Tour(Mission):
         return super().accept(items, craft)
 
     def restart(self, craft: Craft) -> None:
-        """Begin the plan again, not started."""
+        """Go back to the first item, in the state NOT_STARTED."""
         self.end = None
         super().restart(craft)
 
     def _outside(self, craft: Craft) -> int | None:
-        """Return the seq of the first item that lies outside the fence, with its circle; None where none does."""
+        """Return the seq of the first item that lies, with its circle, outside the fence; None if all are inside."""
         found = plan.outside(self.items, craft)
         for index, item in enumerate(self.items if found is None else self.items[:found]):
             if item.command in CIRCLES and plan.has_place(item) and not craft.fence.empty:
@@ -82,7 +82,7 @@ class Tour(Mission):
         return self._pass(item, craft, self._goal) if item.command not in CIRCLES else self._loiter(item, craft)
 
     def _pass(self, item: Item, craft: Craft, goal: Triple) -> tuple[bool, Order | None]:
-        """Fly along a line; at its end round it, until the height is reached too."""
+        """Fly along the line to a goal, then circle until its height is reached; return done, and the order."""
         here = craft.seen.position_ned
         radius = max(item.params[1] if item.params[1] > 0.0 else 0.0, craft.parameters["NAV_ACC_RAD"], REACH)
         north, east = goal[0] - here[0], goal[1] - here[1]
@@ -100,7 +100,7 @@ class Tour(Mission):
         return False, orbits.circle(craft, self._centre, orbits.usual_radius(craft))
 
     def _loiter(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
-        """Go round a place, as long as the item says."""
+        """Circle the item's place for its turns, time or height; return whether it is done, and the order."""
         here, now, goal = craft.seen.position_ned, craft.seen.time, self._goal
         assert goal is not None
         radius = radius_of(item, craft)
@@ -122,20 +122,20 @@ class Tour(Mission):
 
 
 def radius_of(item: Item, craft: Craft) -> float:
-    """Return the radius [m] of the circle of an item, below 0 counterclockwise; that of ``NAV_LOITER_RAD`` without."""
+    """Return the circle radius [m] of an item, below 0 counterclockwise; ``NAV_LOITER_RAD`` if it has none."""
     radius = item.params[1 if item.command == known.LOITER_TO_ALTITUDE else 2]
     return radius if abs(radius) > 0.1 else orbits.usual_radius(craft)
 
 
 def why_no_speed(kind: float, speed: float, craft: Craft) -> str:
-    """Return why a fixed wing cannot obey a DO_CHANGE_SPEED; "" where it can."""
+    """Return why a fixed wing cannot obey a DO_CHANGE_SPEED; "" if it can."""
     if kind not in (0.0, 1.0):
         return "a fixed wing changes its airspeed only"
     return why_no_airspeed(speed, craft) if speed >= 0.0 else ""
 
 
 def why_no_airspeed(speed: float, craft: Craft) -> str:
-    """Return why an airspeed [m/s] cannot be flown; "" where it can."""
+    """Return why an airspeed [m/s] cannot be flown; "" if it can."""
     least, most = craft.facts.airspeed_min, FASTEST * craft.facts.airspeed
     if speed > most:
         return f"{speed:g} m/s is too fast, at most {most:g} m/s"
@@ -143,7 +143,7 @@ def why_no_airspeed(speed: float, craft: Craft) -> str:
 
 
 def _cannot(item: Item, craft: Craft) -> tuple[PlanResult, str]:
-    """Return the result and the reason of an item that a fixed wing cannot fly; "" of one that it can."""
+    """Return the result and the reason for refusing an item that a fixed wing cannot fly; ACCEPTED and "" otherwise."""
     if item.command in (known.TAKEOFF, known.LAND):
         return PlanResult.UNSUPPORTED, NO_RUNWAY
     if item.command == known.CHANGE_SPEED:

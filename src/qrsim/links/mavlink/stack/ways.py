@@ -54,7 +54,7 @@ class Way:
         self._beyond: tuple[int, float, float] | None = None
 
     def through(self, here: Triple, radius: float) -> tuple[Triple, float] | None:
-        """Return the next place to pass and how far the way goes on beyond it [m]; None: the goal is next.
+        """Return the next place NED [m] and the free distance [m] beyond it; None: only the goal is left.
 
         Args:
             here: where the vehicle is [m].
@@ -70,7 +70,7 @@ class Way:
         return self._places[0], self._beyond[2]
 
     def beyond_goal(self, radius: float) -> float:
-        """Return how far the way goes on beyond the goal [m], for the speed there.
+        """Return the distance [m] beyond the goal that sets the speed at the goal.
 
         It is half of the radius. A turn of more than a right angle would then lead too near to the goal: there it is
         less, so that the turn begins at the speed of the same turn in a plan from a file.
@@ -83,6 +83,7 @@ class Way:
         return self._at_goal[1]
 
     def _beyond_goal(self, radius: float) -> float:
+        """Compute ``beyond_goal`` [m], less than half the radius for turns of more than 90 degrees."""
         if self._after is None:
             return 0.5 * radius
         come, leave = np.subtract(self._goal, self.begin), np.subtract(self._after, self._goal)
@@ -95,7 +96,7 @@ class Way:
         return min(max(braking_way(speed, self._limits.acceleration) - radius, 0.0), 0.5 * radius)
 
     def _passed(self, here: Triple, radius: float) -> bool:
-        """Return whether the next place is near enough for the line after it, or near and behind."""
+        """Return whether the vehicle is close enough to the next place to start the line after it, or past it."""
         place = self._places[0]
         after = self._places[1] if len(self._places) > 1 else self._goal
         away = math.dist(here, place)
@@ -106,7 +107,7 @@ class Way:
         return behind or away < max(LEAST_CUT, cut)
 
     def _onward(self, radius: float) -> float:
-        """Return how far beyond the next place the way goes on [m], so that every bend of it is slow enough.
+        """Return the distance [m] beyond the next place that sets the speed there, for all later bends.
 
         Args:
             radius: largest distance from a place at which the next line begins [m].
@@ -123,7 +124,7 @@ class Way:
         return found
 
     def join(self, here: Triple) -> None:
-        """Leave out the places that lie behind a vehicle which joins the way elsewhere than at its begin."""
+        """Drop the places before the leg that is nearest to the vehicle."""
         ends = [self.begin, *self._places, self._goal]
         nearest = min(range(len(ends) - 1), key=lambda i: _apart(here, ends[i], ends[i + 1]))
         self.begin = ends[nearest]
@@ -131,7 +132,7 @@ class Way:
 
 
 def way_to(items: Sequence[Item], item: Item, begin: Triple | None, goal: Triple, craft: Craft) -> Way:
-    """Return the way to an item of a plan.
+    """Return the way (places and limits) that the vehicle flies to an item of a plan.
 
     Args:
         items: of the plan.
@@ -159,7 +160,7 @@ def way_to(items: Sequence[Item], item: Item, begin: Triple | None, goal: Triple
 
 
 def _after(items: Sequence[Item], seq: int) -> Item | None:
-    """Return the item after one of a plan that leads somewhere; None without one."""
+    """Return the first later item of a plan that has a place or is a return; None without one."""
     leads = (each for each in items[seq + 1 :] if each.command in known.PLACES or each.command == known.RETURN)
     return next(leads, None)
 
@@ -167,7 +168,7 @@ def _after(items: Sequence[Item], seq: int) -> Item | None:
 def _tangents(
     items: Sequence[Item], seq: int, before: Sequence[Item], begin: Triple | None, goal: Triple, craft: Craft
 ) -> tuple[Sequence[float], Sequence[float]]:
-    """Return the tangents at both ends of a spline; there are none at a stop."""
+    """Return the tangents at the start and end of a spline leg; zeros at a stop."""
     first: Sequence[float] = NONE
     if begin and len(before) > 1 and before[-1].command in known.WAYPOINTS and not before[-1].params[0] > 0.0:
         # A take-off without a place was at home.
@@ -183,7 +184,7 @@ def _tangents(
 
 
 def _apart(here: Triple, begin: Triple, end: Triple) -> float:
-    """Return the distance of a place from a straight line between two [m]."""
+    """Return the distance [m] of a point from the segment between two points."""
     way = [b - a for a, b in zip(begin, end, strict=True)]
     length2 = sum(each * each for each in way)
     along = sum((h - a) * each for h, a, each in zip(here, begin, way, strict=True))

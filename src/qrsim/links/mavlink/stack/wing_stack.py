@@ -32,7 +32,7 @@ class WingStack(FlightStack):
     _plan = Tour
 
     def reset(self) -> None:
-        """Begin again as after a boot, in the air."""
+        """Restart as after a boot, in the air."""
         super().reset()
         self.armed, self.craft.landed = True, Landed.IN_AIR
         self._own, self._radius = True, math.nan
@@ -41,7 +41,7 @@ class WingStack(FlightStack):
     # ---- ticks ----
 
     def tick(self, seen: Seen) -> Order | None:
-        """Advance by one tick; return the order for the vehicle, None where the last one holds."""
+        """Advance by one tick; return the vehicle's new order, or None to keep the last one."""
         craft = self.craft
         craft.look(seen)
         craft.flies = True
@@ -63,7 +63,7 @@ class WingStack(FlightStack):
         return self._fly()[0] if seen.valid else None
 
     def _end(self, why: str) -> None:
-        """End the run after a crash or a touch-down: disarm and tell the client why."""
+        """End the run after a crash or touch-down: disarm and send clients the reason; only once."""
         craft = self.craft
         if craft.landed is Landed.ON_GROUND:
             return
@@ -73,7 +73,7 @@ class WingStack(FlightStack):
         craft.tell("landed")
 
     def _fly(self) -> tuple[Order | None, bool]:
-        """Return the order of the mode, None for the scenario's guidance; it never lands."""
+        """Return the order of the mode, or None to leave it to the scenario's guidance, and False (not landed)."""
         craft = self.craft
         if self.mode is Mode.MISSION:
             order, over = self.plan.fly(craft)
@@ -95,7 +95,7 @@ class WingStack(FlightStack):
         return order, False
 
     def _come_down(self, order: Order) -> None:
-        """At home, circle at the height of a return."""
+        """Lower the circle to the height of a return, once the vehicle has reached it."""
         craft, goal = self.craft, self._goal
         assert goal is not None
         here = craft.seen.position_ned
@@ -103,11 +103,11 @@ class WingStack(FlightStack):
             self._goal = (goal[0], goal[1], max(self._return_z(), craft.facts.z_min + orbits.BELOW))
 
     def _return_z(self) -> float:
-        """Return z of the return to home [m], down."""
+        """Return the z coordinate [m, down] of a return to home."""
         return self.craft.home_z - self.parameters["RTL_RETURN_ALT"]
 
     def _home_below(self) -> None:
-        """Set home to the ground below."""
+        """Set home to the point at z = 0 below the vehicle."""
         craft = self.craft
         north, east, _ = craft.seen.position_ned
         ground = (north, east, 0.0)
@@ -116,7 +116,7 @@ class WingStack(FlightStack):
     # ---- arming ----
 
     def arm(self, force: bool = False) -> Result:
-        """Arm, or say why not; ``force`` leaves the checks out."""
+        """Arm, or report the reasons against it; ``force`` skips the checks."""
         home, armed = self.craft.home, self.armed
         result = super().arm(force)
         if self.armed and not armed:
@@ -133,7 +133,7 @@ class WingStack(FlightStack):
     # ---- modes and commands ----
 
     def request(self, mode: Mode) -> Result:
-        """Change the mode as somebody asks, or say why not."""
+        """Change the mode for a client, or report why not and return the refusal."""
         if mode in self.flavour.modes or mode is Mode.GUIDED:
             if mode is Mode.HOLD and self._own:
                 self.switch(Mode.HOLD)
@@ -142,7 +142,7 @@ class WingStack(FlightStack):
         return Result.DENIED
 
     def switch(self, mode: Mode, goal: Triple | None = None) -> None:
-        """Change the mode; LAND becomes a return without end, and modes that a wing lacks become HOLD."""
+        """Change the mode; LAND becomes an endless return, and a mode that a wing lacks becomes HOLD."""
         if mode is Mode.LAND:
             mode = Mode.RTL
         if mode not in self.flavour.modes:
@@ -151,7 +151,7 @@ class WingStack(FlightStack):
         super().switch(mode, self._way_home() if mode is Mode.RTL else goal)
 
     def _way_home(self) -> Triple | None:
-        """Return the centre of the circle of a return: home or the nearest rally point, not below the vehicle."""
+        """Return the circle centre NED [m] of a return: the nearest of home and rally points, not below the vehicle."""
         craft = self.craft
         here = craft.seen.position_ned
         places = [craft.home.position_ned] if craft.home else [here]
@@ -176,7 +176,7 @@ class WingStack(FlightStack):
         return ack
 
     def _why_not(self, command: Command) -> str:
-        """Return why a fixed wing cannot obey a command; "" where it can, or where that is found elsewhere."""
+        """Return why a fixed wing cannot obey a command; "" if it can, or if another check decides."""
         params = command.params
         if any(map(math.isinf, params)):
             return ""
@@ -191,7 +191,7 @@ class WingStack(FlightStack):
         return ""
 
     def _why_not_there(self, command: Command) -> str:
-        """Return why it cannot circle where a DO_REPOSITION says; "" where it can."""
+        """Return why the vehicle cannot circle at the place of a DO_REPOSITION; "" if it can."""
         craft, speed, radius = self.craft, command.params[0], _signed_radius(command)
         if speed > 0.0 and why_no_airspeed(speed, craft):
             return why_no_airspeed(speed, craft)
@@ -206,7 +206,7 @@ class WingStack(FlightStack):
         return ""
 
     def change_altitude(self, item: Item) -> None:
-        """Circle at another altitude, as ArduPilot's Plane; on the way of a mission that of its items holds."""
+        """Circle at another altitude, as ArduPilot's Plane; refused unless the mode is HOLD."""
         craft = self.craft
         place = place_in(self, Command.of_int(REPOSITION, item.frame, (math.nan,) * 4, 0, 0, item.z))
         if self.mode is not Mode.HOLD or place is None or not craft.allows(place):
@@ -219,7 +219,7 @@ class WingStack(FlightStack):
         self._goal = (self._goal[0], self._goal[1], max(place[2], craft.facts.z_min + orbits.BELOW))
 
     def setpoint(self, target: Target) -> bool:
-        """Refuse a set-point."""
+        """Refuse any set-point and return False."""
         now = self.craft.seen.time
         if now - self._said_at >= SAID_EVERY_S:
             self._said_at = now
@@ -228,6 +228,6 @@ class WingStack(FlightStack):
 
 
 def _signed_radius(command: Command) -> float:
-    """Return the radius [m] of a DO_REPOSITION, below 0 counterclockwise (``param4`` = 1); NaN where it has none."""
+    """Return the radius [m] of a DO_REPOSITION, below 0 counterclockwise (``param4`` = 1); NaN if it has none."""
     radius, turns_left = command.params[2], command.params[3] == 1.0
     return math.copysign(radius, -1.0 if turns_left else 1.0) if radius > 0.0 else math.nan

@@ -59,17 +59,17 @@ def form(types: Types, name: str, paths: Sequence[str], numbers: Numbers, frame:
 
 
 def enu(ned: Triple) -> Triple:
-    """Return a vector of NED in ENU, or of ENU in NED."""
+    """Convert a vector NED to ENU, or ENU to NED: the same swap."""
     return ned[1], ned[0], -ned[2]
 
 
 def flu(frd: Sequence[float]) -> Triple:
-    """Return a vector of FRD axes in FLU, or the reverse."""
+    """Convert a body vector FRD to FLU, or FLU to FRD: the same change of signs."""
     return frd[0], -frd[1], -frd[2]
 
 
 def orientation(view: View) -> Quadruple:
-    """Return the attitude of FLU axes in ENU (x, y, z, w)."""
+    """Return the estimated attitude FLU to ENU (x, y, z, w)."""
     w, x, y, z = view.row[s.QUATERNION : s.QUATERNION + 4]
     return HALF_ROOT * (x + y), HALF_ROOT * (x - y), HALF_ROOT * (w - z), HALF_ROOT * (w + z)
 
@@ -89,7 +89,7 @@ def turned_back(quaternion: Sequence[float], vector: Sequence[float]) -> Triple:
 
 
 def ned_attitude(x: float, y: float, z: float, w: float) -> Quadruple:
-    """Return the attitude of FRD axes in NED (w, x, y, z) for that of FLU axes in ENU (x, y, z, w)."""
+    """Convert an attitude FLU to ENU (x, y, z, w) into FRD to NED (w, x, y, z)."""
     return HALF_ROOT * (w + z), HALF_ROOT * (x + y), HALF_ROOT * (x - y), HALF_ROOT * (w - z)
 
 

@@ -58,7 +58,7 @@ def published(types: Types, space: str, texts: Texts) -> Iterator[Told]:
     def told(
         name: str, kind: str, quality: Quality, rate: float, make: Make, key: Callable[[View], object] | None = None
     ) -> Told:
-        """Return a published topic with its rate [Hz], its encoder, and the key whose changes send it."""
+        """Return a published topic from its name, message type, QoS, rate [Hz], encoder and change key."""
         return Told(Topic(space + name, kind, quality), rate, make, key)
 
     def state(view: View) -> bytes:
@@ -219,11 +219,11 @@ def _global_topics(types: Types, told: Maker) -> Iterator[Told]:
     kind = "std_msgs/msg/Float64"
 
     def height(view: View) -> tuple[float, ...] | None:
-        """Return the height above home [m]."""
+        """Return the height above home [m] as a tuple; None where it is unknown."""
         return (view.seen.altitude - view.home_altitude,) if view.seen.valid else None
 
     def compass(view: View) -> tuple[float, ...] | None:
-        """Return the heading [degrees], 0 to 360."""
+        """Return the heading [degrees], 0 to 360, as a tuple; None where it is unknown."""
         return (math.degrees(view.seen.attitude[2]) % 360.0,) if view.seen.valid else None
 
     yield told("global_position/rel_alt", kind, "sensor", 50.0, f.form(types, kind, ("data",), height))

@@ -45,9 +45,7 @@ def _vector(message: Message) -> Triple:
 
 
 def _attitude(turn: Any) -> Quadruple:
-    """Return the attitude of FRD axes in NED (w, x, y, z) of an orientation; four zeros are the identity, as for
-    mavros.
-    """
+    """Convert an orientation FLU to ENU into (w, x, y, z) FRD to NED; four zeros are the identity, as in mavros."""
     numbers = turn.x, turn.y, turn.z, turn.w
     return f.ned_attitude(*numbers) if any(numbers) else f.ned_attitude(0.0, 0.0, 0.0, 1.0)
 
@@ -74,7 +72,7 @@ class Asked:
     # ---- set-points ----
 
     def heard(self) -> Iterator[Heard]:
-        """Yield the topics that the vehicle subscribes to, with their handlers."""
+        """Yield the topics that the vehicle subscribes to, each with its handler."""
         pose, twist = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped"
         for name, kind, take in (
             ("setpoint_position/local", pose, self._set_position),

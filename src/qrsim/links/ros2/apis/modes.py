@@ -4,15 +4,40 @@ from __future__ import annotations
 
 # mavros, lib/uas_stringify.cpp.
 _NAMES = {
-    (1, 0): "MANUAL", (2, 0): "ALTCTL", (3, 0): "POSCTL", (5, 0): "ACRO", (6, 0): "OFFBOARD", (7, 0): "STABILIZED",
-    (8, 0): "RATTITUDE", (4, 1): "AUTO.READY", (4, 2): "AUTO.TAKEOFF", (4, 3): "AUTO.LOITER", (4, 4): "AUTO.MISSION",
-    (4, 5): "AUTO.RTL", (4, 6): "AUTO.LAND", (4, 7): "AUTO.RTGS", (4, 8): "AUTO.FOLLOW_TARGET", (4, 9): "AUTO.PRECLAND",
-}  # fmt: skip
+    (1, 0): "MANUAL",
+    (2, 0): "ALTCTL",
+    (3, 0): "POSCTL",
+    (5, 0): "ACRO",
+    (6, 0): "OFFBOARD",
+    (7, 0): "STABILIZED",
+    (8, 0): "RATTITUDE",
+    (4, 1): "AUTO.READY",
+    (4, 2): "AUTO.TAKEOFF",
+    (4, 3): "AUTO.LOITER",
+    (4, 4): "AUTO.MISSION",
+    (4, 5): "AUTO.RTL",
+    (4, 6): "AUTO.LAND",
+    (4, 7): "AUTO.RTGS",
+    (4, 8): "AUTO.FOLLOW_TARGET",
+    (4, 9): "AUTO.PRECLAND",
+}
 # px4_msgs, VehicleStatus.NAVIGATION_STATE_*.
 _STATES = {
-    (1, 0): 0, (2, 0): 1, (3, 0): 2, (4, 4): 3, (4, 3): 4, (4, 5): 5, (5, 0): 10, (6, 0): 14, (7, 0): 15, (4, 2): 17,
-    (4, 6): 18, (4, 8): 19, (4, 9): 20, (3, 1): 21,
-}  # fmt: skip
+    (1, 0): 0,
+    (2, 0): 1,
+    (3, 0): 2,
+    (4, 4): 3,
+    (4, 3): 4,
+    (4, 5): 5,
+    (5, 0): 10,
+    (6, 0): 14,
+    (7, 0): 15,
+    (4, 2): 17,
+    (4, 6): 18,
+    (4, 8): 19,
+    (4, 9): 20,
+    (3, 1): 21,
+}
 _NUMBERS = {name: main << 16 | sub << 24 for (main, sub), name in _NAMES.items()}
 NAV_STATES = {state: numbers for numbers, state in _STATES.items()}
 # NAVIGATION_STATE_AUTO_LOITER and TERMINATION.
@@ -25,7 +50,7 @@ def _mode_parts(custom_mode: int) -> tuple[int, int]:
 
 
 def name_of(custom_mode: int) -> str:
-    """Return mavros's name of a custom_mode."""
+    """Return mavros's name of a custom_mode, CMODE(number) for an unknown one."""
     parts = _mode_parts(custom_mode)
     # A sub mode that it does not know counts for nothing.
     return _NAMES.get(parts) or _NAMES.get((parts[0], 0)) or f"CMODE({custom_mode})"
@@ -39,5 +64,5 @@ def number_of(name: str) -> int | None:
 
 
 def nav_state(custom_mode: int) -> int:
-    """Return the NAVIGATION_STATE of a custom_mode."""
+    """Return PX4's NAVIGATION_STATE of a custom_mode; that of loiter for an unknown one."""
     return _STATES.get(_mode_parts(custom_mode), LOITER)

@@ -85,6 +85,7 @@ def published(types: Types, system: System, space: str, period: float) -> Iterat
         key: Callable[[View], object] | None = None,
         **constants: object,
     ) -> Told:
+        """Return a published topic from its name, message type, rate [Hz], field function and change key."""
         return Told(
             Topic(f"{space}out/{name}", f"px4_msgs/msg/{kind}", "fmu"),
             rate,

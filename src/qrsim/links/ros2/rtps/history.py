@@ -28,7 +28,7 @@ class Received:
         return True
 
     def skip(self, first: int, last: int) -> None:
-        """Mark a range of sequence numbers as not to be waited for."""
+        """Mark the sequence numbers ``first`` to ``last`` as not to be waited for."""
         for sequence in range(max(first, self._low), min(last, self._low + _MOST_AHEAD) + 1):
             self._above.add(sequence)
         self._advance_low()

@@ -24,12 +24,9 @@ from qrsim.links.ros2.rtps.sockets import Sockets
 _PARTICIPANT = (b"\0\1\0\xc2", b"\0\1\0\xc7")
 _PUBLICATIONS = (b"\0\0\3\xc2", b"\0\0\3\xc7")
 _SUBSCRIPTIONS = (b"\0\0\4\xc2", b"\0\0\4\xc7")
-# That this one has: announcer and detector of each of the three.
-_BUILTIN = 0x3F
-# Kinds of entities of users, without keys.
-_WRITER, _READER = b"\x03", b"\x04"
-# Kinds of writers of users, with and without keys.
-_WRITERS = (0x02, 0x03)
+_BUILTIN = 0x3F  # that this participant has: announcer and detector of each of the three
+_WRITER, _READER = b"\x03", b"\x04"  # kinds of entities of users, without keys
+_WRITERS = (0x02, 0x03)  # kinds of writers of users, with and without keys
 _CYCLONE = b"\x01\x10"
 _HEADER = slice(4, 20)
 # It says that it is there so often, and is forgotten after so long [s].
@@ -91,7 +88,7 @@ class RawService:
         self.left: dict[bytes, int] = {}
 
     def forget(self, which: Callable[[bytes], bool]) -> None:
-        """Forget the readers of some GUIDs."""
+        """Remove the client readers for whose GUID ``which`` returns True."""
         for guid in [guid for guid in self.readers if which(guid)]:
             del self.readers[guid]
             self.left.pop(guid, None)
@@ -163,7 +160,7 @@ class Services:
         )
 
     def reply(self, service: RawService, request: Request, cdr: bytes) -> None:
-        """Send the response to a request, to all clients of the service, which know whose it is."""
+        """Send the response to a request to all clients of the service; each recognises its own."""
         payload = cdr[: _HEADER.start] + request.header + cdr[_HEADER.start :]
         sequence = service.kept.add(payload, request.inline)
         for guid, place in service.readers.items():
@@ -195,6 +192,7 @@ class Services:
             self._repeat_unconfirmed()
 
     def _handle_submessage(self, message: w.Submessage, now: float) -> None:
+        """Handle a DATA, HEARTBEAT, ACKNACK or GAP submessage; ignore other kinds."""
         if message.kind == w.DATA:
             self._take_data(message, now)
         elif message.kind == w.HEARTBEAT:
@@ -210,7 +208,7 @@ class Services:
                 received.skip(each, each)
 
     def _received_from(self, prefix: bytes, writer: bytes) -> Received:
-        """Return the receipt of a remote writer; raises KeyError for an unknown participant or too many writers."""
+        """Return the received numbers of a remote writer; raises KeyError for an unknown or surplus writer."""
         known = self._received.get((prefix, writer))
         if known is None:
             if prefix not in self._peers or len(self._received) >= _MOST_WRITERS:
@@ -219,6 +217,7 @@ class Services:
         return known
 
     def _take_data(self, message: w.Submessage, now: float) -> None:
+        """Handle a DATA submessage: discovery of participants or endpoints, or a service request."""
         reader, writer, sequence = message.body[4:8], message.body[8:12], w.number_at(message, 12)
         inline, payload = w.data_parts(message)
         if writer == _PARTICIPANT[0]:
@@ -232,11 +231,11 @@ class Services:
                 self._take_request(service, message, inline, payload)
 
     def _service_of(self, prefix: bytes, reader: bytes, writer: bytes) -> RawService:
-        """Return the service that a client writes to: a reader of it, or all that read what the writer writes."""
+        """Return the service that a DATA message is for: that of its reader, or, if unknown, of its writer."""
         return self._clients[prefix + writer] if reader == w.UNKNOWN_ENTITY else self._by_reader[reader]
 
     def _store_peer(self, message: w.Submessage, inline: list[tuple[int, bytes]], payload: bytes, now: float) -> None:
-        """Store another participant, and announce this one to it."""
+        """Store another participant and announce this one to it; remove one that leaves."""
         if (w.STATUS, w.GONE) in inline:
             self._forget(message.prefix)
             return
@@ -269,7 +268,7 @@ class Services:
         return next((place for place in places if place[0].rpartition(".")[0] in nets), places[0])
 
     def _forget(self, prefix: bytes) -> None:
-        """Forget a participant and its clients; it is identified by the prefix of its GUIDs."""
+        """Remove a participant and its clients, identified by the prefix of its GUIDs."""
         self._peers.pop(prefix, None)
         self._received = {key: value for key, value in self._received.items() if key[0] != prefix}
         self._clients = {guid: service for guid, service in self._clients.items() if guid[:12] != prefix}
@@ -300,6 +299,7 @@ class Services:
     def _take_request(
         self, service: RawService, message: w.Submessage, inline: list[tuple[int, bytes]], payload: bytes
     ) -> None:
+        """Queue a service request with the identity that its response must carry."""
         if message.vendor == _CYCLONE:
             header, cdr = payload[_HEADER], payload[: _HEADER.start] + payload[_HEADER.stop :]
             service.waiting.append((Request(b"", header), cdr))
@@ -328,7 +328,7 @@ class Services:
         self._sockets.send(w.packet(self._prefix, answer, to=message.prefix), place)
 
     def _take_acknack(self, message: w.Submessage) -> None:
-        """Send a reader again what it lacks, and forget what it has."""
+        """Send a reader the messages that it lacks, and note which it has received."""
         reader, writer = message.body[:4], message.body[4:8]
         base, missing = w.numbers_at(message, 8)
         peer = self._peers[message.prefix]
@@ -375,7 +375,7 @@ class Services:
             self._sockets.send(w.packet(self._prefix, kept.heartbeat(reader), asked, to=prefix), peer.meta)
 
     def _repeat_unconfirmed(self) -> None:
-        """Repeat announcements to participants that have not acknowledged them."""
+        """Repeat announcements, and heartbeats of responses, that others have not acknowledged."""
         for prefix, peer in self._peers.items():
             behind = any(peer.known.get(writer, 0) < kept.last for writer, kept in self._told.items())
             if behind and peer.left:

@@ -20,7 +20,7 @@ _SIOCGIFADDR = 0x8915
 
 
 def addresses() -> list[str]:
-    """Return the IPv4 addresses of this machine's interfaces; of one alone, if CYCLONEDDS_URI names it."""
+    """Return this machine's IPv4 addresses, without loopback unless alone; only those that CYCLONEDDS_URI names."""
     chosen = re.findall(r"NetworkInterface[^>]*\bname=[\"']([^\"']+)", os.environ.get("CYCLONEDDS_URI", ""))
     found = {name: address for name, address in _interfaces() if not chosen or name in chosen}
     # The loopback is for who has nothing else.

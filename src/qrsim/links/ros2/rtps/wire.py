@@ -56,7 +56,7 @@ class Submessage:
 
 
 def submessages(packet: bytes, own: bytes) -> Iterator[Submessage]:
-    """Yield the submessages of a packet that are for everybody or for one participant.
+    """Yield the submessages of a packet that are addressed to all participants or to ``own``.
 
     Args:
         packet: of anybody.
@@ -79,29 +79,29 @@ def submessages(packet: bytes, own: bytes) -> Iterator[Submessage]:
 
 
 def packet(prefix: bytes, *parts: bytes, to: bytes | None = None) -> bytes:
-    """Return a packet of submessages, for one participant or for everybody."""
+    """Return an RTPS packet of submessages, addressed to one participant or to all."""
     first = b"" if to is None else submessage(INFO_DST, 0, to)
     return HEADER + prefix + first + b"".join(parts)
 
 
 def submessage(kind: int, flags: int, body: bytes) -> bytes:
-    """Return a submessage."""
+    """Return an RTPS submessage: its header and body."""
     return struct.pack("<BBH", kind, flags | LITTLE, len(body)) + body
 
 
 def number(value: int) -> bytes:
-    """Return a sequence number."""
+    """Encode a sequence number."""
     return struct.pack("<iI", value >> 32, value & 0xFFFFFFFF)
 
 
 def number_at(message: Submessage, at: int) -> int:
-    """Return the sequence number at an offset of a submessage."""
+    """Decode the sequence number at an offset of a submessage."""
     high, low = struct.unpack_from(message.order + "iI", message.body, at)
     return int(high) << 32 | int(low)
 
 
 def numbers(base: int, members: Iterable[int]) -> bytes:
-    """Return a set of sequence numbers from ``base`` on; those that are too far on are left out."""
+    """Encode a set of sequence numbers from ``base`` on; members too far above it are left out."""
     near = [each - base for each in members if 0 <= each - base < _MOST_BITS]
     count = max(near, default=-1) + 1
     words = [0] * -(-count // 32)
@@ -111,7 +111,7 @@ def numbers(base: int, members: Iterable[int]) -> bytes:
 
 
 def numbers_at(message: Submessage, at: int) -> tuple[int, list[int]]:
-    """Return the base of a set of sequence numbers at an offset of a submessage, and its members."""
+    """Decode a set of sequence numbers at an offset of a submessage: its base and its members."""
     base = number_at(message, at)
     (count,) = struct.unpack_from(message.order + "I", message.body, at + 8)
     count = min(count, _MOST_BITS)
@@ -122,7 +122,7 @@ def numbers_at(message: Submessage, at: int) -> tuple[int, list[int]]:
 def data(
     reader: bytes, writer: bytes, sequence: int, payload: bytes, inline: bytes = b"", is_key: bool = False
 ) -> bytes:
-    """Return a DATA submessage; ``inline`` is a list of parameters."""
+    """Return a DATA submessage; ``inline`` is an encoded parameter list."""
     flags = (INLINE if inline else 0) | (_KEY if is_key else PAYLOAD)
     # Where the inline parameters or the payload begin, after what is before them.
     whole = payload + bytes(-len(payload) % 4)
@@ -136,14 +136,14 @@ def heartbeat(reader: bytes, writer: bytes, first: int, last: int, count: int) -
 
 
 def acknack(reader: bytes, writer: bytes, base: int, missing: Iterable[int], count: int) -> bytes:
-    """Return an ACKNACK submessage: everything before ``base`` has arrived; the rest are missing."""
+    """Return an ACKNACK submessage: all numbers before ``base`` have arrived, those in ``missing`` have not."""
     asked = numbers(base, missing)
     flags = FINAL if asked[8:] == bytes(4) else 0
     return submessage(ACKNACK, flags, reader + writer + asked + struct.pack("<i", count))
 
 
 def gap(reader: bytes, writer: bytes, missing: int) -> bytes:
-    """Return a GAP submessage: one sequence number will not come."""
+    """Return a GAP submessage: the sequence number ``missing`` will not be sent."""
     return submessage(GAP, 0, reader + writer + number(missing) + numbers(missing + 1, ()))
 
 
@@ -180,7 +180,7 @@ def _parameters_from(message: bytes, at: int, order: str) -> tuple[list[tuple[in
 
 
 def listed(*values: tuple[int, bytes]) -> bytes:
-    """Encode a list of parameters."""
+    """Encode a parameter list from (identifier, value) pairs."""
     found = b""
     for identifier, value in values:
         padded = value + bytes(-len(value) % 4)
@@ -195,7 +195,7 @@ def text(value: str) -> bytes:
 
 
 def text_of(value: bytes, little: bool) -> str:
-    """Decode the string of a parameter."""
+    """Decode the string of a parameter; ``little``: the byte order of its length."""
     (size,) = struct.unpack_from("<I" if little else ">I", value)
     return value[4 : 3 + size].decode("utf-8", "replace")
 
@@ -211,6 +211,6 @@ def locator(address: str, port: int) -> bytes:
 
 
 def locator_of(value: bytes, little: bool) -> Locator | None:
-    """Return address and port of a UDP locator; None for other kinds."""
+    """Return address and port of a UDP locator, ``little`` its byte order; None for other kinds."""
     kind, port = struct.unpack_from("<iI" if little else ">iI", value)
     return (".".join(map(str, value[20:24])), port) if kind == _UDP4 and len(value) >= 24 and 0 < port < 65536 else None

@@ -51,7 +51,7 @@ class _Message(NamedTuple):
 
 
 def grib_values(file: str, path: str, request: Request) -> Values:
-    """Return the values of a GRIB file above a place; of two forecasts of a time the newer one.
+    """Return the values of a GRIB file above a place; where two forecasts are for one time, the newer one counts.
 
     Args:
         file: its name, for messages.
@@ -79,7 +79,7 @@ def grib_values(file: str, path: str, request: Request) -> Values:
 
 
 def _messages(eccodes: Any, file: str, path: str) -> Iterator[tuple[int, Any]]:
-    """Yield the number and the handle of each message."""
+    """Yield number (from 1) and ecCodes handle of each message; raise UsageError for a file with none or too many."""
     with open(path, "rb") as opened:
         number = 0
         while (handle := eccodes.codes_grib_new_from_file(opened)) is not None:
@@ -95,7 +95,7 @@ def _messages(eccodes: Any, file: str, path: str) -> Iterator[tuple[int, Any]]:
 
 
 def _headers(eccodes: Any, file: str, path: str) -> Iterator[_Message]:
-    """Yield the messages that may be used."""
+    """Yield the headers of messages with a quantity that is used."""
     for number, handle in _messages(eccodes, file, path):
         quantity = _quantity(eccodes, handle)
         if quantity is None:
@@ -108,7 +108,7 @@ def _headers(eccodes: Any, file: str, path: str) -> Iterator[_Message]:
 
 
 def _quantity(eccodes: Any, handle: Any) -> tuple[str, str, float, float] | None:
-    """Return the name, the kind of level, the level and the factor of a message; None: it is not used."""
+    """Return name, kind of level, level and unit factor of a message; None for a quantity that is not used."""
     where = eccodes.codes_get(handle, "typeOfLevel", str)
     kind, names = KNOWN.get(where, ("", {}))
     short = eccodes.codes_get(handle, "shortName", str) if kind else ""
@@ -122,7 +122,7 @@ def _quantity(eccodes: Any, handle: Any) -> tuple[str, str, float, float] | None
 
 
 def _time(file: str, date: int, clock: int) -> float:
-    """Return seconds since 1970 of a date such as 20260501 and a time such as 930."""
+    """Return seconds since 1970 of a date such as 20260501 and a time such as 930; raise UsageError if invalid."""
     try:
         when = datetime(date // 10000, date // 100 % 100, date % 100, clock // 100, clock % 100, tzinfo=UTC)
     except ValueError:
@@ -139,7 +139,7 @@ def _optional(eccodes: Any, handle: Any, name: str, default: int) -> int:
 
 
 def _of_member(file: str, messages: list[_Message], member: int | None) -> list[_Message]:
-    """Return the messages of one member of an ensemble."""
+    """Return the messages of one ensemble member; raise UsageError if it is missing or not chosen."""
     known = sorted({message.member for message in messages if message.key.name in ("u", "v")})
     if member is None:
         if len(known) > 1:
@@ -151,7 +151,7 @@ def _of_member(file: str, messages: list[_Message], member: int | None) -> list[
 
 
 def _check_winds(file: str, messages: list[_Message]) -> None:
-    """Refuse a file with one of u and v only."""
+    """Raise UsageError for a file with u and no v, or v and no u."""
     names = {message.key.name for message in messages}
     for own, other in (("u", "v"), ("v", "u")):
         if own in names and other not in names:
@@ -159,7 +159,7 @@ def _check_winds(file: str, messages: list[_Message]) -> None:
 
 
 def _decoded(eccodes: Any, file: str, path: str, chosen: dict[int, Key], values: Values, request: Request) -> Values:
-    """Return the values of messages at the place, u and v to true east and north.
+    """Return ``values`` filled with the chosen messages' values at the place; u and v turned to true east and north.
 
     Args:
         eccodes: the module.
@@ -184,8 +184,9 @@ def _decoded(eccodes: Any, file: str, path: str, chosen: dict[int, Key], values:
             continue
         if turns[key] != turns[other]:
             raise UsageError(f"{file}: u and v at {key.level:g} {key.kind} are along different axes")
-        along, across = (checked_speed(file, f"{each.name} at {each.level:g} {each.kind}", found[each])
-                         for each in (key, other))  # fmt: skip
+        along, across = (
+            checked_speed(file, f"{each.name} at {each.level:g} {each.kind}", found[each]) for each in (key, other)
+        )
         sine, cosine = math.sin(turns[key]), math.cos(turns[key])
         found[key], found[other] = along * cosine + across * sine, across * cosine - along * sine
     values.found = {key: value for key, value in found.items() if math.isfinite(value)}
@@ -194,7 +195,7 @@ def _decoded(eccodes: Any, file: str, path: str, chosen: dict[int, Key], values:
 
 
 def _at_place(eccodes: Any, file: str, handle: Any, place: Place) -> float:
-    """Return a message's value between the four points around the place, in the unit of its key."""
+    """Return a message's value, interpolated between the four points around the place, in the unit of its key."""
     count = eccodes.codes_get_size(handle, "values")
     if count > MOST_POINTS or max(place.points) >= count:
         raise UsageError(f"{file}: a message has {count} values; expected those of its grid, at most {MOST_POINTS}")
@@ -207,7 +208,7 @@ def _at_place(eccodes: Any, file: str, handle: Any, place: Place) -> float:
 
 
 def _grid_section(eccodes: Any, handle: Any) -> str:
-    """Return the numbers by which two grids are compared."""
+    """Return a text that identifies a message's grid: equal texts, equal grids."""
     names = (
         "gridType",
         "numberOfDataPoints",

@@ -42,7 +42,7 @@ class Place(NamedTuple):
 
 
 def place_in(get: Get, file: str, request: Request) -> Place:
-    """Return where a place is in a message's grid.
+    """Return the grid points around a place in a message's grid, with weights, cell size and turn of the axes.
 
     Args:
         get: returns the value of a key of ecCodes.
@@ -69,7 +69,7 @@ def place_in(get: Get, file: str, request: Request) -> Place:
 
 
 def _regular(get: Get, file: str, request: Request, along: int, down: int) -> tuple[Corners, float]:
-    """Return the grid points around a place on a latitude-longitude grid, and 0 as turn of its axes."""
+    """Return the grid points around a place on a latitude-longitude grid, and 0, the turn of its axes [rad]."""
     first, last = (
         (float(get(f"latitudeOf{end}GridPointInDegrees")), float(get(f"longitudeOf{end}GridPointInDegrees")))
         for end in ("First", "Last")
@@ -84,7 +84,7 @@ def _regular(get: Get, file: str, request: Request, along: int, down: int) -> tu
 
 
 def _lambert(get: Get, file: str, request: Request, along: int, down: int) -> tuple[Corners, float]:
-    """Lambert's conformal conic of a sphere (J. P. Snyder, Map Projections, USGS 1395, equations 15-1 to 15-5)."""
+    """Return the grid points around a place on a Lambert conformal grid, and the turn of its axes [rad]."""
     if int(get("earthIsOblate")):
         raise UsageError(f"{file}: its grid is Lambert's on an ellipsoid; a sphere is read, as that of HRRR")
     one, two, middle = (float(get(name)) for name in ("Latin1InDegrees", "Latin2InDegrees", "LoVInDegrees"))
@@ -92,6 +92,7 @@ def _lambert(get: Get, file: str, request: Request, along: int, down: int) -> tu
         raise UsageError(f"{file}: its grid has the standard parallels {one:g} and {two:g}; allowed: between 0 and 90")
 
     def grown(latitude: float) -> float:
+        """Return tan(pi/4 + latitude/2), for a latitude [deg]."""
         return math.tan(0.25 * math.pi + 0.5 * math.radians(latitude))
 
     cone = math.sin(math.radians(one))
@@ -101,6 +102,7 @@ def _lambert(get: Get, file: str, request: Request, along: int, down: int) -> tu
     scale = float(get("radius")) * math.cos(math.radians(one)) * grown(one) ** cone / cone
 
     def plane(latitude: float, longitude: float) -> tuple[float, float]:
+        """Return x and y [m] on the map of a latitude and longitude [deg]."""
         angle = cone * math.radians((longitude - middle + 180.0) % 360.0 - 180.0)
         radius = scale / grown(min(max(latitude, -89.9999), 89.9999)) ** cone
         return radius * math.sin(angle), -radius * math.cos(angle)

@@ -87,7 +87,7 @@ def kind_of(file: str) -> str:
 
 
 def read_weather(file: str, request: Request, site: Site) -> Soundings:
-    """Read a GRIB or NetCDF file of a weather model, in a child process.
+    """Return the wind over height in a weather model's GRIB or NetCDF file, which a child process reads.
 
     Raises:
         UsageError: no such file, or it does not hold the place, the run, or the wind.
@@ -105,7 +105,7 @@ def read_weather(file: str, request: Request, site: Site) -> Soundings:
 
 
 def soundings_of(file: str, values: Values, request: Request, site: Site) -> Soundings:
-    """Return the wind over height that a model's values make.
+    """Return the wind over height at each time from a weather model's values.
 
     Raises:
         UsageError: no level lies above the ground, or the heights of levels of pressure cannot be known.
@@ -128,7 +128,7 @@ def soundings_of(file: str, values: Values, request: Request, site: Site) -> Sou
 
 
 def _levels(file: str, values: Values, time: float, site: Site, notes: dict[str, None]) -> Iterator[Level]:
-    """Yield the levels above the ground at a time, by height."""
+    """Yield the levels above the ground at a time, lowest first; add notes for the user to ``notes``."""
     found = {key._replace(time=0.0): value for key, value in values.found.items() if key.time == time}
     pairs = [
         (key.kind, key.level, found[key], found[other])
@@ -154,7 +154,7 @@ def _levels(file: str, values: Values, time: float, site: Site, notes: dict[str,
 def _heights(
     file: str, found: dict[Key, float], pressures: Sequence[float], site: Site, notes: dict[str, None]
 ) -> dict[float, float]:
-    """Return the heights above the ground of levels of pressure [hPa], falling."""
+    """Return {pressure [hPa]: height above ground [m]}; add notes for the user to ``notes``."""
     own = {level: found.get(Key("height", 0.0, "hPa", level)) for level in pressures}
     heights = {level: height for level, height in own.items() if height is not None}
     if len(heights) < len(own):
@@ -176,7 +176,7 @@ def _heights(
 
 
 def _ground(found: dict[Key, float], heights: dict[float, float]) -> float | None:
-    """Return the height of the model's ground above the sea [m], None where it is not known."""
+    """Return the height of the model's ground above the sea [m], None if the file does not tell."""
     ground = found.get(Key("height", 0.0, "ground", 0.0))
     pressure = found.get(Key("pressure", 0.0, "ground", 0.0))
     if ground is not None or pressure is None or len(heights) < 2 or not pressure > 0.0:
@@ -193,7 +193,7 @@ def _ground(found: dict[Key, float], heights: dict[float, float]) -> float | Non
 def _by_hypsometry(
     file: str, found: dict[Key, float], pressures: Sequence[float], notes: dict[str, None]
 ) -> dict[float, float]:
-    """Return heights above the sea [m] of levels of pressure [hPa] by their temperatures, or the standard atmosphere.
+    """Return {pressure [hPa]: height above the sea [m]} by the temperatures, or by the standard atmosphere.
 
     The thickness of a layer is R T/g ln(p1/p2), T the mean of both ends.
     """

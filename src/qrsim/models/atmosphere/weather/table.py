@@ -22,7 +22,7 @@ MOST_ROWS = 200_000
 
 
 def read_table(file: str, roughness: float) -> Soundings:
-    """Read a table of the wind over height; without times it is steady.
+    """Return the wind over height from a CSV table; without times the wind is steady.
 
     Args:
         file: CSV with the columns ``height`` [m] above the ground, ``direction`` [deg], from where the wind comes, and
@@ -58,7 +58,7 @@ def read_table(file: str, roughness: float) -> Soundings:
 
 
 def _names(opened: CsvFile) -> list[str]:
-    """Return the names of the columns without their units, which are checked."""
+    """Return the column names without units; raise UsageError for wrong units and missing or repeated columns."""
     names = []
     for written in opened.header:
         name, unit = name_and_unit(written)

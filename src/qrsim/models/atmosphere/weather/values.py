@@ -68,7 +68,7 @@ class Values:
 
 
 def needed_times(file: str, times: list[float], request: Request) -> list[float]:
-    """Return the times of a file from the last one not after the start of a run to the first one not before its end.
+    """Return the times of a file that a run needs, including the last one before it and the first one after it.
 
     Raises:
         UsageError: the file does not hold the run.
@@ -96,14 +96,14 @@ def span(first: float, last: float) -> str:
 
 
 def plausible_time(file: str, time: float) -> float:
-    """Return a time, seconds since 1970; raises UsageError beyond the years 1900 to 2199."""
+    """Return the given time (seconds since 1970); raise UsageError beyond the years 1900 to 2199."""
     if not -2_208_988_800.0 <= time <= 7_258_118_400.0:
         raise UsageError(f"{file}: has a time beyond the years 1900 to 2199")
     return time
 
 
 def checked_speed(file: str, name: str, value: float) -> float:
-    """Return a velocity [m/s]; raises UsageError where no air moves so."""
+    """Return the given velocity [m/s]; raise UsageError if its size is impossible for wind."""
     if not math.isfinite(value):
         raise UsageError(f"{file}: '{name}' has no value at the site")
     if abs(value) > FASTEST:
@@ -131,13 +131,13 @@ class Corners(NamedTuple):
     cell: float
 
     def weighted(self, values: Floats) -> Floats:
-        """Return values (...) between those at the corners (..., 2, 2), rows before columns."""
+        """Return bilinearly interpolated values (...) from those at the corners (..., 2, 2), rows before columns."""
         rows = values[..., 0, :] * (1.0 - self.down) + values[..., 1, :] * self.down
         return rows[..., 0] * (1.0 - self.along) + rows[..., 1] * self.along
 
 
 def corners_of(file: str, latitudes: Floats, longitudes: Floats, latitude_deg: float, longitude_deg: float) -> Corners:
-    """Return the corners around a place of a grid of latitude (Y,) and longitude (X,), each in order [deg].
+    """Return the four grid points around a place, with weights; axes latitude (Y,) and longitude (X,) in order [deg].
 
     Longitudes may begin anywhere; a grid round the Earth is closed.
 
@@ -178,6 +178,6 @@ def corners_of(file: str, latitudes: Floats, longitudes: Floats, latitude_deg: f
 
 
 def _cell(values: Floats, place: float) -> tuple[int, float]:
-    """Return the number of the cell that a place is in, and how far through it, 0 to 1."""
+    """Return the index of the grid cell around a coordinate, and the position in it, 0 to 1; clipped to the grid."""
     number = int(np.clip(np.searchsorted(values, place, side="right") - 1, 0, len(values) - 2))
     return number, float(np.clip((place - values[number]) / (values[number + 1] - values[number]), 0.0, 1.0))

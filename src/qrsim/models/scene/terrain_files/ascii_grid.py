@@ -19,7 +19,7 @@ LARGEST_PRJ = 2**16
 
 
 def prj_file(file: str) -> str | None:
-    """Return the path of the .prj file of a grid, None if it has none."""
+    """Return the path of the .prj file next to a grid, None if the grid has no such file."""
     path = Path(os.path.expanduser(file))
     return next((str(each) for each in (path.with_suffix(".prj"), path.with_suffix(".PRJ")) if each.is_file()), None)
 
@@ -34,7 +34,7 @@ def prj_of(file: str) -> str | None:
 
 
 def open_ascii_grid(file: str, gdal: Gdal, site: tuple[float, float], given: Crs | None) -> ArrayRaster:
-    """Read a grid with the system of its .prj file, or else the given one.
+    """Return an ESRI ASCII grid in the coordinate reference system of its .prj file, else in the given one.
 
     Raises:
         UsageError: it cannot be read, or has no coordinate reference system.

@@ -15,12 +15,12 @@ _DEGREES = re.compile(r'\s*GEOG(?:CS|CRS|RAPHICCRS)\s*\[\s*"(?:GCS_WGS_1984|WGS 
 
 
 def is_wgs84(wkt: str) -> bool:
-    """Return whether WKT is that of latitude and longitude of WGS 84, without asking PROJ."""
+    """Return whether a WKT text is latitude and longitude of WGS 84, judged without PROJ."""
     return _DEGREES.match(wkt) is not None
 
 
 def from_code(code: str, gdal: Gdal, site: tuple[float, float]) -> Crs:
-    """Return the system of a code.
+    """Return the coordinate reference system of an EPSG code.
 
     Args:
         code: EPSG:n.
@@ -39,7 +39,7 @@ def from_code(code: str, gdal: Gdal, site: tuple[float, float]) -> Crs:
 
 
 def from_wkt(file: str, wkt: str, gdal: Gdal, site: tuple[float, float], *, esri: bool = False) -> Crs:
-    """Return the system of a file, by WKT; with ``esri`` by that of ESRI, as in .prj files; raises as ``from_code``."""
+    """Return the coordinate reference system of a WKT text, ESRI's dialect with ``esri``; raises as ``from_code``."""
     if is_wgs84(wkt):
         return WGS84
     try:
@@ -69,14 +69,14 @@ def _checked(file: str, found: dict[str, object]) -> Crs:
 
 
 def to_file(file: str, crs: Crs, gdal: Gdal, latitude: Float64, longitude: Float64) -> tuple[Float64, Float64]:
-    """Return x and y in a system, of any shape, of places by latitude and longitude [deg]; infinite beyond its area."""
+    """Return x and y, any shape, of latitudes and longitudes [deg] in a reference system; infinite beyond its area."""
     if crs.is_wgs84:
         return longitude, latitude
     return gdal.transform(file, WGS84.wkt, crs.wkt, np.asarray(longitude), np.asarray(latitude))
 
 
 def to_degrees(file: str, crs: Crs, gdal: Gdal, x: Float64, y: Float64) -> tuple[Float64, Float64]:
-    """Return latitude and longitude [deg], of any shape, of points in a system."""
+    """Return latitude and longitude [deg], any shape, of points x and y in a coordinate reference system."""
     if crs.is_wgs84:
         return y, x
     longitude, latitude = gdal.transform(file, crs.wkt, WGS84.wkt, np.asarray(x), np.asarray(y))

@@ -88,15 +88,16 @@ class Gdal:
         return self._ask(file, gdal_requests.read, _path(file), driver, rows, columns, coarse, metres, nodata)
 
     def crs(self, file: str, text: str, site: tuple[float, float], esri: bool = False) -> dict[str, Any]:
-        """Return wkt, name, kind, wgs84 and accuracy of a system given as EPSG:n or WKT; site: its place [deg]."""
+        """Return wkt, name, kind, wgs84 and accuracy of a reference system (EPSG:n or WKT) near a site [deg]."""
         return self._ask(file, gdal_requests.crs, text, site, esri)
 
     def transform(self, file: str, source: str, target: str, x: Float64, y: Float64) -> tuple[Float64, Float64]:
-        """Return x and y of any shape in another system; longitude and latitude [deg] of a geographic one."""
+        """Return x and y, any shape, in another reference system; longitude and latitude [deg] if geographic."""
         found = self._ask(file, gdal_requests.transform, source, target, x.ravel(), y.ravel()).reshape(2, *x.shape)
         return found[0], found[1]
 
     def _ask(self, file: str, function: Callable[..., T], *arguments: object) -> T:
+        """Return a function's result from the GDAL child process; raise UsageError for a failure, naming the file."""
         require("terrain", f"reading {file}", "rasterio")
         try:
             return self.child.call(function, *arguments)
@@ -105,11 +106,12 @@ class Gdal:
 
 
 def _path(file: str) -> str:
+    """Return the absolute path of a file, ``~`` expanded."""
     return os.path.abspath(os.path.expanduser(file))
 
 
 def _refusal(file: str, error: ChildError) -> UsageError:
-    """Return the error for what GDAL says of a file."""
+    """Return the error, with a readable reason, for a failure of GDAL with a file."""
     reasons = error.reasons
     if not reasons:
         return UsageError(f"{file}: cannot be read: {error}")

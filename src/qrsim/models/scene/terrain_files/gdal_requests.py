@@ -20,21 +20,21 @@ MISSING, LARGEST_HEIGHT = (-9999.0, -32768.0), 20_000.0
 
 
 def dataset(file: str, driver: str) -> Any:
-    """Open a file with one driver, or return it if it is open and has not changed."""
+    """Return the rasterio dataset of a file, opened again only if the file has changed."""
     status = os.stat(file)
     return opened(file, driver, status.st_mtime_ns, status.st_size)
 
 
 @lru_cache(maxsize=OPEN_FILES)
 def opened(file: str, driver: str, changed: int, size: int) -> Any:
-    """Open a file with one driver."""
+    """Return the rasterio dataset of a file; ``changed`` and ``size`` are the cache's key for its version."""
     import rasterio
 
     return rasterio.open(file, driver=driver)
 
 
 def describe(file: str, driver: str) -> dict[str, Any]:
-    """Return size, type, place and tags of a file."""
+    """Return bands, dtype, shape, transform, crs (WKT), unit, overviews and palette of a file."""
     found = dataset(file, driver)
     colours = [each.name for each in found.colorinterp]
     return {
@@ -52,7 +52,7 @@ def describe(file: str, driver: str) -> dict[str, Any]:
 def read(
     file: str, driver: str, rows: range, columns: range, coarse: bool, metres: float, nodata: tuple[float, ...]
 ) -> npt.NDArray[Any]:
-    """Return every n-th height [m] of a window in float64, or means of n by n in float32; NaN: missing."""
+    """Return a window's heights [m], NaN if missing: every n-th in float64, or if ``coarse`` n by n means, float32."""
     import numpy as np
     from rasterio.windows import Window
 
@@ -71,7 +71,7 @@ def read(
 def heights(
     found: Any, window: Any, shape: tuple[int, int] | None, metres: float, nodata: tuple[float, ...]
 ) -> npt.NDArray[np.float64]:
-    """Return the heights [m] of a window; NaN: missing."""
+    """Return the heights [m] of a window, resampled to ``shape`` if given; NaN where missing."""
     import numpy as np
     from rasterio.enums import MaskFlags
 
@@ -89,7 +89,7 @@ def heights(
 
 
 def crs_of(text: str, esri: bool = False) -> Any:
-    """Return a coordinate reference system from EPSG:n, WKT or PROJJSON."""
+    """Return the rasterio CRS of EPSG:n, WKT or PROJJSON."""
     from rasterio.crs import CRS
 
     if text.upper().startswith("EPSG:"):
@@ -98,7 +98,7 @@ def crs_of(text: str, esri: bool = False) -> Any:
 
 
 def crs(text: str, site: tuple[float, float], esri: bool) -> dict[str, Any]:
-    """Return the horizontal part of a coordinate reference system, its kind, and the accuracy of its datum shift."""
+    """Return wkt, name, kind, wgs84 and accuracy of the horizontal part of a coordinate reference system."""
     found = crs_of(text, esri)
     content = found.to_dict(projjson=True)
     while content.get("type") in ("CompoundCRS", "BoundCRS"):
@@ -118,7 +118,7 @@ def crs(text: str, site: tuple[float, float], esri: bool) -> dict[str, Any]:
 
 
 def accuracy(base: dict[str, Any], latitude: float, longitude: float) -> float | None:
-    """Return the accuracy [m] of the best shift from a datum to WGS 84 without grids, by PROJ's database; None: none.
+    """Return the accuracy [m] of the best gridless shift from a datum to WGS 84, by PROJ's database; None if unknown.
 
     0: its coordinates are those of WGS 84 to 1 m or 2 (ETRS89 and NAD83 among them).
     """
@@ -146,7 +146,7 @@ def accuracy(base: dict[str, Any], latitude: float, longitude: float) -> float |
 def transform(
     source: str, target: str, x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
-    """Return points in another coordinate reference system: x of all, then y; infinite beyond its area."""
+    """Return points in another reference system as one array, all x and then all y; infinite beyond its area."""
     import numpy as np
     from rasterio.warp import transform as transformed
 

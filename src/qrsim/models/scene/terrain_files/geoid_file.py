@@ -45,7 +45,7 @@ class Pgm:
     overviews: tuple[int, ...] = ()
 
     def heights(self, rows: range, columns: range) -> Heights:
-        """Return the heights [m] of some rows and columns."""
+        """Return the heights [m] at rows and columns of the file."""
         lines = []
         with open_file(self.file, LARGEST_FILE) as opened:
             for row in rows:
@@ -78,6 +78,7 @@ def geoid_of_file(file: str, site: Site) -> GeoidPlane:
 
 
 def _open_pgm(file: str) -> Pgm:
+    """Return the open geoid of a GeographicLib .pgm file; raise UsageError for other content."""
     with open_file(file, LARGEST_FILE) as opened:
         head = opened.read(LARGEST_HEAD)
         size = opened.seek(0, 2)
@@ -101,7 +102,7 @@ def _open_pgm(file: str) -> Pgm:
 
 
 def _heights(raster: Raster, gdal: Gdal, latitude: Float64, longitude: Float64) -> Float64:
-    """Return the heights (n,) [m] of a raster at places (n,) [deg]."""
+    """Return the heights (n,) [m] of a raster at places (n,) [deg]; raise UsageError for places beyond it."""
     grid = raster.grid
     x, y = to_file(raster.file, grid.crs, gdal, latitude, longitude)
     round_earth = False
@@ -125,7 +126,7 @@ def _heights(raster: Raster, gdal: Gdal, latitude: Float64, longitude: Float64) 
 
 
 def _height(raster: Raster, row: float, column: float, round_earth: bool) -> float:
-    """Interpolate a raster at a row and a column; between four points if one of those further away is missing."""
+    """Return the height [m] interpolated at a row and a column, by 4 points if a farther one is missing; else NaN."""
     for points in (POINTS, 2):
         i, high = _window(row, points, raster.grid.rows)
         j, wide = _window(column, points, raster.grid.columns)
@@ -139,13 +140,13 @@ def _height(raster: Raster, row: float, column: float, round_earth: bool) -> flo
 
 
 def _window(place: float, points: int, count: int) -> tuple[int, int]:
-    """Return the first of the points around a place of an axis with ``count``, and how many they are."""
+    """Return the index of the first of ``points`` grid points around ``place``, and their number, at most ``count``."""
     points = min(points, count)
     return min(max(math.floor(place) - points // 2 + 1, 0), count - points), points
 
 
 def _part(raster: Raster, rows: range, first: int, count: int) -> Heights:
-    """Return rows, and columns that may go on round the Earth."""
+    """Return the heights at rows and at ``count`` columns from ``first`` on, wrapped around the Earth."""
     size = raster.grid.columns
     start = first % size
     parts = [raster.heights(rows, range(start, min(start + count, size)))]

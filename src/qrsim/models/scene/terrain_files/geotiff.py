@@ -38,14 +38,15 @@ class GeoTiff:
     overviews: tuple[int, ...]
 
     def heights(self, rows: range, columns: range) -> Heights:
-        """Return the heights [m] of some rows and columns, NaN where they are missing."""
+        """Return the heights [m] at rows and columns, NaN where they are missing."""
         return self._read(rows, columns, False)
 
     def coarse(self, rows: range, columns: range) -> Heights:
-        """Return a height [m] for each block of cells, float32, by overviews where the file has them."""
+        """Return one height [m] for each block of cells, float32, from overviews if the file has them."""
         return self._read(rows, columns, True)
 
     def _read(self, rows: range, columns: range, coarse: bool) -> Heights:
+        """Return the heights [m] at rows and columns, or of blocks if ``coarse``, read by GDAL."""
         return self.gdal.read(
             self.file, self.driver, rows, columns, coarse=coarse, metres=self.metres, nodata=self.nodata
         )
@@ -54,7 +55,7 @@ class GeoTiff:
 def open_geotiff(
     file: str, gdal: Gdal, site: tuple[float, float], given: Crs | None, nodata: tuple[float, ...] = ()
 ) -> GeoTiff:
-    """Open a file.
+    """Return an open GeoTIFF or other raster that GDAL reads, its content checked.
 
     Args:
         file: its path.
@@ -90,7 +91,7 @@ def open_geotiff(
 
 
 def _system(file: str, wkt: str | None, gdal: Gdal, site: tuple[float, float], given: Crs | None) -> Crs:
-    """Return the reference system of a file, or the given one if the file has none."""
+    """Return the coordinate reference system of a file, else the given one; raise UsageError for none or a conflict."""
     if not wkt:
         if given is None:
             raise UsageError(f"{file}: has no coordinate reference system; give crs: EPSG:n")

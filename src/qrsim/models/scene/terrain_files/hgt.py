@@ -30,7 +30,7 @@ class Hgt:
     overviews: tuple[int, ...] = ()
 
     def heights(self, rows: range, columns: range) -> Heights:
-        """Return the heights [m] of some rows and columns, NaN where they are missing."""
+        """Return the heights [m] at rows and columns, NaN where they are missing."""
         return self._all().heights(rows, columns)
 
     def coarse(self, rows: range, columns: range) -> Heights:
@@ -47,7 +47,7 @@ class Hgt:
 
 
 def open_hgt(file: str) -> Hgt:
-    """Check the name and the size of a tile.
+    """Return an SRTM tile (.hgt) as a raster, after a check of its name and size.
 
     Raises:
         UsageError: either is not that of a tile.
@@ -72,6 +72,6 @@ def open_hgt(file: str) -> Hgt:
 
 
 def tile_name(latitude: float, longitude: float) -> str:
-    """Return the name of the tile around a place [deg]."""
+    """Return the name of the SRTM tile that contains a place [deg], such as N51W001."""
     south, west = int(np.floor(latitude)), int(np.floor(longitude))
     return f"{'N' if south >= 0 else 'S'}{abs(south):02d}{'E' if west >= 0 else 'W'}{abs(west):03d}"

@@ -75,7 +75,7 @@ class Grid:
 
     @property
     def spacing(self) -> tuple[float, float]:
-        """Sides of a cell along a column and along a row, in the unit of the coordinates."""
+        """Distances between neighbouring rows and between neighbouring columns, in the unit of the coordinates."""
         a, b, _, d, e, _ = self.transform
         return math.hypot(b, e), math.hypot(a, d)
 
@@ -90,25 +90,25 @@ class Raster(Protocol):
 
     @property
     def grid(self) -> Grid:
-        """The places of its cells."""
+        """Grid of the file's cells: shape, geotransform and coordinate reference system."""
         ...
 
     @property
     def note(self) -> str:
-        """From which unit its heights were converted."""
+        """Note for the user on the unit from which heights were converted; "" if they are in metres."""
         ...
 
     @property
     def overviews(self) -> tuple[int, ...]:
-        """By how much its overviews are coarser."""
+        """Factors by which the file's overviews are coarser than its cells."""
         ...
 
     def heights(self, rows: range, columns: range) -> Heights:
-        """Return the heights [m] of some rows and columns, NaN where they are missing."""
+        """Return the heights [m] at rows and columns, NaN where they are missing."""
         ...
 
     def coarse(self, rows: range, columns: range) -> Heights:
-        """Return a height [m] for each block of cells, float32; the ranges are whole multiples of their step."""
+        """Return one height [m] for each block of cells, float32; ranges are whole multiples of their step."""
         ...
 
 
@@ -121,11 +121,11 @@ def grid_of(file: str, shape: tuple[int, int], transform: list[float], crs: Crs)
     rows, columns = shape
     if rows < 2 or columns < 2:
         raise UsageError(f"{file}: has {rows} x {columns} heights; expected at least 2 x 2")
-    a, b, _, d, e, _ = transform
+    a, b, c, d, e, f = transform
     # NaN fails this comparison too.
     if not (abs(a * e - b * d) > 0.0 and all(map(math.isfinite, transform))):
         raise UsageError(f"{file}: its geotransform {tuple(transform)} has no inverse")
-    grid = Grid(rows, columns, (*transform,), crs)  # type: ignore[arg-type]
+    grid = Grid(rows, columns, (a, b, c, d, e, f), crs)
     if crs.geographic:
         x, y = grid.place(np.array([0.0, 0.0, rows - 1, rows - 1]), np.array([0.0, columns - 1, 0.0, columns - 1]))
         if max(abs(y)) > 90.0 + grid.spacing[0] or max(abs(x)) > 360.0 + grid.spacing[1]:
@@ -147,7 +147,7 @@ class ArrayRaster:
     overviews: tuple[int, ...] = ()
 
     def heights(self, rows: range, columns: range) -> Heights:
-        """Return the heights [m] of some rows and columns."""
+        """Return the heights [m] at rows and columns."""
         part = self.array[rows.start : rows.stop : rows.step, columns.start : columns.stop : columns.step]
         return part.astype(np.float64)
 

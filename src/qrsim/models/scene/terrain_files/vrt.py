@@ -40,6 +40,7 @@ class _Builder(ElementTree.TreeBuilder):
     """Refuses a document type before any of its entities is read: entities can grow without bound."""
 
     def doctype(self, name: str, pubid: str | None, system: str | None) -> NoReturn:
+        """Raise _DocumentTypeError: document types are refused."""
         raise _DocumentTypeError
 
 
@@ -48,7 +49,7 @@ class _DocumentTypeError(Exception):
 
 
 def read_vrt(file: str) -> tuple[Source, ...]:
-    """Return the files of a virtual raster, the last first: where they overlap, the last of the file counts.
+    """Return the source files of a virtual raster, topmost first: in the file, the last one has priority.
 
     Raises:
         UsageError: it is no virtual raster, computes something, or names files outside its folder.
@@ -85,7 +86,7 @@ def _root(file: str, data: bytes) -> Element:
 
 
 def _band(file: str, root: Element) -> Element:
-    """Return the only band of a VRT file; raise UsageError for several, or for kinds that compute."""
+    """Return the only band of a VRT file; raise UsageError for several bands, or for one that computes."""
     if root.get("subClass"):
         raise UsageError(f"{file}: is a {shortened(str(root.get('subClass')), 40)}; expected what gdalbuildvrt writes")
     bands = root.findall("VRTRasterBand")
@@ -97,7 +98,7 @@ def _band(file: str, root: Element) -> Element:
 
 
 def _source(file: str, number: int, element: Element, own: float | None) -> Source:
-    """Return a source of a VRT file: file, rectangle and missing height; refuse one that changes heights."""
+    """Return a source of a VRT file: file and missing height; raise UsageError for one that changes heights."""
     name = element.find("SourceFilename")
     text = "" if name is None else (name.text or "").strip()
     if not text:

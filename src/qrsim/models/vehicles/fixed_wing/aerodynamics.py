@@ -36,7 +36,7 @@ def air_data(relative: Vec3) -> AirData:
 
 
 def lift_and_drag(of: Longitudinal, aspect_ratio: Array, alpha: Array) -> tuple[Array, Array]:
-    """Return the coefficients (n,) of lift and drag at an angle of attack, at rest and with straight surfaces (W2)."""
+    """Return the coefficients (n,) of lift and drag at an angle of attack [rad], without rates and deflections (W2)."""
     # Far from the stall either term is 0 or 1, to the last bit of double precision.
     over = exp(jnp.clip(of.stall_sharpness * (alpha - of.stall_angle), -40.0, 40.0))
     under = exp(jnp.clip(-of.stall_sharpness * (alpha + of.stall_angle), -40.0, 40.0))
@@ -49,7 +49,7 @@ def lift_and_drag(of: Longitudinal, aspect_ratio: Array, alpha: Array) -> tuple[
 
 
 def propeller(model: Aeroplane, airspeed: Array, throttle: Array) -> tuple[Array, Array]:
-    """Return thrust [N] and torque [N m] (n,) of the propeller, where those of motor and air are in balance (W5)."""
+    """Return thrust [N] and torque [N m] (n,) of the propeller at the speed where motor and air torque balance (W5)."""
     own, rho = model.propeller, model.air_density
     d, constant = own.diameter, 60.0 / (2.0 * math.pi * own.speed_constant)
     a = own.torque_0 * rho * d**5 / (4.0 * math.pi**2)

@@ -46,7 +46,7 @@ class SurfaceCommand:
 
 
 def shown(command: Any) -> AttitudeCommand:
-    """Return a command as a world's state keeps it, whatever was given: NaN in the fields that it has not."""
+    """Return any fixed-wing command as the record kept in a world's state, NaN in fields that it lacks."""
     if isinstance(command, AttitudeCommand):
         return command
     none = jnp.full_like(command.throttle, jnp.nan)

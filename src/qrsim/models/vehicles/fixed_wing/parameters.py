@@ -166,5 +166,5 @@ class Aeroplane:
         return self.site_air.site_density if self.density is None else self.density
 
     def in_density(self, density: Array | None) -> Aeroplane:
-        """Return the aeroplane in air of a density (n,) [kg/m^3], if neither that nor its own says otherwise."""
+        """Return the aeroplane in air of a density (n,) [kg/m^3]; unchanged for None, or if its density is given."""
         return self if density is None or self.density is not None else replace(self, density=density)

@@ -16,7 +16,7 @@ from qrsim.models.vehicles.fixed_wing.state import Motion, Surfaces
 def slope_of(
     model: Aeroplane, motion: Motion, surfaces: Surfaces, throttle: Array, air_ned: Vec3, air_rates: Vec3
 ) -> tuple[Motion, Vec3]:
-    """Return the slope of a motion and the specific force (n,) [m/s^2] in body axes.
+    """Return the time derivative of a motion, and the specific force (n,) [m/s^2] in body axes.
 
     Args:
         model: numbers.
@@ -51,7 +51,7 @@ def slope_of(
 def substep(
     model: Aeroplane, motion: Motion, surfaces: Surfaces, throttle: Array, air_ned: Vec3, air_rates: Vec3, dt: float
 ) -> tuple[Motion, Vec3]:
-    """Advance by dt [s] with the classical Runge-Kutta rule; the quaternion is normalised after it.
+    """Return the motion dt [s] later by a classical Runge-Kutta step, and the mean specific force (n,) [m/s^2].
 
     The four stages are turns of one loop, so that the program is a quarter as long.
 
@@ -61,7 +61,7 @@ def substep(
     like = motion.displacement.x.dtype
 
     def turn(i: Array, carried: tuple[Motion, Motion, Vec3]) -> tuple[Motion, Motion, Vec3]:
-        """Advance by one of the four stages of the Runge-Kutta rule."""
+        """Return the loop's state after one of the four Runge-Kutta stages."""
         here, total, force = carried
         slope, specific = slope_of(model, here, surfaces, throttle, air_ned, air_rates)
         edge = (i == 0) | (i == 3)

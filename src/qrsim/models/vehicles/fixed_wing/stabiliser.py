@@ -31,7 +31,7 @@ def wanted_surfaces(
     elevator: Array,
     dt: float,
 ) -> tuple[Stabiliser, Surfaces]:
-    """Return the new memory and where the surfaces (n,) are to go.
+    """Return the stabiliser's new memory, and the surface deflections (n,) [rad] that it asks for.
 
     Args:
         model: numbers.
@@ -61,7 +61,7 @@ def wanted_surfaces(
 
 
 def moved(model: Aeroplane, surfaces: Surfaces, wanted: Surfaces, dt: float) -> Surfaces:
-    """Return the surfaces (n,) after dt [s]: they follow ``wanted`` with a first-order lag and a largest rate."""
+    """Return the surfaces (n,) [rad] after dt [s], following ``wanted`` with a first-order lag and a limited rate."""
     lag = jnp.asarray(model.surface_lag)
     share = jnp.where(lag > 0.0, 1.0 - exp(-dt / jnp.where(lag > 0.0, lag, 1.0)), 1.0)
     most = jnp.where(jnp.asarray(model.surface_rate_max) > 0.0, model.surface_rate_max * dt, 10.0)
@@ -81,5 +81,5 @@ def moved(model: Aeroplane, surfaces: Surfaces, wanted: Surfaces, dt: float) -> 
 
 
 def _within(value: Array, limit: Array | float) -> Array:
-    """Clip values to [-limit, limit]."""
+    """Return values clipped to [-limit, limit]."""
     return jnp.clip(value, -limit, limit)

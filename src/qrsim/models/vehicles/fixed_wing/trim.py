@@ -26,7 +26,7 @@ STEPS, FOUND = 60, 1e-10
 
 
 def cruise(model: Aeroplane, airspeed: Array) -> tuple[Array, Array, Array]:
-    """Return angle of attack [rad], elevator [rad] and throttle (n,) of straight level flight, within 1 % or so (W9).
+    """Return angle of attack [rad], elevator [rad] and throttle (n,) of straight level flight, to about 1 % (W9).
 
     The thrust carries nothing of the weight in it, and the flow is attached.
     """
@@ -42,7 +42,7 @@ def cruise(model: Aeroplane, airspeed: Array) -> tuple[Array, Array, Array]:
 
 
 def throttle_for(model: Aeroplane, airspeed: Array, thrust: Array) -> Array:
-    """Return the throttle (n,) that gives a thrust (n,) [N] at an airspeed: (W5) the other way round."""
+    """Return the throttle (n,) that gives a thrust (n,) [N] at an airspeed [m/s], the inverse of (W5)."""
     own, rho = model.propeller, model.air_density
     d, constant = own.diameter, 60.0 / (2.0 * math.pi * own.speed_constant)
     v = airspeed / d
@@ -112,7 +112,7 @@ def trim(model: Aeroplane, airspeed: float, climb_angle: float = 0.0, radius: fl
 
 
 def _missing(y: Array, model: Aeroplane, flight: Array) -> Array:
-    """Return the residual (8,), 0 in steady flight: accelerations, the error of the climb, and the sideslip."""
+    """Return the residual (8,) of steady flight at unknowns y: accelerations, climb error and sideslip."""
     airspeed, turn, climb = flight
     motion, surfaces = _steady(y, airspeed, turn)
     slope, _ = slope_of(model, motion, surfaces, y[6], _still(), _still())
@@ -122,7 +122,7 @@ def _missing(y: Array, model: Aeroplane, flight: Array) -> Array:
 
 @jax.jit
 def _balance(model: Aeroplane, y: Array, flight: Array) -> tuple[Array, Array]:
-    """Return what is missing to steady flight at y, and its derivatives by y."""
+    """Return the residual (8,) of steady flight at unknowns y, and its Jacobian (8, 8)."""
     return _missing(y, model, flight), jax.jacfwd(_missing)(y, model, flight)
 
 
@@ -155,7 +155,7 @@ _lift_and_drag = on_host(lift_and_drag)
 
 
 def stall_speed(model: Aeroplane) -> float:
-    """Return the lowest airspeed [m/s] at which the wing of the first of some aeroplanes carries the weight."""
+    """Return the lowest airspeed [m/s] at which the wing carries the weight; of several aeroplanes, the first."""
     angles = np.linspace(0.0, 0.8, 401)
     first = jax.tree.map(lambda leaf: np.float64(np.ravel(leaf)[0]), cast(model, np.float64))
     with jax.enable_x64(True):
@@ -172,7 +172,7 @@ def _still() -> Vec3:
 
 
 def _steady(y: Array, airspeed: Array | float, turn: Array | float) -> tuple[Motion, Surfaces]:
-    """Return motion and surfaces of unknowns alpha, beta, phi, elevator, aileron, rudder, throttle and theta."""
+    """Return motion and surfaces for unknowns y: alpha, beta, phi, elevator, aileron, rudder, throttle, theta."""
     sa, ca = jnp.sin(y[0]), jnp.cos(y[0])
     sb, cb = jnp.sin(y[1]), jnp.cos(y[1])
     st, ct, sp, cp = jnp.sin(y[7]), jnp.cos(y[7]), jnp.sin(y[2]), jnp.cos(y[2])

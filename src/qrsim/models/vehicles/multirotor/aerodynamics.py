@@ -78,7 +78,7 @@ def forces(
 
 
 def near_ground(static: Array, sideways: Array, above: Array, radius: Array, per_disc: Array) -> Array:
-    """Return the thrust (n,) [N] of a rotor at a height over the ground (V19), in one division.
+    """Return the thrust (n,) [N] of a rotor, raised by the ground effect at its height (V19), in one division.
 
     I. C. Cheeseman, W. E. Bennett, "The effect of the ground on a helicopter rotor in forward flight", ARC R&M 3021,
     1955.
@@ -90,7 +90,7 @@ def near_ground(static: Array, sideways: Array, above: Array, radius: Array, per
 
 
 def _in_plane(flow: Vec3, axial: Array, rotor: Rotor) -> list[Number]:
-    """Return the flow (n,) in the plane of a rotor; 0.0 where it can have no part along an axis of the body."""
+    """Return the flow (n,) in a rotor's plane by body axes; the number 0.0 where it is zero by geometry."""
     return [
         part if a == 0.0 else 0.0 if abs(a) == 1.0 else part - a * axial
         for part, a in zip((flow.x, flow.y, flow.z), rotor.axis, strict=True)
@@ -98,22 +98,22 @@ def _in_plane(flow: Vec3, axial: Array, rotor: Rotor) -> list[Number]:
 
 
 def _crossed(plane: list[Number], axis: Triple) -> list[Number]:
-    """Return the vector product of a flow and an axis."""
+    """Return the cross product of the flow in a rotor's plane and the rotor's axis."""
     (x, y, z), (a, b, c) = plane, axis
     terms = (((c, y), (-b, z)), ((a, z), (-c, x)), ((b, x), (-a, y)))
     return [combined(*((factor, part) for factor, part in pair if not isinstance(part, float))) for pair in terms]
 
 
 def _along(axis: Triple, amount: Array) -> Vec3:
-    """Return a vector of a length (n,) along a known axis."""
+    """Return a vector of length ``amount`` (n,) along an axis known at compile time."""
     return _vec([combined((part, amount)) for part in axis], amount)
 
 
 def _vec(parts: Sequence[Number], like: Array) -> Vec3:
-    """Return known numbers or arrays as a vector of arrays (n,)."""
+    """Return three numbers or arrays as a vector of arrays (n,), shaped as ``like``."""
     return Vec3(*(jnp.broadcast_to(jnp.asarray(part, like.dtype), like.shape) for part in parts))
 
 
 def _times(factor: Array, part: Number) -> Number:
-    """Return a product; 0 for a number known while compiling, which is then zero."""
+    """Return ``factor * part``, and 0.0 for a plain number ``part``, which is 0.0 by geometry."""
     return 0.0 if isinstance(part, float) else factor * part

@@ -62,13 +62,13 @@ class MotorCommand:
 
     @staticmethod
     def of(fractions: Array) -> Any:
-        """Return a command of fractions (n, N), 0 to 1, of the largest speed."""
+        """Return a command of rotor speeds (n, N) as fractions, 0 to 1, of the largest speed."""
         columns = fractions.T
         return _CLASSES[len(columns)](*columns)
 
 
 def _motor_command(count: int) -> type:
-    """Make the class of commands for a number of rotors."""
+    """Return a new command class with a speed field for each rotor."""
     name = f"MotorCommand{count}"
     fields: dict[str, object] = {
         f"rotor_{i}": quantity(unit="1", doc=f"speed of rotor {i}, of the largest", minimum=0.0, maximum=1.0)
@@ -98,7 +98,7 @@ class Powered:
 
 
 def shown(command: Any) -> AttitudeCommand:
-    """Return a command as a world's state keeps it, whatever was given: NaN in the fields that it has not."""
+    """Return any command as the record kept in a world's state, NaN in fields that it lacks."""
     inside = command.command if isinstance(command, Powered) else command
     if isinstance(inside, AttitudeCommand):
         return inside

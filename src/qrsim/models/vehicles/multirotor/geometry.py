@@ -39,7 +39,7 @@ class Rotor:
 
 
 def ring(count: int, arm: float, first_rad: float, direction: int = 1, down: float = 0.0) -> tuple[Rotor, ...]:
-    """Return rotors on a circle, clockwise from above, that turn in turns.
+    """Return rotors on a circle, clockwise from above, with alternating directions of rotation.
 
     Args:
         count: how many.
@@ -56,7 +56,7 @@ def ring(count: int, arm: float, first_rad: float, direction: int = 1, down: flo
 
 
 def combined(*terms: tuple[float, Array]) -> Number:
-    """Return the sum of known factors times arrays, without the terms of a zero factor; 0.0 where none is left."""
+    """Return the sum of factor times array; terms with factor 0.0 are left out, and 0.0 is returned for none."""
     total: Number = 0.0
     for factor, array in terms:
         if factor == 0.0:
@@ -67,7 +67,7 @@ def combined(*terms: tuple[float, Array]) -> Number:
 
 
 def cross_known(a: Vec3, r: Triple) -> tuple[Number, Number, Number]:
-    """Return a x r for a known r."""
+    """Return a x r for an r known at compile time."""
     return (
         combined((r[2], a.y), (-r[1], a.z)),
         combined((r[0], a.z), (-r[2], a.x)),
@@ -76,18 +76,18 @@ def cross_known(a: Vec3, r: Triple) -> tuple[Number, Number, Number]:
 
 
 def known_cross(r: Triple, a: Vec3) -> tuple[Number, Number, Number]:
-    """Return r x a for a known r."""
+    """Return r x a for an r known at compile time."""
     x, y, z = cross_known(a, r)
     return -x, -y, -z
 
 
 def dot_known(a: Vec3, r: Triple) -> Number:
-    """Return a . r for a known r."""
+    """Return a . r for an r known at compile time."""
     return combined((r[0], a.x), (r[1], a.y), (r[2], a.z))
 
 
 def reach(points: Sequence[Triple]) -> float:
-    """Return the distance [m] of the farthest point from the centre of mass."""
+    """Return the distance [m] of the farthest point from the centre of mass, the origin."""
     return max(math.hypot(*point) for point in points)
 
 
@@ -97,18 +97,20 @@ def square_feet(side: float, down: float) -> tuple[Triple, ...]:
 
 
 def effects(rotor: Rotor, torque_ratio: Number) -> tuple[Number, Number, Number, Number]:
-    """Return collective thrust [N] and torque about the body axes [N m] for each newton of a rotor's thrust."""
+    """Return collective thrust [N] and torque about the body axes [N m] per newton of a rotor's thrust."""
     (x, y, z), (a, b, c) = rotor.position, rotor.axis
     turning = [rotor.direction * component for component in rotor.axis]
     lever = (y * c - z * b, z * a - x * c, x * b - y * a)
-    torque = [own if factor == 0.0 else own + factor * torque_ratio for own, factor in zip(lever, turning, strict=True)]
-    return -c, *torque  # type: ignore[return-value]
+    roll, pitch, yaw = (
+        own if factor == 0.0 else own + factor * torque_ratio for own, factor in zip(lever, turning, strict=True)
+    )
+    return -c, roll, pitch, yaw
 
 
 def allocation(
     rotors: Sequence[Rotor], torque_ratio: Array, without: Sequence[int] = (), yaw: bool = True
 ) -> list[list[Number]]:
-    """Return the pseudo-inverse of the rotors' effects: N rows of four, thrust [N] for each N and N m that is wanted.
+    """Return the pseudo-inverse of the rotors' effects: N rows of 4, thrust [N] per wanted N and N m.
 
     Args:
         rotors: all of them.
@@ -140,7 +142,7 @@ def allocation(
 
 
 def rank_of(rotors: Sequence[Rotor], torque_ratio: float) -> float:
-    """Return how well rotors control thrust and three torques: the least singular value over the largest."""
+    """Return a measure of control over thrust and torques: smallest over largest singular value, 0 without control."""
     sizes = reach([rotor.position for rotor in rotors]) or 1.0
     table = np.array([effects(rotor, torque_ratio) for rotor in rotors], float).T
     with np.errstate(all="ignore"):
@@ -153,7 +155,7 @@ def rank_of(rotors: Sequence[Rotor], torque_ratio: float) -> float:
 
 
 def holds_yaw(rotors: Sequence[Rotor], torque_ratio: float, without: Sequence[int]) -> bool:
-    """Return whether the other rotors can hover without turning, each with a share of the thrust."""
+    """Return whether the rotors other than ``without`` can hover without yawing, each carrying some thrust."""
     left = [rotor for i, rotor in enumerate(rotors) if i not in without]
     if len(left) < 4 or rank_of(left, torque_ratio) < 0.02:
         return False
@@ -162,7 +164,7 @@ def holds_yaw(rotors: Sequence[Rotor], torque_ratio: float, without: Sequence[in
 
 
 def _sum(terms: Iterable[Number]) -> Number:
-    """Return the sum of terms without those that are known to be 0 while compiling."""
+    """Return the sum of terms, leaving out the plain number 0.0."""
     total: Number = 0.0
     for term in terms:
         if not (isinstance(term, float) and term == 0.0):
@@ -171,7 +173,7 @@ def _sum(terms: Iterable[Number]) -> Number:
 
 
 def _inverse(matrix: list[list[Number]]) -> list[list[Number]]:
-    """Return the inverse of a symmetric, positive definite matrix of numbers or arrays, by Gauss and Jordan."""
+    """Return the inverse of a symmetric positive definite matrix of numbers or arrays (Gauss-Jordan)."""
     size = len(matrix)
     rows = [[*row, *(1.0 if i == j else 0.0 for j in range(size))] for i, row in enumerate(matrix)]
     for i in range(size):
@@ -185,10 +187,10 @@ def _inverse(matrix: list[list[Number]]) -> list[list[Number]]:
 
 
 def _times(a: Number, b: Number) -> Number:
-    """Return a product, and the number 0 where a factor is known to be 0 while compiling."""
+    """Return a product, the plain number 0.0 if a factor is the plain number 0.0."""
     return 0.0 if any(isinstance(each, float) and each == 0.0 for each in (a, b)) else a * b
 
 
 def _minus(a: Number, b: Number) -> Number:
-    """Return a difference without a term that is known to be 0 while compiling."""
+    """Return a difference, leaving out a term that is the plain number 0.0."""
     return a if isinstance(b, float) and b == 0.0 else -b if isinstance(a, float) and a == 0.0 else a - b

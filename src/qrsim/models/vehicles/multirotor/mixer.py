@@ -36,7 +36,7 @@ class Mixer:
     holds_yaw: Number
 
     def share(self, thrust: Array, torque: Vec3, yaw_share: Array) -> list[Array]:
-        """Return the thrust (n,) [N] of each rotor (V30).
+        """Return the thrust (n,) [N] of each rotor for a collective thrust [N] and a torque [N m] (V30).
 
         Roll and pitch come first, scaled together if they do not fit; the collective is shifted to keep them; yaw gets
         what is left, but at least ``yaw_share`` of itself.
@@ -58,7 +58,7 @@ class Mixer:
         return [jnp.clip(f - over, 0.0, most) for f in found]
 
     def torque(self, thrusts: Sequence[Array]) -> Vec3:
-        """Return the torque (n,) [N m] of rotor thrusts (n,) [N]."""
+        """Return the torque (n,) [N m] in body axes of rotor thrusts (n,) [N]."""
         axes = [
             reduce(
                 jnp.add, [_sum((effect[axis], thrust)) for effect, thrust in zip(self.effects, thrusts, strict=True)]
@@ -69,7 +69,7 @@ class Mixer:
 
 
 def mixer_of(rotors: Sequence[Rotor], torque_ratio: Array, most: Array, lost: Sequence[tuple[int, Array]]) -> Mixer:
-    """Return the mixer of a step.
+    """Return the mixer for a step, with rotors that are known to have failed left out.
 
     Args:
         rotors: geometry.
@@ -98,14 +98,14 @@ def mixer_of(rotors: Sequence[Rotor], torque_ratio: Array, most: Array, lost: Se
 
 
 def _room(thrust: Array, turning: Array, most: Array) -> Array:
-    """Return the largest multiple of its share of a yaw torque that a rotor can produce."""
+    """Return the largest factor (n,) on a rotor's yaw thrust ``turning`` that keeps its thrust in 0 to ``most`` [N]."""
     gap = jnp.where(turning > 0.0, most - thrust, thrust)
     size = jnp.abs(turning)
     return jnp.where(size > LEAST_YAW_N, gap / jnp.maximum(size, LEAST_YAW_N), jnp.inf)
 
 
 def _sum(*terms: tuple[Number, Array]) -> Array:
-    """Return a sum of products; a factor that is known to be zero costs nothing."""
+    """Return a sum of products factor times array; the plain factor 0.0 costs nothing."""
     found = [array * factor for factor, array in terms if not (isinstance(factor, float) and factor == 0.0)]
     return reduce(jnp.add, found) if found else jnp.zeros_like(terms[0][1])
 

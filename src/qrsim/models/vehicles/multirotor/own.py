@@ -119,7 +119,7 @@ def own_parameters(
     known: Mapping[str, Any] | None = None,
     curve: float | None = None,
 ) -> dict[str, Any]:
-    """Derive the parameters of a multirotor by the rules of docs/explanation/models/multirotor.md.
+    """Return the parameters of a multirotor, derived by the rules of docs/explanation/models/multirotor.md.
 
     Args:
         mass: take-off mass [kg].
@@ -203,7 +203,7 @@ def own_multirotor(
     warn: Callable[[str], None] = warn_user,
     **parameters: object,
 ) -> Multirotor:
-    """Return a multirotor of six numbers, or of four and the table of its motor, for ``make_scenario(vehicle=...)``.
+    """Return a multirotor from six numbers, or from four and a motor table, for ``make_scenario(vehicle=...)``.
 
     Args:
         mass: take-off mass [kg].
@@ -266,7 +266,7 @@ def own_multirotor(
 
 
 def _powered(derived: Mapping[str, Any], table: Mapping[str, float]) -> dict[str, float]:
-    """Return the efficiency at which a motor takes the power of its table in hover, and the torque that allows it."""
+    """Return {efficiency, torque_ratio} with which a motor draws the power of its table in hover."""
     shaft = derived["torque_ratio"] * derived["thrust_coefficient"] * table["hover_speed"] ** 3
     efficiency = min(shaft / table["hover_power"], MOST_EFFICIENT)
     return {
@@ -276,7 +276,7 @@ def _powered(derived: Mapping[str, Any], table: Mapping[str, float]) -> dict[str
 
 
 def known_numbers(parameters: Mapping[str, object]) -> dict[str, float]:
-    """Return the given parameters from which others are derived, without lists (one number for each vehicle)."""
+    """Return those given parameters that are single positive numbers and sources of derived ones."""
     found = {name: parameters[name] for name in SOURCES if name in parameters}
     return {
         name: float(value)
@@ -286,7 +286,7 @@ def known_numbers(parameters: Mapping[str, object]) -> dict[str, float]:
 
 
 def _check_thrust(declared: float, found: float) -> None:
-    """Raise UsageError if the declared thrust-to-weight ratio differs from the one found."""
+    """Raise UsageError if the declared thrust-to-weight ratio differs from the computed one."""
     # Numbers are given to two digits.
     if abs(found - declared) > 0.02 * declared:
         raise UsageError(
@@ -296,7 +296,7 @@ def _check_thrust(declared: float, found: float) -> None:
 
 
 def _check(given: dict[str, float]) -> None:
-    """Raise UsageError for a number that is out of its range."""
+    """Raise UsageError for a number out of its range."""
     for name, value in given.items():
         unit, low, high = RANGES[name]
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
@@ -332,7 +332,7 @@ def _radius(arm: float, arms: int) -> float:
 
 
 def _curve(hover: float, ratio: float) -> float:
-    """Return a of thrust/largest thrust = a u^2 + (1 - a) u, so that it hovers at a throttle."""
+    """Return a of thrust/largest thrust = a u^2 + (1 - a) u for hover at throttle ``hover``; raise UsageError."""
     low, high = 1.0 / ratio, 1.0 / math.sqrt(ratio)
     # Numbers are given to two digits.
     if not low - 0.005 <= hover <= high + 0.005:

@@ -144,40 +144,40 @@ class Airframe:
 
     @property
     def others(self) -> tuple[Triple, ...]:
-        """Contact points that are no feet: the rotors' hubs and the top [m]."""
+        """Contact points other than the feet: the rotors' hubs and the top [m]."""
         return (*(rotor.position for rotor in self.rotors), self.top)
 
     @property
     def lift_share(self) -> float:
-        """Collective thrust over the thrust of one rotor, if all turn alike."""
+        """Collective thrust over the thrust of one rotor, with all at one speed."""
         return -sum(rotor.axis[2] for rotor in self.rotors)
 
     @property
     def thrust_max(self) -> Array:
-        """Largest collective thrust at the nominal voltage [N], in the air that the coefficients are for."""
+        """Largest collective thrust [N] at nominal voltage and air density."""
         return self.thrust_coefficient * (self.speed_max * self.speed_max * self.lift_share)
 
     def thrust_of(self, throttle: Array) -> Array:
-        """Return the collective thrust [N] at a throttle (n,), 0 to 1, in the air of the coefficients (V31)."""
+        """Return the collective thrust [N] at a throttle (n,), 0 to 1, at nominal air density (V31)."""
         a = self.throttle_curve
         return self.thrust_max * throttle * (a * throttle + (1.0 - a))
 
     def throttle_of(self, thrust: Array) -> Array:
-        """Return the throttle at a collective thrust [N] in that air."""
+        """Return the throttle at a collective thrust [N] at nominal air density."""
         a, share = self.throttle_curve, thrust / self.thrust_max
         return 2.0 * share / ((1.0 - a) + jnp.sqrt((1.0 - a) * (1.0 - a) + 4.0 * a * share))
 
     @property
     def site_share(self) -> Array | float:
-        """Density of the air at the site over that which the coefficients are for."""
+        """Air density at the site over the density for which the coefficients hold."""
         return 1.0 if self.thin_air == "ignored" else self.site_air.site_density / self.air_density
 
     def share(self, position_ned: Vec3) -> Array | float:
-        """Return the density of the air at positions (n,) [m] over that which the coefficients are for."""
+        """Return the air density at positions (n,) [m] over the density for which the coefficients hold."""
         return 1.0 if self.thin_air == "ignored" else self.site_air.density(position_ned) / self.air_density
 
     def in_density(self, share: Array | float) -> Airframe:
-        """Return the vehicle in air of a density (n,) that is a share of its own: all forces go with it (S30)."""
+        """Return the vehicle with all air forces scaled by a relative density (n,) (S30)."""
         if self.thin_air == "ignored":
             return self
         names = (

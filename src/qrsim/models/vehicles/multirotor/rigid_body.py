@@ -47,14 +47,14 @@ class Surroundings:
 
 
 def larger(known: Array, new: Array) -> Array:
-    """Return the larger of two arrays; the known one where the new one is NaN, so that a cause outlives its effect."""
+    """Return the elementwise maximum, ``known`` where ``new`` is NaN."""
     return jnp.where(new > known, new, known)
 
 
 def slope_of(
     model: Airframe, motion: Motion, targets: tuple[Array, ...], around: Surroundings
 ) -> tuple[Motion, Vec3, Touch | None]:
-    """Return the slope of a motion, the specific force [m/s^2] (V18, V22), and what touches the ground.
+    """Return a motion's time derivative, the specific force [m/s^2] (V18, V22), and the contacts, None if not sought.
 
     Args:
         model: parameters.
@@ -107,14 +107,14 @@ def slope_of(
 def substep(
     model: Airframe, motion: Motion, targets: tuple[Array, ...], around: Surroundings, dt: float
 ) -> tuple[Motion, Outcome]:
-    """Advance by dt [s] with the classical Runge-Kutta rule; the quaternion is normalised after it.
+    """Return the motion dt [s] later by a classical Runge-Kutta step, and the step's mean force and contacts.
 
     The four stages are turns of one loop: its program is a quarter as long, and stays in the processor's cache.
     """
     first = motion
 
     def turn(i: Array, carried: tuple[Motion, Motion, Outcome]) -> tuple[Motion, Motion, Outcome]:
-        """Advance by one of the four stages of the Runge-Kutta rule."""
+        """Return the loop's state after one of the four Runge-Kutta stages."""
         here, total, outcome = carried
         slope, specific, touched = slope_of(model, here, targets, around)
         edge = (i == 0) | (i == 3)

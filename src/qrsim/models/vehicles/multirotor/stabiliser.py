@@ -46,7 +46,7 @@ class Stabiliser:
 
 
 def rates_wanted(gains: Stabiliser, attitude: Quaternion, wanted: Quaternion, yaw_rate: Array) -> Vec3:
-    """Return the body rates (n,) [rad/s] that turn an attitude into another, tilt first (V28).
+    """Return the body rates (n,) [rad/s] that turn ``attitude`` into ``wanted``, tilt first (V28).
 
     D. Brescianini, M. Hehn, R. D'Andrea, "Nonlinear quadrocopter attitude control", ETH Zurich, 2013.
 
@@ -84,7 +84,7 @@ def rotor_thrusts(
     thrust: Array,
     dt: float,
 ) -> tuple[list[Array], Vec3]:
-    """Return the thrust of each rotor (n,) [N] that brings body rates to what is wanted, and the next integral (V29).
+    """Return each rotor's thrust (n,) [N] that drives body rates to ``wanted``, and the new integral (V29).
 
     Args:
         gains, inertia: parameters.
@@ -118,11 +118,11 @@ def rotor_thrusts(
 
 
 def _integrated(now: Array, error: Array, missing: Array, slack: Array, gain: Array, limit: Array) -> Array:
-    """Return the integral of one axis, held where the rotors are at their limit and the error drives it on."""
+    """Return one axis' integral, clipped to ``limit``, held while the error would drive saturated rotors further."""
     held = (jnp.abs(missing) > slack + 1e-9) & (error * missing > 0.0)
     return jnp.clip(jnp.where(held, now, now + gain * error), -limit, limit)
 
 
 def _by_axes(inertia: Vec3, vector: Vec3) -> Vec3:
-    """Return the product of two vectors, axis by axis."""
+    """Return the elementwise product of two vectors."""
     return Vec3(inertia.x * vector.x, inertia.y * vector.y, inertia.z * vector.z)

@@ -65,13 +65,13 @@ class Multirotor(Airframe, Vehicle):
     pushable: ClassVar[tuple[str, ...]] = ("x", "y", "z")
 
     def in_air(self, air: SiteAir) -> Multirotor:
-        """Return the vehicle at a site; its autopilot has learned to hover in the air there."""
+        """Return the vehicle with the air of a site; its autopilot's hover throttle is for that air."""
         return replace(self, site_air=air)
 
     def initial_state(
         self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
     ) -> MultirotorState:
-        """Return a state in which the rotors carry the weight."""
+        """Return the state at a pose with rotors at the speed that carries the weight."""
         like = jnp.asarray(position_ned.x)
         zero = jnp.zeros_like(like)
         lift = self.thrust_coefficient * self.lift_share * self.share(position_ned)
@@ -91,35 +91,35 @@ class Multirotor(Airframe, Vehicle):
         )
 
     def with_thrust(self, state: MultirotorState, thrust: Array) -> MultirotorState:
-        """Return a state at a collective thrust (n,) [N]; a NaN leaves it unchanged."""
+        """Return the state with its collective thrust set to (n,) [N]; NaN leaves it unchanged."""
         lift = self.thrust_coefficient * self.lift_share * self.share(state.position_ned)
         speed = jnp.sqrt(jnp.maximum(thrust, 0.0) / lift)
         given = jnp.isfinite(thrust)
         return replace(state, rotor_speed=tuple(jnp.where(given, speed, old) for old in state.rotor_speed))
 
     def idle_command(self, like: Array) -> AttitudeCommand:
-        """Return level hover."""
+        """Return the command for level hover."""
         zero = jnp.zeros_like(like)
         throttle = self.throttle_of(jnp.asarray(self.mass * self.gravity / self.site_share))
         return AttitudeCommand(zero, zero, jnp.broadcast_to(throttle, like.shape), zero)
 
     def clip(self, command: object, powered: bool = False) -> tuple[Any, Array]:
-        """Bring a command into its limits."""
+        """Return a command clipped to its limits, and (n,) bool: clipping changed it."""
         if isinstance(command, Powered):
             inside, changed = clipped(command.command)
             return replace(command, command=inside), changed
         return clipped(command)
 
     def powered(self, command: object, voltage: Array | None) -> Any:
-        """Return a command together with a battery's voltage (n,) [V]; None: as at the nominal voltage."""
+        """Return a command with a battery's voltage (n,) [V] set; None means the nominal voltage."""
         return command if voltage is None else Powered(command, voltage)
 
     def shown(self, command: object) -> AttitudeCommand:
-        """Return a command as a world's state keeps it; NaN in fields that the command lacks."""
+        """Return a command as the record kept in a world's state, NaN in fields that it lacks."""
         return shown(command)
 
     def handling(self) -> Handling:
-        """Return the numbers that a controller of tilt and throttle uses, with the thrust in the air of the site."""
+        """Return the numbers that a tilt-and-throttle controller needs, with the thrust in the site's air."""
         a, most = self.throttle_curve, self.thrust_max * self.site_share
         one = jnp.ones_like(jnp.asarray(most))
         curve = (jnp.zeros_like(one), (1.0 - a) * most, a * most)
@@ -128,22 +128,22 @@ class Multirotor(Airframe, Vehicle):
         )
 
     def tilt_command(self, pitch: Array, roll: Array, throttle: Array, yaw_rate: Array) -> AttitudeCommand:
-        """Return its own command (n,) of tilt [rad], throttle [0, 1] and yaw rate [rad/s]."""
+        """Return the command (n,) for tilt [rad], throttle [0, 1] and yaw rate [rad/s]."""
         return AttitudeCommand(pitch, roll, throttle, yaw_rate)
 
     def wake(self) -> Wake:
-        """Return the parameters of its wake."""
+        """Return the parameters of the vehicle's wake."""
         hubs = [rotor.position for rotor in self.rotors]
         radius = jnp.asarray(self.rotor_radius)
         size = 2.0 * max(math.hypot(x, y) for x, y, _ in hubs)
         return Wake(size * jnp.ones_like(radius), (len(hubs) * math.pi) * (radius * radius))
 
     def wake_points(self) -> tuple[Point, ...]:
-        """Return the hubs of its rotors."""
+        """Return the positions of the rotors' hubs, in body axes [m]."""
         return tuple(rotor.position for rotor in self.rotors)
 
     def on_ground(self, state: MultirotorState) -> Array:
-        """Return which vehicles (n,) stand: all feet have borne for half a second, at less than 0.1 m/s."""
+        """Return (n,) bool: all feet have carried load for half a second, at a speed below 0.1 m/s."""
         return state.standing >= LANDED_S
 
     def standing_height(self) -> float:
@@ -151,7 +151,7 @@ class Multirotor(Airframe, Vehicle):
         return max(foot[2] for foot in self.feet)
 
     def stood(self, state: MultirotorState, ground: Callable[[Vec3], tuple[Array, Vec3]]) -> MultirotorState:
-        """Return the state at a start: who rests with all feet on the ground has sunk in, and its rotors are still."""
+        """Return the start state; vehicles with all feet near the ground stand on it, rotors stopped."""
         down, normal = ground(state.position_ned)
         up, height = state.quaternion.rotation().to_body(normal), (state.position_ned.z - down) * normal.z
         depths = [-(height + dot_known(up, foot)) for foot in self.feet]
@@ -178,11 +178,11 @@ class Multirotor(Airframe, Vehicle):
         return Load(coefficient * square, self.mass * self.gravity, power, ratio)
 
     def pose(self, state: MultirotorState) -> Pose:
-        """Return position, attitude, velocity and rates (n,)."""
+        """Return position, attitude, velocity and body rates (n,)."""
         return Pose(state.position_ned, state.quaternion.euler(), state.velocity_body, state.rates_body)
 
     def draw_noise(self, draw: Noise, dt: float) -> ProcessNoise:
-        """Draw the process noise of one step: a white spectral density, sigma(T) = sigma sqrt(0.02/T)."""
+        """Return one step's random process noise: a white spectral density, sigma(T) = sigma sqrt(0.02/T)."""
         return white_accelerations(draw, self.process_noise, dt)
 
     def step(
@@ -194,7 +194,7 @@ class Multirotor(Airframe, Vehicle):
         dt: float,
         around: Around | None = None,
     ) -> tuple[MultirotorState, Vec3]:
-        """Advance one step in substeps; see ``Vehicle.step``. Without ``around`` the ground is at 0 m, level."""
+        """Return the state one step later and the mean specific force; without ``around`` level ground at 0 m."""
         return fly(self, state, command, air_velocity, noise, dt, around)
 
     def specific_force(
@@ -210,22 +210,22 @@ class Multirotor(Airframe, Vehicle):
         return at_an_instant(self, state, air_velocity, noise, around)
 
     def stopped(self, state: MultirotorState) -> MultirotorState:
-        """Return the state at rest, the rotors too."""
+        """Return the state with all motion, rotors included, set to zero."""
         rest = Vec3.zeros(state.standing.shape, state.standing.dtype)
         still = tuple(jnp.zeros_like(rate) for rate in state.rotor_speed)
         return replace(state, velocity_body=rest, rates_body=rest, rotor_speed=still)
 
     def leaning(self, tilt: NumpyArray) -> tuple[npt.ArrayLike, npt.ArrayLike] | None:
-        """Return airspeed [m/s] and thrust [N] (n,) of balance at a tilt (n,) [rad]."""
+        """Return airspeed [m/s] and thrust [N] (n,) of steady flight at a tilt (n,) [rad]; see ``Vehicle.leaning``."""
         return leaning(self, tilt)
 
     def outline(self) -> Outline:
-        """Return positions and radius of the rotors, for pictures."""
+        """Return the positions and radius of the rotors as outline for pictures."""
         radius = float(np.ravel(np.asarray(self.rotor_radius))[0])
         return Outline(tuple(rotor.position for rotor in self.rotors), radius)
 
     def own_checks(self, state: MultirotorState) -> list[Check]:
-        """Return the checks of a hard touch, and of a rotor or the top on the ground."""
+        """Return the stop conditions of a hard touch-down, and of a rotor or the top touching the ground."""
         if self.crash == "none":
             return []
         hard, hub = reason_code("crashed", "impact_speed"), reason_code("crashed", "hub_contact")

@@ -87,28 +87,28 @@ class Rover(Vehicle):
     pushable: ClassVar[tuple[str, ...]] = ("x", "y")
 
     def drive(self, speed: Array, curvature: Array) -> SteeringCommand:
-        """Return its own command (n,) for a speed [m/s] and one by the radius of the turn [1/m], right positive."""
+        """Return the command (n,) for a speed [m/s] and a curvature [1/m], right positive, clipped to the limits."""
         steering = jnp.arctan((self.front_arm + self.rear_arm) * curvature)
         limit, most = self.steering_max, self.speed_max
         return SteeringCommand(jnp.clip(steering, -limit, limit), jnp.clip(speed, -most, most))
 
     def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> RoverState:
-        """Return the state at a pose, with its wheels straight."""
+        """Return the state at a pose, wheels straight."""
         zero = jnp.zeros_like(jnp.asarray(position_ned.x))
         return RoverState(position_ned, attitude, velocity_body.x, velocity_body.y, rates_body.z, zero)
 
     def idle_command(self, like: Array) -> SteeringCommand:
-        """Return the command to stand, with the wheels straight."""
+        """Return the command for standing still, wheels straight."""
         zero = jnp.zeros_like(like)
         return SteeringCommand(zero, zero)
 
     def load(self, state: RoverState) -> Load:
-        """Return that it has neither thrust nor a weight that one would carry."""
+        """Return a load of NaN: no thrust, and no weight that thrust would carry."""
         nothing = jnp.full_like(state.speed, jnp.nan)
         return Load(nothing, nothing)
 
     def pose(self, state: RoverState) -> Pose:
-        """Return position, attitude, velocity and rates (n,)."""
+        """Return position, attitude, velocity and body rates (n,)."""
         zero = jnp.zeros_like(state.speed)
         return Pose(
             state.position_ned,
@@ -126,7 +126,7 @@ class Rover(Vehicle):
         dt: float,
         around: Around | None = None,
     ) -> tuple[RoverState, Vec3]:
-        """Advance one step; see ``Vehicle.step``. Without ``around`` the ground is level, at 0 m; air does nothing."""
+        """Return the state one step later and the mean specific force; without ``around`` level ground at 0 m."""
         turned = tilt_of(state.attitude)
         after, force = rk4(lambda motion: self._slope(motion, command, turned), _motion_of(state), dt)
         plane, before = after.plane, state.position_ned
@@ -149,12 +149,12 @@ class Rover(Vehicle):
         return self._slope(_motion_of(state), held, tilt_of(state.attitude))[1]
 
     def stopped(self, state: RoverState) -> RoverState:
-        """Return the state at rest."""
+        """Return the state with all motion set to zero."""
         zero = jnp.zeros_like(state.speed)
         return replace(state, speed=zero, slip_speed=zero, yaw_rate=zero)
 
     def stood(self, state: RoverState, ground: Ground) -> RoverState:
-        """Return the state on the ground below."""
+        """Return the state put on the ground below it."""
         place, attitude = set_down(state.position_ned, state.attitude.yaw, ground)
         return replace(state, position_ned=place, attitude=attitude)
 
@@ -163,11 +163,11 @@ class Rover(Vehicle):
         return replace(state, speed=state.speed + change_body.x, slip_speed=state.slip_speed + change_body.y)
 
     def outline(self) -> Outline:
-        """Return a car."""
+        """Return the outline of a car, for pictures."""
         return Outline(kind="car", size=0.5)
 
     def _slope(self, motion: _Motion, command: SteeringCommand, turned: Rotation) -> tuple[_Motion, Vec3]:
-        """Return the slope of a motion and the specific force (n,) [m/s^2] in body axes."""
+        """Return the time derivative of a motion, and the specific force (n,) [m/s^2] in body axes."""
         v, vy, r, delta = motion.speed, motion.slip_speed, motion.yaw_rate, motion.steering
         wanted = jnp.clip(command.steering, -self.steering_max, self.steering_max)
         turning = jnp.clip((wanted - delta) / self.steering_lag, -self.steering_rate_max, self.steering_rate_max)
@@ -182,7 +182,7 @@ class Rover(Vehicle):
         return slope, felt(turned, self.gravity, ahead - r * vy, aside + v * r)
 
     def _cornering(self, v: Array, vy: Array, r: Array, delta: Array) -> tuple[Array, Array]:
-        """Return the slopes (n,) of the speed to the right [m/s^2] and of the yaw rate [rad/s^2]."""
+        """Return the derivatives (n,) of lateral velocity [m/s^2] and yaw rate [rad/s^2] by the tyres' side forces."""
         front, rear = self.front_arm, self.rear_arm
         tangent, cosine = jnp.tan(delta), jnp.cos(delta)
         forward = jnp.where(v < 0.0, -1.0, 1.0) * jnp.maximum(jnp.abs(v), SLOWEST)
@@ -200,6 +200,6 @@ class Rover(Vehicle):
 
 
 def _motion_of(state: RoverState) -> _Motion:
-    """Return the motion of a state, with its origin at the vehicle."""
+    """Return the integrated part of a state, with zero displacement."""
     zero = jnp.zeros_like(state.speed)
     return _Motion(Plane(zero, zero, state.attitude.yaw), state.speed, state.slip_speed, state.yaw_rate, state.steering)

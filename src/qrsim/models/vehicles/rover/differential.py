@@ -61,7 +61,7 @@ class DifferentialRover(Vehicle):
     pushable: ClassVar[tuple[str, ...]] = ("x",)
 
     def drive(self, speed: Array, curvature: Array) -> WheelCommand:
-        """Return its own command (n,) for a speed [m/s] and one by the radius of the turn [1/m], right positive."""
+        """Return the command (n,) for a speed [m/s] and a curvature [1/m], right positive, clipped to the limits."""
         # In a tight turn the rover is slower, so that the outer wheels stay below their largest speed.
         half = 0.5 * self.track / (1.0 - self.slip) * curvature
         most = self.speed_max / (1.0 + jnp.abs(half))
@@ -71,22 +71,22 @@ class DifferentialRover(Vehicle):
     def initial_state(
         self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
     ) -> DifferentialRoverState:
-        """Return the state at a pose; of the velocity only its forward part counts."""
+        """Return the state at a pose; only the forward part of the velocity is used."""
         half = 0.5 * self.track / (1.0 - self.slip) * rates_body.z
         return DifferentialRoverState(position_ned, attitude, velocity_body.x + half, velocity_body.x - half)
 
     def idle_command(self, like: Array) -> WheelCommand:
-        """Return the command to stand."""
+        """Return the command for standing still."""
         zero = jnp.zeros_like(like)
         return WheelCommand(zero, zero)
 
     def load(self, state: DifferentialRoverState) -> Load:
-        """Return that it has neither thrust nor a weight that one would carry."""
+        """Return a load of NaN: no thrust, and no weight that thrust would carry."""
         nothing = jnp.full_like(state.left, jnp.nan)
         return Load(nothing, nothing)
 
     def pose(self, state: DifferentialRoverState) -> Pose:
-        """Return position, attitude, velocity and rates (n,)."""
+        """Return position, attitude, velocity and body rates (n,)."""
         speed, turn = self._turn(state.left, state.right)
         zero = jnp.zeros_like(speed)
         return Pose(state.position_ned, state.attitude, Vec3(speed, zero, zero), Vec3(zero, zero, turn))
@@ -100,7 +100,7 @@ class DifferentialRover(Vehicle):
         dt: float,
         around: Around | None = None,
     ) -> tuple[DifferentialRoverState, Vec3]:
-        """Advance one step; see ``Vehicle.step``. Without ``around`` the ground is level, at 0 m; air does nothing."""
+        """Return the state one step later and the mean specific force; without ``around`` level ground at 0 m."""
         turned = tilt_of(state.attitude)
         after, force = rk4(lambda motion: self._slope(motion, command, turned), _motion_of(state), dt)
         plane, before = after.plane, state.position_ned
@@ -122,12 +122,12 @@ class DifferentialRover(Vehicle):
         return self._slope(_motion_of(state), held, tilt_of(state.attitude))[1]
 
     def stopped(self, state: DifferentialRoverState) -> DifferentialRoverState:
-        """Return the state at rest."""
+        """Return the state with all motion set to zero."""
         zero = jnp.zeros_like(state.left)
         return replace(state, left=zero, right=zero)
 
     def stood(self, state: DifferentialRoverState, ground: Ground) -> DifferentialRoverState:
-        """Return the state on the ground below."""
+        """Return the state put on the ground below it."""
         place, attitude = set_down(state.position_ned, state.attitude.yaw, ground)
         return replace(state, position_ned=place, attitude=attitude)
 
@@ -136,18 +136,18 @@ class DifferentialRover(Vehicle):
         return replace(state, left=state.left + change_body.x, right=state.right + change_body.x)
 
     def outline(self) -> Outline:
-        """Return a car."""
+        """Return the outline of a car, for pictures."""
         return Outline(kind="car", size=0.6)
 
     def _turn(self, left: Array, right: Array) -> tuple[Array, Array]:
-        """Return speed [m/s] and yaw rate [rad/s] (n,): the left side faster turns to the right, as far as it grips."""
+        """Return speed [m/s] and yaw rate [rad/s] (n,) for wheel speeds [m/s], clipped to the tyres' grip."""
         speed = 0.5 * (left + right)
         turn = (left - right) * ((1.0 - self.slip) / self.track)
         most = self.friction * self.gravity / jnp.maximum(jnp.abs(speed), 1e-3)
         return speed, jnp.clip(turn, -most, most)
 
     def _slope(self, motion: _Motion, command: WheelCommand, turned: Rotation) -> tuple[_Motion, Vec3]:
-        """Return the slope of a motion and the specific force (n,) [m/s^2] in body axes."""
+        """Return the time derivative of a motion, and the specific force (n,) [m/s^2] in body axes."""
         hardest = jnp.minimum(self.acceleration_max, self.friction * self.gravity)
 
         def spun(wanted: Array, wheel: Array) -> Array:
@@ -163,6 +163,6 @@ class DifferentialRover(Vehicle):
 
 
 def _motion_of(state: DifferentialRoverState) -> _Motion:
-    """Return the motion of a state, with its origin at the vehicle."""
+    """Return the integrated part of a state, with zero displacement."""
     zero = jnp.zeros_like(state.left)
     return _Motion(Plane(zero, zero, state.attitude.yaw), state.left, state.right)

@@ -29,7 +29,7 @@ class Drives(Protocol):
 
     @abstractmethod
     def drive(self, speed: Array, curvature: Array) -> object:
-        """Return its own command (n,) for a speed [m/s] and one by the radius of the turn [1/m], right positive."""
+        """Return the command (n,) for a speed [m/s] and a curvature [1/m], right positive, clipped to the limits."""
 
 
 @record
@@ -42,7 +42,7 @@ class Plane:
 
 
 def ground_of(around: Around | None, like: Array) -> Ground:
-    """Return the ground below; without surroundings it is level, at 0 m."""
+    """Return the function of the ground; without surroundings, level ground at 0 m."""
     if around is not None:
         return around.ground
     zero = jnp.zeros_like(like)
@@ -59,7 +59,7 @@ def on_slope(heading: Array, normal: Vec3) -> Euler:
 
 
 def slope_rates(turned: Rotation, heading: tuple[Array, Array], forward: Array, right: Array) -> tuple[Array, Array]:
-    """Return the velocity north and east (n,) [m/s] of body velocities (n,) at a heading's sine and cosine.
+    """Return the velocity (n,) [m/s] to north and east of body velocities (n,), for a heading's sine and cosine.
 
     Args:
         turned: the tilt, as of a vehicle that heads north.
@@ -73,17 +73,17 @@ def slope_rates(turned: Rotation, heading: tuple[Array, Array], forward: Array, 
 
 
 def tilt_of(attitude: Euler) -> Rotation:
-    """Return the direction cosines of roll and pitch alone."""
+    """Return the rotation of an attitude with its yaw set to zero."""
     return AttitudeTrig.of(Euler(attitude.roll, attitude.pitch, jnp.zeros_like(attitude.yaw))).rotation()
 
 
 def felt(turned: Rotation, gravity: Array, ahead: Array, beside: Array) -> Vec3:
-    """Return the specific force (n,) [m/s^2] in body axes at accelerations (n,) along forward and right."""
+    """Return the specific force (n,) [m/s^2] in body axes, from accelerations (n,) along forward and right."""
     weight = jnp.zeros_like(ahead) + gravity
     return Vec3(ahead - weight * turned.forward.z, beside - weight * turned.right.z, -weight * turned.down.z)
 
 
 def set_down(position_ned: Vec3, heading: Array, ground: Ground) -> tuple[Vec3, Euler]:
-    """Return place and attitude (n,) on the ground below a place."""
+    """Return position and attitude (n,) on the ground below a position."""
     down, normal = ground(position_ned)
     return Vec3(position_ned.x, position_ned.y, down + jnp.zeros_like(position_ned.z)), on_slope(heading, normal)

@@ -1,0 +1,164 @@
+"""Quantities of plots that logs do not hold: computed from true states, estimates and set-points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from qrsim.core.arrays import Floats
+from qrsim.core.tree import record_of
+from qrsim.core.vectors import Vec3
+from qrsim.models.scene.contracts import Area
+
+# Differences between vehicles that are computed at once; of more, fewer ticks are used.
+MOST_PAIRS = 60_000_000
+PAIRS_AT_ONCE = 4_000_000
+
+# Returns a logged column (T, n) at the ticks of the true states.
+Read = Callable[[str], Floats]
+
+
+@dataclass(frozen=True)
+class Derived:
+    """A derived quantity.
+
+    Attributes:
+        name: of it.
+        unit: SI unit.
+        doc: one sentence.
+        needs: logged columns, STREAM.COLUMN.
+        compute: returns it (T, n) from these.
+    """
+
+    name: str
+    unit: str
+    doc: str
+    needs: tuple[str, ...]
+    compute: Callable[[Read], Floats]
+
+
+def axes(name: str) -> tuple[str, ...]:
+    """Return the column names of a vector's components, ``name`` with .x, .y, .z."""
+    return tuple(f"{name}.{axis}" for axis in "xyz")
+
+
+TRUE, ESTIMATE, STD = (
+    axes("truth.position_ned"),
+    axes("commands.estimate.position_ned"),
+    axes("commands.estimate_std.position_ned"),
+)
+SETPOINT, VELOCITY = axes("commands.setpoint.position_ned"), axes("truth.velocity_body")
+MEAN, GUST = axes("wind.mean_ned"), axes("wind.gust_ned")
+
+
+def vector(read: Read, names: tuple[str, ...]) -> Floats:
+    """Return the columns of these names, stacked as (T, n, k)."""
+    return np.stack([read(name) for name in names], axis=-1)
+
+
+def _length(values: Floats) -> Floats:
+    """Return the lengths (T, n) of vectors (T, n, k)."""
+    return np.asarray(np.sqrt(np.einsum("tnk,tnk->tn", values, values)))
+
+
+def _beyond(read: Read) -> Floats:
+    """Return the largest of the axes' errors (T, n) of the estimated position, in standard deviations; NaN without."""
+    std = vector(read, STD)
+    error = np.abs(vector(read, ESTIMATE) - vector(read, TRUE))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.where(std > 0.0, error / std, np.nan).max(axis=-1))
+
+
+ALWAYS = (
+    Derived("height", "m", "height over the origin, positive up", TRUE[2:], lambda read: -read(TRUE[2])),
+    Derived("speed", "m/s", "speed over ground", VELOCITY, lambda read: _length(vector(read, VELOCITY))),
+    Derived(
+        "estimate_error",
+        "m",
+        "distance between the estimated and the true position",
+        (*ESTIMATE, *TRUE),
+        lambda read: _length(vector(read, ESTIMATE) - vector(read, TRUE)),
+    ),
+    Derived(
+        "estimate_error_sigmas",
+        "1",
+        "error of the estimated position on its worst axis, in standard deviations: above 1.96 outside the 95 % band",
+        (*ESTIMATE, *STD, *TRUE),
+        _beyond,
+    ),
+    Derived(
+        "setpoint_distance",
+        "m",
+        "distance between the true position and the set-point",
+        (*SETPOINT, *TRUE),
+        lambda read: _length(vector(read, SETPOINT) - vector(read, TRUE)),
+    ),
+    Derived(
+        "wind_speed",
+        "m/s",
+        "speed of mean wind and gusts together at the vehicle",
+        (*MEAN, *GUST),
+        lambda read: _length(vector(read, MEAN) + vector(read, GUST)),
+    ),
+    Derived(
+        "nearest_vehicle",
+        "m",
+        "distance to the nearest vehicle of the same run",
+        TRUE,
+        lambda read: nearest(vector(read, TRUE)),
+    ),
+)
+
+
+def nearest(places: Floats) -> Floats:
+    """Return each vehicle's distance (T, n) [m] to its nearest other at places (T, n, 3); NaN for a single one."""
+    ticks, count, _ = places.shape
+    found = np.full((ticks, count), np.nan, np.float32)
+    if count < 2:
+        return found
+    # In between the last one holds.
+    stride = max(1, -(-ticks * count * count // MOST_PAIRS))
+    chosen = places[::stride].astype(np.float32)
+    part = max(1, PAIRS_AT_ONCE // count**2)
+    apart = np.empty((len(chosen), count), np.float32)
+    for first in range(0, len(chosen), part):
+        own = chosen[first : first + part]
+        squared = sum((own[:, :, None, axis] - own[:, None, :, axis]) ** 2 for axis in range(3))
+        squared = np.where(np.isfinite(squared), squared, np.inf)
+        squared[:, np.arange(count), np.arange(count)] = np.inf
+        apart[first : first + part] = np.sqrt(squared.min(axis=2))
+    apart[~np.isfinite(apart)] = np.nan
+    return np.repeat(apart, stride, axis=0)[:ticks]
+
+
+def to_fence(area: Area) -> Derived:
+    """Return the quantity "distance to the nearest side or the ceiling of a flight area" [m], negative outside."""
+
+    def compute(read: Read) -> Floats:
+        """Return the smaller of the distances (T, n) to the sides and to the ceiling [m]."""
+        columns = [read(name) for name in TRUE]
+        places = record_of(Vec3, *(np.ravel(column).astype(np.float32) for column in columns))
+        sides, ceiling, _ = area.clearances(places)
+        return np.asarray(np.minimum(sides, ceiling)).reshape(columns[0].shape)
+
+    return Derived(
+        "fence_distance",
+        "m",
+        "distance to the nearest side or the ceiling of the area, negative outside",
+        TRUE,
+        compute,
+    )
+
+
+def gnss_error(sensor: str) -> Derived:
+    """Return the quantity "horizontal error [m] of the position that a receiver reports"."""
+    names = axes(f"measurements.{sensor}.position_ned")[:2]
+    return Derived(
+        f"{sensor}_error",
+        "m",
+        f"horizontal distance between the position that {sensor} reports and the true one",
+        (*names, *TRUE[:2]),
+        lambda read: _length(vector(read, names) - vector(read, TRUE[:2])),
+    )

@@ -1,0 +1,112 @@
+"""Two runs over each other in a browser, with plots: one page that many facts are read from."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.apps.conftest import Flight
+
+from qrsim.runs import open_run
+from qrsim.view.browser import INSTALL, Browser, find_browser
+from qrsim.view.clock import SPEEDS, Clock
+from qrsim.view.page import Page
+from qrsim.view.replay import Replay
+from qrsim.view.server import address, start_server
+from qrsim.view.several import open_several
+
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(find_browser() is None, reason=f"no browser; {INSTALL}"),
+]
+HOSTILE = "<img src=x onerror=window.beacon=1>"
+DOCK = "document.getElementById('qrsim-plots')"
+
+
+class Watching(Browser):
+    """A browser that keeps the exceptions of its page."""
+
+    def __init__(self, *size: int):
+        super().__init__(*size)
+        self.errors: list[str] = []
+
+    def _note(self, method: str, parameters: dict[str, Any]) -> None:
+        if method == "Runtime.exceptionThrown":
+            self.errors.append(str(parameters["exceptionDetails"]))
+        super()._note(method, parameters)
+
+
+def eventually(condition: Callable[[], Any]) -> Any:
+    end = time.monotonic() + 120.0
+    while not (found := condition()):
+        assert time.monotonic() < end, "it never happened"
+        time.sleep(0.2)
+    return found
+
+
+@pytest.fixture(scope="module")
+def replay(flown: Flight, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Replay]:
+    """The flight over a copy of it with a name that would run a script."""
+    copy = Path(shutil.copytree(flown.folder, tmp_path_factory.mktemp("hostile") / f"b{HOSTILE}"))
+    run = copy / "run.json"
+    run.write_text(run.read_text("utf-8").replace('"outdoor_patrol"', f'"{HOSTILE}"', 1), "utf-8")
+    recording, _ = open_several([flown.folder, copy], open_run)
+    server, clock = start_server(0), Clock(playing=False, speeds=SPEEDS[:-1])
+    page = Page(server, recording.cast, recording.world, recording.heading, clock)
+    yield Replay(recording, page, clock)
+    server.stop()
+
+
+def test_runs_and_plots_on_one_page(replay: Replay):
+    with Watching(1280, 800) as browser:
+        browser.call("Runtime.enable")
+        text: Callable[[str], str] = lambda selector: str(  # noqa: E731
+            browser.evaluate(f"[...document.querySelectorAll('{selector}')].map(e => e.textContent).join('|')")
+        )
+        browser.open(f"{address(replay.page.server)}/?fixedDpr=1")
+        eventually(lambda: browser.evaluate("!!window.qrsim?.state.framed && !!window.qrsimPlots"))
+        # Runs in the legend; distances, of two equal flights, in the legend and at the vehicles of the second.
+        eventually(lambda: "0.00\u00a0m from A, at most 0.00\u00a0m" in text(".qrsim-legend"))
+        assert "A run, seed 3" in text(".qrsim-legend")
+        eventually(lambda: re.findall(r"B pelicans_\d\u20020\.00\u00a0m", text(".qrsim-label")))
+        # Plots begin with what belongs together, of the vehicle in both runs.
+        browser.evaluate("window.dispatchEvent(new KeyboardEvent('keydown', {key: 'p', bubbles: true}))")
+        eventually(lambda: browser.evaluate(f"{DOCK}.querySelectorAll('canvas').length") == 1)
+        eventually(lambda: text("#qrsim-plots .line").count("north, ") == 8)
+        # A quantity that is searched for, by its meaning; a click on its extreme goes to its time.
+        browser.evaluate(
+            f"{{const box = {DOCK}.querySelector('.bar input'); box.value = 'mean wind and gusts together';"
+            "box.dispatchEvent(new Event('input')); box.dispatchEvent(new KeyboardEvent('keydown', {key: 'Enter'}))}"
+        )
+        eventually(lambda: "wind_speed" in text("#qrsim-plots .line"))
+        wind = f"[...{DOCK}.querySelectorAll('.line')].find(e => e.textContent.includes('wind_speed'))"
+        peak = f"[...{wind}.querySelectorAll('button')].find(e => e.textContent.startsWith('max'))"
+        at = float(re.findall(r"at ([\d.]+) s", str(browser.evaluate(f"{peak}.title")))[0])
+        browser.evaluate(f"{peak}.click()")
+        eventually(lambda: replay.time == pytest.approx(at, abs=0.02))
+        # A click in the plot goes to the time under it.
+        over = f"{DOCK}.querySelector('.u-over').getBoundingClientRect()"
+        x, y = browser.evaluate(f"[{over}.left + {over}.width / 2, {over}.top + {over}.height / 2]")
+        browser.click(x, y)
+        eventually(lambda: replay.time == pytest.approx(5.0, abs=0.1))
+        # Zoomed in, extremes are those of the span.
+        browser.evaluate("window.qrsimPlots.zoom(1, 2)")
+        eventually(
+            lambda: all(
+                1.0 <= float(t) <= 2.0 for t in re.findall(r"at ([\d.]+) s", str(browser.evaluate(f"{peak}.title")))
+            )
+        )
+        # On a small screen nothing is cut off.
+        browser.call("Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=True)
+        eventually(lambda: browser.evaluate(f"{DOCK}.getBoundingClientRect().right") <= 390)
+        assert browser.evaluate("document.documentElement.scrollWidth") == 390
+        # What others wrote is shown and not run.
+        eventually(lambda: HOSTILE in str(browser.evaluate("document.body.textContent")))
+        assert browser.evaluate("window.beacon ?? 0") == 0
+        assert browser.evaluate("document.querySelectorAll('img[src=x]').length") == 0
+        assert browser.errors == []

@@ -1,0 +1,148 @@
+"""What plots of a page are drawn from: thinned values, derived quantities, answers to browsers."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from qrsim.models.scene.area import BoxArea
+from qrsim.runs import Column, RunInfo, RunWriter, open_run
+from qrsim.view.derived import nearest, to_fence
+from qrsim.view.plots import Plots, binned, extremes
+from qrsim.view.recording import Recording
+
+STEP, TICKS, NAMES = 0.1, 200, ("a_0", "<b>")
+AXES = ("x", "y", "z")
+
+
+@pytest.fixture(scope="module")
+def plots(tmp_path_factory: pytest.TempPathFactory) -> Plots:
+    """Of a run of two vehicles: the first flies north at 1 m/s from the start, the second stays 5 m east of it."""
+    path = tmp_path_factory.mktemp("plots") / "run"
+    info = RunInfo.collect(scenario="x", seed=1, precision="float64", time_step=STEP, vehicles=NAMES)
+    vectors = {
+        "truth": ["position_ned", "attitude"],
+        "commands": ["estimate.position_ned", "estimate_std.position_ned"],
+    }
+    axes = {"attitude": ("roll", "pitch", "yaw")}
+    columns = {
+        stream: [Column(f"{name}.{axis}", "m") for name in names for axis in axes.get(name, AXES)]
+        for stream, names in vectors.items()
+    }
+    ticks = np.arange(TICKS)
+    values = {stream: {column.name: np.zeros((TICKS, 2)) for column in own} for stream, own in columns.items()}
+    values["truth"]["position_ned.x"][:, 0] = ticks * STEP
+    values["truth"]["position_ned.y"][:, 1] = 5.0
+    values["commands"]["estimate.position_ned.x"][:, 0] = ticks * STEP + 3.0
+    for axis in AXES:
+        values["commands"][f"estimate_std.position_ned.{axis}"][:] = 2.0
+    with RunWriter.create(path, info=info, scenario_yaml="name: x\n", columns=columns) as writer:
+        for stream, own in values.items():
+            writer.append(stream, ticks, ticks * STEP, own)
+    with pytest.warns(UserWarning, match="cannot be built"):
+        return Plots(Recording(open_run(path)))
+
+
+def asked(plots: Plots, *lines: list[Any], start: float = 0.0, end: float = 19.9, bins: int = 10) -> tuple[Any, Any]:
+    """Return the head of an answer and its arrays (parts, 2 bins)."""
+    data = plots.answer({"number": 7, "lines": list(lines), "from": start, "to": end, "bins": bins})
+    assert data is not None
+    size = int.from_bytes(data[:4], "little")
+    return json.loads(data[4 : 4 + size]), np.frombuffer(data[4 + size :], "<f4").reshape(-1, 2 * bins)
+
+
+def test_a_line_keeps_extremes_and_its_band(plots: Plots):
+    head, (times, value, low, high) = asked(plots, ["commands.estimate.position_ned.x", 0])
+    assert head["number"] == 7
+    [line] = head["lines"]
+    assert (line["low"], line["lowAt"], line["band"]) == (3.0, 0.0, True)
+    assert (line["high"], line["highAt"]) == (pytest.approx(22.9), pytest.approx(19.9))
+    assert times[2] == pytest.approx(1.99)
+    # Of each bin of 20 ticks the first and the last value.
+    np.testing.assert_allclose(value[:4], [3.0, 4.9, 5.0, 6.9], atol=1e-5)
+    # 1.96 standard deviations of 2 m.
+    np.testing.assert_allclose(low[:2], 3.0 - 3.92, atol=1e-5)
+    np.testing.assert_allclose(high[:2], 4.9 + 3.92, atol=1e-5)
+
+
+def test_what_is_derived(plots: Plots):
+    names = ("nearest_vehicle", "estimate_error", "estimate_error_sigmas", "height")
+    head, (_, apart, error, sigmas, height) = asked(plots, *(["derived." + name, 0] for name in names))
+    assert head["lines"][0]["low"] == pytest.approx(5.0)
+    assert apart[-1] == pytest.approx(math.hypot(19.9, 5.0), abs=1e-3)
+    np.testing.assert_allclose(error, 3.0, atol=1e-5)
+    np.testing.assert_allclose(sigmas, 1.5, atol=1e-5)
+    np.testing.assert_array_equal(height, 0.0)
+    # The scenario cannot be built, so its area is not known; no speed was logged.
+    assert {"derived.fence_distance", "derived.speed"}.isdisjoint(plots.quantities)
+
+
+def test_one_value_is_exact(plots: Plots):
+    _, (_, value) = asked(plots, ["truth.position_ned.x", 0], start=7.3, end=7.301)
+    np.testing.assert_allclose(value, 7.3, atol=1e-5)
+
+
+def test_the_catalogue_has_sets_and_escapes_nothing_itself(plots: Plots):
+    about: Any = plots.about()
+    assert about["vehicles"] == ["a_0", "<b>"]
+    sets = dict(about["together"])
+    assert sets["north: estimate with its 95 % band, truth"] == [
+        "commands.estimate.position_ned.x",
+        "truth.position_ned.x",
+    ]
+
+
+@pytest.mark.parametrize(
+    "wish",
+    [
+        None,
+        {"lines": "all"},
+        {"lines": [], "from": 0.0, "to": math.nan, "bins": 10},
+        {"lines": [], "from": 5.0, "to": 5.0, "bins": 10},
+        {"lines": [], "from": "0", "to": 1.0, "bins": 10},
+    ],
+)
+def test_nonsense_is_not_answered(wish: object, plots: Plots):
+    assert plots.answer(wish) is None
+
+
+def test_lines_that_there_are_not_are_null(plots: Plots):
+    lines = [["truth.nothing", 0], ["truth.position_ned.x", 2], ["truth.position_ned.x", -1], ["../x", 0], [3, 0], "x"]
+    head, parts = asked(plots, *lines)
+    assert head["lines"] == [None] * 6
+    assert len(parts) == 1
+
+
+def test_bins_outside_of_a_run_are_empty():
+    time, values = np.arange(10.0), np.arange(10.0)
+    found = binned(time, values, np.linspace(-5.0, 20.0, 26))
+    assert np.isnan(found[:10]).all()
+    assert found[10] == 0.0
+    assert np.isnan(found[-10:]).all()
+    assert extremes(time, np.full(10, np.nan), np.array([0.0, 9.0]))["low"] is None
+    assert np.isnan(binned(np.zeros(0), np.zeros(0), np.array([0.0, 1.0]))).all()
+
+
+def test_a_peak_of_one_tick_survives():
+    values = np.zeros(100_000)
+    values[31_415] = 1.0
+    found = binned(np.arange(100_000) * 0.01, values, np.linspace(0.0, 1000.0, 101))
+    assert found.max() == 1.0
+    assert np.flatnonzero(found)[0] // 2 == 31
+
+
+def test_distances_to_the_fence_and_to_others():
+    area = BoxArea(x_min=-10.0, x_max=20.0, y_min=-30.0, y_max=30.0, z_min=-15.0, z_max=0.0)
+    place = {"x": 18.5, "y": 0.0, "z": -10.0}
+    found = to_fence(area).compute(lambda name: np.full((1, 1), place[name[-1]]))
+    assert found == pytest.approx(1.5)
+    place["z"] = -16.0
+    assert to_fence(area).compute(lambda name: np.full((1, 1), place[name[-1]])) == pytest.approx(-1.0)
+    assert np.isnan(nearest(np.zeros((3, 1, 3)))).all()
+    apart = nearest(np.array([[[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [np.nan] * 3]]))
+    np.testing.assert_allclose(apart[0, :2], 5.0)
+    assert np.isnan(apart[0, 2])
