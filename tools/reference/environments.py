@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from qrsim.envs import ANY_TASK, SEVERAL, SINGLE, Functional, gymnasium_id
+from qrsim.envs import ANY_TASK, LEARNED, SEVERAL, SINGLE, Functional, gymnasium_id, learner_id
 from qrsim.tasks.agents import Axis
 from tools.reference.tables import code, number, page, table
 
@@ -23,7 +23,9 @@ def pages() -> Mapping[str, str]:
     listed = table(("scenario", "ID", "agents", "observation", "action", "steps", "period [s]"), rows)
     other = (
         f'`gymnasium.make("{ANY_TASK}", scenario=SCENARIO)` takes any scenario with a task. An action is numbers'
-        " in [-1, 1], which the task scales to the ranges below."
+        " in [-1, 1], which the task scales to the ranges below. "
+        + ", ".join(code(learner_id(name)) for name in LEARNED)
+        + " have the [form for learners](../howto/learn.md#a-form-for-learners)."
     )
     groups: dict[str, list[str]] = {}
     for name, functional in each.items():

@@ -17,15 +17,18 @@ if TYPE_CHECKING:
     from qrsim.runs.export.output import Written
 
 TRACK_PERIOD_S = 0.2
+# Ends of names that are not those of the format.
+ENDINGS = {"rerun": "rrd"}
 
 
 @dataclass(frozen=True)
 class Export:
-    """Write a recorded run for other programs: csv, geojson, gpx, kml, mcap or rosbag2; or a learned policy as C.
+    """Write a recorded run as csv, geojson, gpx, kml, mcap, rerun or rosbag2; or a learned policy as C.
 
     Format csv has one table per stream, every column with its unit, in full precision. Formats geojson, gpx and kml
     have the true and the GNSS-reported track of every vehicle and the events, on WGS-84. Format mcap has poses, fixes,
     sensors, commands, wind, scene and events for Foxglove, east-north-up, and a layout for it in NAME.layout.json.
+    Format rerun has the same for the viewer of rerun (.rrd), and every number of the log as a series.
     Format rosbag2 has the topics of 'qrsim ros2', as ROS 2 records them.
 
     Format c is for a policy of 'qrsim train': a function without dependencies, from an observation to an action.
@@ -43,7 +46,7 @@ class Export:
 
     run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
     """Run folder; for c a policy.npz."""
-    format: Literal["csv", "geojson", "gpx", "kml", "mcap", "rosbag2", "c"]
+    format: Literal["csv", "geojson", "gpx", "kml", "mcap", "rerun", "rosbag2", "c"]
     """File format."""
     out: Annotated[
         Path | None,
@@ -56,7 +59,9 @@ class Export:
     """The only stream to write, csv only."""
     every: Annotated[
         int | None,
-        tyro.conf.arg(metavar="N", help_behavior_hint="(default: 1 for csv, mcap and rosbag2, 5 Hz for the others)"),
+        tyro.conf.arg(
+            metavar="N", help_behavior_hint="(default: 1 for csv, mcap, rerun and rosbag2, 5 Hz for the others)"
+        ),
     ] = None
     """Keep every Nth tick; all events are kept."""
     heights: Literal["ground", "sea", "ellipsoid"] = "ground"
@@ -110,6 +115,8 @@ class Export:
 
         if self.format != "c":
             raise UsageError(f"{self.run_folder} is a policy, not a run; allowed: --format c")
+        if self.run_folder.is_dir():
+            raise UsageError(f"{self.run_folder} is a folder; --format c needs a policy file, such as policy.npz")
         if self.every is not None or self.stream is not None:
             raise UsageError(f"{'--stream' if self.every is None else '--every'}: a policy has no ticks and no streams")
         policy = read_policy(self.run_folder)
@@ -121,7 +128,7 @@ class Export:
 
     def _usual_every(self, recorded: Run) -> int:
         """Return the default of --every, the interval in ticks: 1 for logs, larger for tracks."""
-        if self.format in ("csv", "mcap", "rosbag2"):
+        if self.format in ("csv", "mcap", "rerun", "rosbag2"):
             return 1
         return max(1, round(TRACK_PERIOD_S / recorded.info.time_step))
 
@@ -156,15 +163,23 @@ class Export:
         return Written(folder, bag.write(recorded, folder, every, self.distro))
 
     def _write_file(self, recorded: Run, every: int) -> Written:
-        """Write one file in the chosen format: MCAP, KML, GPX or GeoJSON."""
+        """Write one file in the chosen format: MCAP, rerun, KML, GPX or GeoJSON."""
         from qrsim.runs.export import geojson, gpx, kml
         from qrsim.runs.export.output import check_target
         from qrsim.runs.export.place import place_of
         from qrsim.runs.export.tracks import read_tracks
 
-        target = self.out or self.run_folder / "export" / f"{self.run_folder.resolve().name}.{self.format}"
+        target = (
+            self.out
+            or self.run_folder / "export" / f"{self.run_folder.resolve().name}.{ENDINGS.get(self.format, self.format)}"
+        )
         check_target(target, self.force)
         place = place_of(recorded)
+        if self.format == "rerun":
+            require("rerun", "a file of rerun")
+            from qrsim.runs.export import rerun_file
+
+            return rerun_file.write(recorded, place, target, every)
         if self.format != "geojson":
             require(
                 "export", f"a file of {self.format}", {"mcap": "mcap", "kml": "simplekml", "gpx": "gpxpy"}[self.format]

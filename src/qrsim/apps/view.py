@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,7 +18,10 @@ from qrsim.errors import RunError, UsageError, os_error_as
 from qrsim.files.interruptions import calling
 
 if TYPE_CHECKING:
+    from viser import ViserServer
+
     from qrsim.view.recording import Recording
+    from qrsim.view.scene import Scene
     from qrsim.view.several import Several
 
 
@@ -37,6 +42,7 @@ class View:
       qrsim view runs/first
       qrsim view runs/first --screenshot first.png --at 12.5
       qrsim view runs/first --screenshot first.png --camera above --size 1920x1080 --layers "vehicles, true paths"
+      qrsim view runs/first --video first.mp4 --camera pelicans_0:chase --colour speed
       qrsim view runs/first --export first_page
       qrsim view runs/first runs/second --align took_off
     """
@@ -50,16 +56,26 @@ class View:
     """Write a page into this folder that plays the run without qrsim, and end."""
     screenshot: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write a picture (.png), and end."""
+    video: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write a video (.mp4 or .webm) from --at to the end, and end. It needs ffmpeg."""
+    speed: float = 1.0
+    """Simulated seconds in a second of the video."""
     camera: Annotated[str | None, tyro.conf.arg(metavar="VIEW", help_behavior_hint="(default: see below)")] = None
-    """View of the picture, by default the initial view of the page: south, north, east, west, above, area for the whole
-    flight area, the name of a vehicle for a close view, or both, as in NAME:above."""
+    """View of the picture or video, by default the initial view of the page: south, north, east, west, above, area for
+    the whole flight area, the name of a vehicle for a close view, or both, as in NAME:above; NAME:chase and
+    NAME:onboard go with the vehicle."""
     size: Annotated[str | None, tyro.conf.arg(metavar="WxH", help_behavior_hint="(default: 1280x800)")] = None
-    """Width and height of the picture in pixels."""
+    """Width and height of the picture or video in pixels."""
     layers: Annotated[str | None, tyro.conf.arg(metavar="NAMES", help_behavior_hint="(default: see below)")] = None
-    """Layers of the picture, separated by commas, or "all"; --layers=-gusts,-poles: the page's layers except these; by
-    default those of the page."""
+    """Layers of the picture or video, separated by commas, or "all"; --layers=-gusts,-poles: the page's layers except
+    these; by default those of the page."""
+    colour: Annotated[str | None, tyro.conf.arg(metavar="QUANTITY", help_behavior_hint="(default: by vehicle)")] = None
+    """Colour vehicles and true paths by a quantity: speed, height, "wind speed", "gust speed", "GNSS error",
+    "estimate error", or a column of the log such as truth.battery.charge."""
+    image: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Picture of the ground from above, a GeoTIFF (.tif) or MBTiles file, draped over the terrain."""
     at: Annotated[float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: see below)")] = None
-    """Start time of the replay, or time of the picture; by default the start, and for a picture the end."""
+    """Start time of the replay or video, or time of the picture; by default the start, and for a picture the end."""
     port: int = 8080
     """Port of the page; if it is in use, the next free one. 0: any free port."""
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
@@ -84,6 +100,13 @@ class View:
         end = recording.end
         if self.at is not None and self.at > end + 1e-6:
             raise UsageError(f"--at {self.at:g}: the recording ends at {end:g} s")
+        if self.image is not None:
+            from qrsim.view.imagery import read_imagery
+
+            with os_error_as(UsageError, f"--image {self.image}"):
+                recording.imagery = read_imagery(self.image, recording.cast, recording.world)
+        if self.colour is not None:
+            recording.paints.of(self.colour)
         if recording.shown > 1:
             print(f"so long a log is shown at every {recording.shown}th of its ticks", file=sys.stderr)
         for member in recording.members:
@@ -98,9 +121,15 @@ class View:
             for line in thinned(recording):
                 print(line, file=sys.stderr)
             with progress_bar(recording.heading, 1, "{task.completed} of {task.total} frames") as update:
-                page = export(recording, self.export, lambda done, total: update(completed=done, total=total))
+
+                def told(done: int, total: int) -> None:
+                    update(completed=done, total=total)
+
+                page = export(recording, self.export, told, self.colour)
             print(page)
-        if self.export is None and self.screenshot is None:
+        if self.video is not None:
+            self._film(recording, self.video, self.at or 0.0)
+        if self.export is None and self.screenshot is None and self.video is None:
             self._serve(recording)
 
     def _check(self) -> None:
@@ -113,8 +142,12 @@ class View:
             raise UsageError(f"--at {self.at:g}: expected a number of seconds from 0")
         given = {"--camera": self.camera, "--size": self.size, "--layers": self.layers}
         alone = [option for option, value in given.items() if value is not None]
-        if alone and self.screenshot is None:
-            raise UsageError(f"{', '.join(alone)}: only for a picture; add --screenshot FILE.png")
+        if alone and self.screenshot is None and self.video is None:
+            raise UsageError(f"{', '.join(alone)}: only for a picture; add --screenshot FILE.png, or --video FILE.mp4")
+        if not (math.isfinite(self.speed) and self.speed > 0.0):
+            raise UsageError(f"--speed {self.speed:g}: expected a number above 0")
+        if self.speed != 1.0 and self.video is None:
+            raise UsageError("--speed: only for a video; add --video FILE.mp4")
         if self.size is not None:
             from qrsim.view.shots import parsed_size
 
@@ -123,26 +156,75 @@ class View:
             from qrsim.view.picture import check_name
 
             check_name(self.screenshot)
+        if self.video is not None:
+            from qrsim.view.browser import require_browser
+            from qrsim.view.video import check_video, find_ffmpeg
+
+            check_video(self.video)
+            find_ffmpeg()
+            require_browser()
 
     def _photograph(self, recording: Recording | Several, path: Path, time: float) -> None:
         """Save a picture of the recording at a time [s], by the options for camera, size and layers."""
         from qrsim.files.atomic import write_atomically
         from qrsim.view.picture import photograph
+
+        with self._staged(recording, time) as (server, _):
+            picture = photograph(server, f"{recording.heading}, {time:.2f} s", self._pixels)
+        with os_error_as(RunError, f"--screenshot {path}"):
+            write_atomically(path, picture)
+        print(path)
+
+    def _film(self, recording: Recording | Several, path: Path, start: float) -> None:
+        """Save a video of the recording from a time [s] on, as camera, size and layers ask for."""
+        from qrsim.view.replay import remember_paths
+        from qrsim.view.video import record_video, times_of_video
+
+        times = times_of_video(start, recording.end, self.speed)
+        with (
+            self._staged(recording, start) as (server, scene),
+            progress_bar(recording.heading, 1, "{task.completed} of {task.total} frames") as update,
+            os_error_as(RunError, f"--video {path}"),
+        ):
+
+            def draw(time: float) -> str:
+                """Draw a frame and return its caption."""
+                scene.stage.sky = lambda vehicle: recording.sky(vehicle, time)
+                frame = recording.frame(time)
+                remember_paths(scene, recording, frame.time)
+                scene.draw(frame)
+                return f"{recording.heading}, {frame.time:.1f} s"
+
+            record_video(server, path, times, self._pixels, draw, lambda done: update(completed=done, total=len(times)))
+        print(path)
+
+    @property
+    def _pixels(self) -> tuple[int, int]:
+        """Width and height of the picture or video."""
+        from qrsim.view.shots import HEIGHT, WIDTH, parsed_size
+
+        return (WIDTH, HEIGHT) if self.size is None else parsed_size(self.size)
+
+    @contextmanager
+    def _staged(self, recording: Recording | Several, time: float) -> Iterator[tuple[ViserServer, Scene]]:
+        """Serve a scene of the recording at a time [s], as camera, layers, colour and image ask for."""
         from qrsim.view.replay import remember_paths
         from qrsim.view.scene import Scene
         from qrsim.view.server import start_server
-        from qrsim.view.shots import HEIGHT, WIDTH, Camera, parsed_layers, parsed_size
+        from qrsim.view.shots import RIDES, Camera, parsed_layers
         from qrsim.view.sky import told
 
-        size = (WIDTH, HEIGHT) if self.size is None else parsed_size(self.size)
         camera = None if self.camera is None else Camera.parsed(self.camera, recording.cast.names)
         server = start_server(0)
         try:
-            scene = Scene(server, recording.cast, recording.world)
+            scene = Scene(server, recording.cast, recording.world, imagery=recording.imagery)
             if self.layers is not None:
                 shown = {title: layer.root.visible for title, layer in scene.layers.items()}
                 for title, visible in parsed_layers(self.layers, shown).items():
                     scene.show(title, visible)
+            if self.colour is not None:
+                scene.colour(recording.paints.of(self.colour))
+            scene.stage.sky = lambda vehicle: recording.sky(vehicle, time)
             frame = recording.frame(time)
             remember_paths(scene, recording, frame.time)
             scene.draw(frame, everything=True)
@@ -151,12 +233,11 @@ class View:
                 if camera.vehicle is not None:
                     number = recording.cast.names.index(camera.vehicle)
                     scene.overlay.sky(told(camera.vehicle, recording.sky(number, time)), None)
-            picture = photograph(server, f"{recording.heading}, {frame.time:.2f} s", size)
+                    if self.video is not None and camera.direction not in RIDES:
+                        scene.overlay.follow(number)
+            yield server, scene
         finally:
             server.stop()
-        with os_error_as(RunError, f"--screenshot {path}"):
-            write_atomically(path, picture)
-        print(path)
 
     def _serve(self, recording: Recording | Several) -> None:
         """Serve the page of a recording until Ctrl-C."""
@@ -168,8 +249,8 @@ class View:
         server = start_server(self.port, host=self.host)
         clock = Clock(playing=False, speeds=SPEEDS[:-1])
         try:
-            page = Page(server, recording.cast, recording.world, recording.heading, clock)
-            replay = Replay(recording, page, clock, self.at or 0.0)
+            page = Page(server, recording.cast, recording.world, recording.heading, clock, recording.imagery)
+            replay = Replay(recording, page, clock, self.at or 0.0, self.colour)
             stop = threading.Event()
 
             def end() -> None:

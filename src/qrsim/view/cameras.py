@@ -33,6 +33,7 @@ class Cameras(Contents):
 
     title = "camera pictures"
     every = 5
+    of_chosen = True
 
     def begin(self) -> None:
         """Add the nodes of the layer, without pictures yet."""

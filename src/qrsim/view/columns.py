@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,7 @@ class Columns:
         names: of the vectors that are known.
     """
 
-    def __init__(self, run: Run, stream: str, vectors: dict[str, tuple[str, ...] | None]):
+    def __init__(self, run: Run, stream: str, vectors: Mapping[str, tuple[str, ...] | None]):
         self._size = len(run.vehicles)
         known = {name: columns for name, columns in vectors.items() if columns}
         self.time, self.stride, self.names = np.zeros(0), 1, tuple(known)

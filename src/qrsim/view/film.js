@@ -268,7 +268,7 @@
     const time = about.times[Math.max(0, state.frame)], stopped = about.stops.filter((stop) => stop[0] <= time + 1e-6);
     const flying = about.flying[lastUpTo(about.flying.map((pair) => pair[0]), time)][1];
     const lines = [`t = ${time.toFixed(2)} s${state.playing ? "" : " (paused)"}`,
-      `${flying} of ${about.fliers} vehicles fly${stopped.length ? `, ${stopped.length} stopped` : ""}`,
+      `${flying} of ${about.fliers} vehicles fly${stopped.length ? `, ${stopped.length} stopped` : ""}${about.others ? `, ${about.others}` : ""}`,
       ...stopped.slice(0, 10).map((stop) => `${about.vehicles[stop[1]]}: ${stop[2]}`)];
     if (stopped.length > 10) lines.push(`and ${stopped.length - 10} more`);
     status.textContent = lines.join("\n");

@@ -43,13 +43,16 @@ def untold(done: int, total: int) -> None:
     """Ignore the progress."""
 
 
-def export(recording: Recording | Several, folder: Path, progress: Progress = untold) -> Path:
+def export(
+    recording: Recording | Several, folder: Path, progress: Progress = untold, colour: str | None = None
+) -> Path:
     """Write a page that plays the run into a folder, and return the page's path.
 
     Args:
         recording: what is played.
         folder: of the page; it may not hold anything yet.
         progress: called with the number of frames that are done, and of all.
+        colour: quantity that colours vehicles and true paths; None: none does.
 
     Raises:
         UsageError: there is something in the folder already.
@@ -63,7 +66,7 @@ def export(recording: Recording | Several, folder: Path, progress: Progress = un
         folder.mkdir(parents=True, exist_ok=True)
     try:
         with replacing(path) as file:
-            write_film(recording, file, progress, lambda: shutil.disk_usage(folder).free)
+            write_film(recording, file, progress, lambda: shutil.disk_usage(folder).free, colour)
     except BaseException:
         if not there:
             with suppress(OSError):
@@ -107,7 +110,11 @@ def thinned(recording: Recording | Several) -> list[str]:
 
 
 def write_film(
-    recording: Recording | Several, file: BinaryIO, progress: Progress = untold, free: Callable[[], int] | None = None
+    recording: Recording | Several,
+    file: BinaryIO,
+    progress: Progress = untold,
+    free: Callable[[], int] | None = None,
+    colour: str | None = None,
 ) -> None:
     """Write the page that plays the run into an open file.
 
@@ -116,13 +123,17 @@ def write_film(
         file: to write to.
         progress: called with the number of frames that are done, and of all.
         free: returns how much room there is for it [bytes].
+        colour: quantity that colours vehicles and true paths; None: none does.
 
     Raises:
         RunError: there is no room for it.
     """
     server = start_server(0)
     try:
-        found = _Film(recording, Scene(server, recording.cast, recording.world, recording.title))
+        scene = Scene(server, recording.cast, recording.world, recording.title, recording.imagery)
+        if colour is not None:
+            scene.colour(recording.paints.of(colour))
+        found = _Film(recording, scene)
         page = found.first_page(server.get_scene_serializer)
         end = page.rindex("</body>")
         file.write(page[:end].encode("utf-8"))
@@ -201,7 +212,7 @@ class _Film:
         # All layers are recorded; which are shown, the page's own switches say.
         self._shown = {title: layer.root.visible for title, layer in scene.layers.items()}
         for layer in scene.layers.values():
-            layer.root.visible = True
+            layer.root.visible = layer.in_film
             if layer.most_in_film is not None:
                 layer.every = max(layer.every, len(self._times) / layer.most_in_film)
 
@@ -248,9 +259,12 @@ class _Film:
             "first": self.first,
             "vehicles": recording.cast.names,
             "layers": [
-                {"title": layer.label, "path": layer.path, "shown": self._shown[t]} for t, layer in layers.items()
+                {"title": layer.label, "path": layer.path, "shown": self._shown[t]}
+                for t, layer in layers.items()
+                if layer.in_film
             ],
             "flying": self._flying,
+            "others": recording.cast.others,
             "fliers": int(recording.cast.fliers.sum()),
             "stops": [(event.time, i, recording.why(event)) for event, i in recording.stops],
             "quantities": list(plots.quantities),

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,15 @@ from qrsim.models.scene.contents import ContentsState
 from qrsim.models.sensors.camera import CameraReading
 from qrsim.models.vehicles.contracts import Outline
 from qrsim.tasks.places import Places
+from qrsim.view.details import Details, details_of_state
 from qrsim.view.reasons import code_in_words
 from qrsim.world.air import weather_at
 from qrsim.world.state import Fleet, FleetState, State, World, position_of
 
 # Of a vehicle that says nothing of its looks: that of the AscTec Pelican [m].
 PELICAN_SPAN = 0.65
+# Vehicles that do not fly, by their looks.
+NOT_FLYING = {"car": "rover", "mast": "station"}
 # Places of routes and paths that a view is chosen by; a route that ends this near to its start [m] is none.
 MOST_WAYS, NO_WAY = 300, 1.0
 
@@ -77,6 +81,7 @@ class Frame:
         reasons: vehicle -> why it has stopped.
         beside: what there is beside vehicles; None where that is not known.
         links: those of the radio; None where there is none.
+        details: returns further quantities, which only some layers draw; None where they are not known.
     """
 
     time: float
@@ -90,6 +95,7 @@ class Frame:
     reasons: dict[int, str] = field(default_factory=dict)
     beside: Beside | None = None
     links: Links | None = None
+    details: Callable[[], Details] | None = None
 
 
 @dataclass(frozen=True)
@@ -107,6 +113,7 @@ class Cast:
         flown: (K, 3) places along the paths of a recording [m]; None: it has not been flown yet.
         runs: what each of several runs is called; none: there is one only.
         run_of: (n,) number of the run of each vehicle; None: there is one only.
+        site: latitude [deg], longitude [deg] and height [m] of the origin on WGS 84; None where it is not known.
     """
 
     names: tuple[str, ...]
@@ -119,6 +126,7 @@ class Cast:
     flown: Floats | None = None
     runs: tuple[str, ...] = ()
     run_of: Floats | None = None
+    site: tuple[float, float, float] | None = None
 
     @property
     def kinds(self) -> list[tuple[Outline | None, Floats]]:
@@ -133,6 +141,14 @@ class Cast:
         of_fleets = self.outlines or (None,) * (int(self.fleets.max(initial=0)) + 1)
         flies = np.array([look is None or bool(look.rotors) or look.kind == "plane" for look in of_fleets])
         return np.asarray(flies[self.fleets])
+
+    @property
+    def others(self) -> str:
+        """How many vehicles do not fly, in words, such as "2 rovers, 1 station"; "" if all do."""
+        of_fleets = self.outlines or (None,) * (int(self.fleets.max(initial=0)) + 1)
+        kinds = [None if look is None or look.rotors else look.kind for look in of_fleets]
+        counts = {word: sum(kinds[own] == kind for own in self.fleets.tolist()) for kind, word in NOT_FLYING.items()}
+        return ", ".join(f"{count} {word}{'s' * (count > 1)}" for word, count in counts.items() if count)
 
     @property
     def true_span(self) -> float:
@@ -233,6 +249,7 @@ def frame_of(state: State, time: float, world: World) -> Frame:
         {int(i): code_in_words(int(codes[i]), float(values[i]), world.area) for i in np.flatnonzero(codes)},
         Beside(weather_at(world, tick), state.drawn, state.contents, state.fleet_keys, _pictures(state), state.field),
         _links(state, world),
+        cache(lambda: details_of_state(state, world)),
     )
 
 

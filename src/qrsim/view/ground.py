@@ -88,7 +88,8 @@ class Ground(Layer):
             side="double",
             scale=(length, 0.4 * length, 0.02 * length),
             cast_shadow=False,
-            position=(north, east, down),
+            # Above a picture of the ground.
+            position=(north, east, down - self.stage.lift),
         )
 
 

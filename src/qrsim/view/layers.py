@@ -18,6 +18,8 @@ from qrsim.models.scene.contracts import Ground
 from qrsim.runs.colours import GREY, GUST, STOPPED
 from qrsim.view import shapes
 from qrsim.view.frame import Cast, Frame
+from qrsim.view.paint import Paint
+from qrsim.view.sky import Satellite
 
 STOPPED_COLOUR, GUST_COLOUR, GHOST_COLOUR, POLE_COLOUR = STOPPED, GUST, GREY, GREY
 # More labels than this cannot be read.
@@ -44,6 +46,8 @@ class Stage:
         span: how large a vehicle is drawn [m].
         chosen: numbers of the vehicles that browsers have chosen.
         ground: what vehicles fly over; None: the plane z = 0.
+        sky: returns the satellites of a vehicle, none where nothing is known of them.
+        paint: colours of vehicles and true paths by a quantity; None: those of the vehicles.
     """
 
     scene: SceneApi
@@ -51,6 +55,8 @@ class Stage:
     span: float
     chosen: frozenset[int] = frozenset()
     ground: Ground | None = None
+    paint: Paint | None = None
+    sky: Callable[[int], list[Satellite]] = lambda vehicle: []
     palette: ClassVar[Floats] = shapes.PALETTE
 
     @property
@@ -90,6 +96,8 @@ class Layer:
         most: of more vehicles than these it is hidden at first.
         beside: whether it shows something about each vehicle beside the vehicle itself; of many it is drawn less often.
         most_in_film: a page without a server has it at so many times at most, None: at all that it has.
+        in_film: whether a page without a server has it.
+        of_chosen: whether it shows something else once other vehicles are chosen.
     """
 
     title = ""
@@ -97,6 +105,8 @@ class Layer:
     most = 1_000_000
     beside = False
     most_in_film: int | None = None
+    in_film = True
+    of_chosen = False
 
     def __init__(self, stage: Stage):
         self.stage = stage
@@ -207,16 +217,19 @@ class Vehicles(Layer):
 
     def begin(self) -> None:
         """Make one instance of a body for each vehicle."""
-        self._valid = np.ones(self.stage.cast.size, bool)
+        self._shown = self.stage.colours.copy()
         self.bodies = Bodies(self, self.stage.colours)
 
     def draw(self, frame: Frame) -> None:
         """Move and turn the vehicles."""
         size = self.stage.cast.size
         self.bodies.place(frame.position_ned, frame.attitude, np.full(size, self.stage.span))
-        if not np.array_equal(frame.valid, self._valid):
-            self._valid = frame.valid.copy()
-            self.bodies.paint(np.where(frame.valid[:, None], self.stage.colours, STOPPED_COLOUR).astype(np.uint8))
+        paint = self.stage.paint
+        own = self.stage.colours if paint is None else paint.colours(np.array([frame.time]))[0]
+        colours = np.where(frame.valid[:, None], own, STOPPED_COLOUR).astype(np.uint8)
+        if not np.array_equal(colours, self._shown):
+            self._shown = colours
+            self.bodies.paint(colours)
 
     def on_click(self, call: Callable[[int | None, Any], None]) -> None:
         """Register a function to call with the number of a clicked vehicle (None: unknown) and the event."""

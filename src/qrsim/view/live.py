@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -110,7 +111,10 @@ class LiveView:
         """Show a new simulation in place of the present one, with the places of its task."""
         self._clear()
         world = simulation.world
-        page = Page(self._server, cast_of(world, simulation.truth.position_ned, places), world, heading, self.clock)
+        site = simulation.site
+        origin = (math.degrees(site.latitude_rad), math.degrees(site.longitude_rad), site.height)
+        cast = replace(cast_of(world, simulation.truth.position_ned, places), site=origin)
+        page = Page(self._server, cast, world, heading, self.clock)
         page.dropped = lambda: self._overtaken
         page.plotted, page.sky = self._plotted, lambda vehicle: self._skies.get(vehicle, [])
         targets = targets_of_all(world)

@@ -1,15 +1,15 @@
 // What each browser draws over the scene by itself: labels that do not overlap, the ring round the chosen vehicle, legend,
-// scale bar, theme; and its camera: the first view, and following. Its data stands before it as `data`.
+// theme; and its camera: the first view, and following. Its data stands before it as `data`.
 (() => {
   const before = window.qrsim;
   before?.ends();
   const same = before && before.names.length === data.names.length && before.names.every((n, i) => n === data.names[i]);
   // What survives when a flight becomes its replay.
-  const state = same ? before.state : { chosen: null, followed: null, framed: false, theme: before?.state.theme ?? null };
+  const state = same ? before.state : { chosen: null, followed: null, ride: null, framed: false, theme: before?.state.theme ?? null };
   const saved = () => { try { return localStorage.getItem("qrsim-theme"); } catch { return null; } };
   state.theme ??= saved() ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
   document.title = data.title ? "qrsim - " + data.title : "qrsim";
-  let m = null, ended = false, reasons = {}, place = null, seen = "", touched = false, framedIn = "";
+  let m = null, ended = false, reasons = {}, states = {}, place = null, seen = "", touched = false, framedIn = "";
   let legendOpen = null, lastFollowed = null, slots = {}, toned = 0, wish;
 
   const make = (tag, name, parent, text) => {
@@ -44,9 +44,7 @@
   const themeTool = tool("", "dark or light", () => theme(state.theme === "dark" ? "light" : "dark"));
   tool("Legend", "what is what", () => { legendOpen = !legendOpen; touched = true; seen = ""; });
   const legend = make("div", "qrsim-legend", root);
-  const scale = make("div", "qrsim-scale", root);
-  const scaleText = make("span", "", scale), scaleBar = make("div", "", scale);
-  scale.title = "so long at the middle of the view";
+  const showBar = colourBarIn(root), bar = root.querySelector(".qrsim-bar");
   const css = (colour) => "rgb(" + colour.join(",") + ")";
   const rows = data.legend.map((row) => {
     const line = make("div", "qrsim-row", legend), mark = make("i", "qrsim-" + row.kind, line);
@@ -66,16 +64,19 @@
     array instanceof Float32Array ? array : new Float32Array(array.buffer, array.byteOffset, array.byteLength / 4);
   // Places of all vehicles [m], NED, and how large they are drawn [m]; null before they are there.
   const places = (tree) => {
-    const found = new Float32Array(3 * data.names.length);
-    let span = 0, mark = "";
+    const found = new Float32Array(3 * data.names.length), turn = new Float32Array(4 * data.names.length);
+    let span = 0;
     for (const [name, members] of data.bodies) {
       const props = tree[name]?.message?.props;
       if (!props?.batched_positions) return null;
-      const at = floats(props.batched_positions), sizes = floats(props.batched_scales);
-      members.forEach((vehicle, row) => found.set(at.subarray(3 * row, 3 * row + 3), 3 * vehicle));
+      const at = floats(props.batched_positions), sizes = floats(props.batched_scales), turns = floats(props.batched_wxyzs);
+      members.forEach((vehicle, row) => {
+        found.set(at.subarray(3 * row, 3 * row + 3), 3 * vehicle);
+        turn.set(turns.subarray(4 * row, 4 * row + 4), 4 * vehicle);
+      });
       span = Math.max(span, sizes[0]);
     }
-    return span > 0 ? { at: found, span } : null;
+    return span > 0 ? { at: found, turn, span } : null;
   };
   const at3 = (...ned) => new m.camera.position.constructor(...ned).applyMatrix4(matrix());
   const three = (vehicle) => at3(...place.at.subarray(3 * vehicle, 3 * vehicle + 3));
@@ -99,6 +100,7 @@
     const plots = document.getElementById("qrsim-plots")?.getBoundingClientRect();
     if (plots?.height) bottom = Math.min(bottom, plots.top - box.top);
     const sheet = document.querySelector(".mantine-Paper-root[style*='min-height: 3.5em']")?.getBoundingClientRect();
+    // In a picture it is hidden, and has no size.
     if (sheet?.height) bottom = Math.min(bottom, sheet.top - box.top);
     const panel = document.getElementById("qrsim-panel")?.getBoundingClientRect();
     if (panel && box.width > 700) right = Math.min(right, panel.left - box.left);
@@ -134,13 +136,14 @@
     control.setPosition(...eye.toArray(), false);
     control.setTarget(...middle.toArray(), false);
   };
-  const frame = (smooth) => {
+  const frame = (smooth, from = data.from) => {
     if (!place) return;
+    state.ride = null;
     const Vector = m.camera.position.constructor, box = canvasBox(), room = free(box), points = all();
     const low = points[0].clone(), high = points[0].clone();
     for (const point of points) { low.min(point); high.max(point); }
     const middle = low.clone().add(high).multiplyScalar(0.5);
-    const away = new Vector(...data.from).transformDirection(matrix());
+    const away = new Vector(...from).transformDirection(matrix());
     let far = Math.max(4 * place.span, 1.5 * high.distanceTo(low));
     for (let turn = 0; turn < 30; turn++) {
       const found = boxOf(points, middle, away.clone().multiplyScalar(far), box);
@@ -213,7 +216,8 @@
   const label = (vehicle) => {
     made[vehicle] ??= make("div", "qrsim-label", labels);
     const found = made[vehicle], why = reasons[vehicle] ?? "", colour = data.colours[data.colourOf[vehicle]];
-    const apart = differences.of(vehicle), key = why + (state.chosen === vehicle) + apart;
+    const lines = states[vehicle] ?? [], apart = differences.of(vehicle);
+    const key = why + (state.chosen === vehicle) + apart + lines.join();
     if (found.key !== key) {
       found.key = key;
       found.replaceChildren();
@@ -221,6 +225,7 @@
       make("b", "", found, data.names[vehicle] + (apart && "\u2002" + apart));
       // No number is parted from its name and unit.
       if (why) make("span", "", found, why.replace(/ = /g, "\u00a0=\u00a0").replace(/(\d) (\S+)$/, "$1\u00a0$2"));
+      for (const line of lines) make("span", "", found, line);
       found.classList.toggle("qrsim-chosen", state.chosen === vehicle);
       found.classList.toggle("qrsim-stopped", !!why);
       found.size = null;
@@ -249,7 +254,7 @@
     const spots = (visible ? wanted : []).map((vehicle) => ({ vehicle, ...pixel(vehicle, box) })).filter((s) => "x" in s);
     const rank = (s) => (s.vehicle === state.chosen ? 0 : s.vehicle in reasons ? 1 : 2);
     spots.sort((a, b) => rank(a) - rank(b) || a.depth - b.depth);
-    const taken = [tools, scale, legend].filter((e) => e.offsetWidth).map((e) => {
+    const taken = [tools, extra.scale, bar, legend, ...extra.boxes()].filter((e) => e.offsetWidth).map((e) => {
       const r = e.getBoundingClientRect();
       return [r.left - box.left, r.top - box.top, r.right - box.left, r.bottom - box.top];
     });
@@ -290,7 +295,8 @@
   const sized = (value) => (value >= 10 ? value.toFixed(0) : value.toPrecision(2).replace(/\.0$/, ""));
   const layLegend = (tree, box) => {
     legend.style.display = legendOpen ? "" : "none";
-    legend.style.bottom = scale.style.bottom = box.height - free(box).bottom + 10 + "px";
+    legend.style.bottom = extra.scale.style.bottom = box.height - free(box).bottom + 10 + "px";
+    bar.style.bottom = box.height - free(box).bottom + 48 + "px";
     const some = Object.keys(reasons).length > 0;
     for (const row of rows) {
       const wanted = (!row.layer || shown(tree, row.layer)) && (some || !row.ifStopped);
@@ -299,15 +305,6 @@
     const times = place.span / data.trueSpan;
     const size = rows.find((row) => row.kind === "size");
     if (size) size.words.textContent = times > 1.05 ? `vehicles are drawn ${sized(times)} x their size` : "vehicles in true size";
-  };
-  const layScale = (box) => {
-    const control = m.cameraControl, Vector = m.camera.position.constructor;
-    const far = control.getPosition(new Vector()).distanceTo(control.getTarget(new Vector()));
-    const metres = (2 * far * tangent()) / box.height, most = Math.min(160, 0.3 * box.width) * metres;
-    const decade = 10 ** Math.floor(Math.log10(most));
-    const length = [5, 2, 1].map((part) => part * decade).find((value) => value <= most);
-    scaleText.textContent = length >= 1000 ? `${length / 1000} km` : `${+length.toPrecision(1)} m`;
-    scaleBar.style.width = length / metres + "px";
   };
 
   // ---- the loop ----
@@ -318,6 +315,7 @@
   };
   const begin = () => {
     theme(state.theme, false);
+    extra.listen(m.canvas);
     m.canvas.addEventListener("pointerdown", touch);
     m.canvas.addEventListener("wheel", touch);
     const handle = document.querySelector("[style*='height: 3.5em'][style*='cursor: pointer']");
@@ -346,18 +344,23 @@
     }
     if (wish !== undefined) { follow(wish); wish = undefined; }
     keepUp();
+    extra.ride();
     const marks = data.layers.map((name) => shown(tree, name)).join();
-    const mark = [now.at.join(), now.span, eye, box.left, box.top, box.width, box.height, free(box).bottom, marks,
-      state.chosen, JSON.stringify(reasons), legendOpen].join("|");
+    const mark = [now.at.join(), now.turn.join(), now.span, eye, box.left, box.top, box.width, box.height, free(box).bottom, marks,
+      state.chosen, JSON.stringify([reasons, states]), legendOpen].join("|");
     if (mark === seen) return;
     seen = mark;
     root.style.cssText = `left:${box.left}px;top:${box.top}px;width:${box.width}px;height:${box.height}px`;
     layLegend(tree, box);
-    layScale(box);
+    extra.lay(box);
     const apart = data.differences && shown(tree, data.differences.path) && shown(tree, "/world/vehicles");
     differences.draw(apart, place.at, (vehicle) => pixel(vehicle, box), rows);
     layLabels(tree, box);
   };
+  const extra = toolsIn({
+    data, state, make, tools, root, draw, tool, nodes, floats, at3, pixel, pixelOf, canvasBox, free, tangent, frame, follow, touch,
+    m: () => m, world: matrix, place: () => place, again: () => { seen = ""; },
+  });
   const key = (event) => {
     if (event.target.closest?.("input, textarea, select, [contenteditable]")) return;
     if (event.key.toLowerCase() === "f" && !event.ctrlKey && !event.metaKey && !event.altKey) frame(true);
@@ -368,8 +371,11 @@
     colour: (vehicle) => css(data.colours[data.colourOf[vehicle]]),
     choose: (vehicle) => { state.chosen = vehicle; seen = ""; },
     follow: (vehicle) => { wish = vehicle; },
+    ride: (told) => { state.ride = told; },
     reasons: (found) => { reasons = found; seen = ""; },
-    sky: skyIn(root),
+    states: (found) => { states = found; seen = ""; },
+    sky: skyIn(root), tools: extra,
+    paint: (told) => { showBar(told); seen = ""; },
     // The box of all vehicles and routes, what panels leave free, and how much of that it fills; pixels of the page.
     box: () => {
       const box = canvasBox(), room = free(box), Vector = m.camera.position.constructor, control = m.cameraControl;
@@ -383,6 +389,7 @@
       window.removeEventListener("keydown", key);
       m?.canvas.removeEventListener("pointerdown", touch);
       m?.canvas.removeEventListener("wheel", touch);
+      extra.ends();
       root.remove(); style.remove();
     },
   };

@@ -16,15 +16,21 @@ import numpy as np
 from qrsim.runs import colours
 from qrsim.view.air import AIR, GUST, REACHES, WHOLE
 from qrsim.view.differences import DIFFERENCES, differences_of
+from qrsim.view.ellipsoids import UNCERTAINTY
 from qrsim.view.ground import KEEP_OUTS
 from qrsim.view.interference import INTERFERENCE
+from qrsim.view.jets import WAKES
 from qrsim.view.layers import MOST_LABELS, STRONG_WIND, Bodies, Layer, Stage
 from qrsim.view.radio import LINKS
+from qrsim.view.rays import RAYS
 from qrsim.view.script import run_script
 from qrsim.view.task import GOALS, LOCATIONS, SOURCES
+from qrsim.view.thermals import THERMALS
 
 # Where pages look from at first, seen from what is looked at, NED.
 SOUTH = (-0.85, -0.3, -0.45)
+# Parts of the overlay; the last one calls the others.
+SCRIPTS = ("sky.js", "differences.js", "colourbar.js", "tools.js", "overlay.js")
 # Of the ground and the sky.
 GROUNDS = {
     "light": {"plane_color": (226, 232, 214), "cell_color": (196, 205, 186), "section_color": (168, 178, 160)},
@@ -53,6 +59,10 @@ ROWS: dict[str, list[tuple[str, Any, str]]] = {
     DIFFERENCES: [("thin", [colours.GREY], "from a vehicle to itself in another run, distance [m]")],
     LINKS: [("scale", list(colours.WIND), "radio at the receiver: no to all packets arrive; thin: last one lost")],
     INTERFERENCE: [("plate", [colours.GREY], "reach of a jammer, disc or spoofer, while it acts")],
+    UNCERTAINTY: [("ghost", [colours.VEHICLES[0]], "95 % region of the estimate")],
+    RAYS: [("thin", [colours.VEHICLES[0]], "satellite; dashed: reflected; grey: lost")],
+    WAKES: [("arrow", [colours.GUST], "wake, down to 1 m/s")],
+    THERMALS: [("plate", [colours.GUST], "thermal")],
     "area": [("thin", [colours.GREY], "flight area")],
     KEEP_OUTS: [("plate", [colours.KEEP_OUT], "zone to stay out of")],
     "persons": [("pin", [colours.MISSING], "person not found"), ("pin", [colours.FOUND], "person found")],
@@ -87,6 +97,7 @@ class Overlay:
     ):
         self._server = server
         self._said: dict[int, str] | None = None
+        self._stated: dict[int, list[str]] = {}
         self._data = {
             "title": title,
             "css": _text("overlay.css"),
@@ -101,6 +112,8 @@ class Overlay:
             "ways": np.round(stage.cast.ways, 2).tolist(),
             "frame": True,
             "north": north[0],
+            "site": stage.cast.site,
+            "surface": f"{layers['ground and north'].path}/surface",
             "layers": [layer.path for layer in layers.values()],
             "themes": {
                 name: {f"{layers['ground and north'].path}/{node}": _plain(own) for node, own in parts.items()}
@@ -116,7 +129,7 @@ class Overlay:
 
     def _send(self) -> None:
         """Send the overlay's scripts and their data to all browsers."""
-        scripts = "\n".join(map(_text, ("sky.js", "differences.js", "overlay.js")))
+        scripts = "\n".join(map(_text, SCRIPTS))
         run_script(self._server, "overlay", f"const data = {json.dumps(self._data)};\n{scripts}")
 
     def hold(self) -> None:
@@ -136,6 +149,12 @@ class Overlay:
             self._said = found
             self._tell("reasons", found, None)
 
+    def states(self, lines: Mapping[int, list[str]]) -> None:
+        """Show lines about the states of vehicles in their labels."""
+        if lines != self._stated:
+            self._stated = dict(lines)
+            self._tell("states", self._stated, None)
+
     def choose(self, vehicle: int | None, browser: object = None) -> None:
         """Mark a vehicle as chosen (None: none), in one browser or, by default, all."""
         self._tell("choose", vehicle, browser)
@@ -144,9 +163,17 @@ class Overlay:
         """Follow a vehicle with the camera (None: none), in one browser or, by default, all."""
         self._tell("follow", vehicle, browser)
 
+    def ride(self, vehicle: int, kind: str) -> None:
+        """Let the camera of all browsers go with a vehicle, behind it ("chase") or at its nose ("onboard")."""
+        self._tell("ride", {"vehicle": vehicle, "kind": kind}, None)
+
     def sky(self, told: Mapping[str, object] | None, browser: object) -> None:
         """Show the satellites of a vehicle's receiver in one browser; None hides them."""
         self._tell("sky", told, browser)
+
+    def paint(self, told: Mapping[str, object] | None) -> None:
+        """Show the colour bar of a quantity in all browsers, or none."""
+        self._tell("paint", told, None)
 
     def _tell(self, what: str, content: object, browser: object) -> None:
         """Call a function of the overlay's script in one browser or, for None, in all."""

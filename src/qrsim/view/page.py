@@ -18,7 +18,9 @@ from qrsim.view.clock import Clock
 from qrsim.view.failing import FailingControls
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.gate import NOTABLE_S
+from qrsim.view.imagery import Imagery
 from qrsim.view.markdown import plain
+from qrsim.view.paint import Paint
 from qrsim.view.scene import Scene
 from qrsim.view.server import Delivery
 from qrsim.view.sky import Satellite
@@ -28,6 +30,7 @@ from qrsim.world.state import World
 # Status and plots are renewed at every so-many-th frame.
 STATUS_FRAMES, PLOT_FRAMES = 6, 15
 MOST_STOPPED = 5
+BY_VEHICLE = "(vehicle)"
 # Places in the panel.
 STATUS, STOPPED, TIME, WIND, LAYERS = 1.0, 2.0, 3.0, 5.0, 6.0
 
@@ -41,11 +44,13 @@ class Page:
         world: what there is; None where that is not known.
         heading: what is shown, one line that begins with the scenario's name and a comma.
         clock: of time; None where somebody else moves it.
+        imagery: picture of the ground; None: none.
 
     Attributes:
         scene: in which things are drawn.
         viewers: what each browser has for itself, by viser's number of it.
         time_folder: of the panel, where there is a clock.
+        layers_folder: of the panel.
         drawn: number of frames.
         dropped: returns how many frames were not drawn, because newer ones were there already.
         note: what the panel says about the run as a whole, one line; "": nothing.
@@ -54,15 +59,24 @@ class Page:
         failing: adds to a browser's panel what lets parts of its chosen vehicle fail; None: nothing can.
     """
 
-    def __init__(self, server: ViserServer, cast: Cast, world: World | None, heading: str, clock: Clock | None):
+    def __init__(
+        self,
+        server: ViserServer,
+        cast: Cast,
+        world: World | None,
+        heading: str,
+        clock: Clock | None,
+        imagery: Imagery | None = None,
+    ):
         self.server, self.heading, self.clock = server, heading, clock
         title = heading.partition(",")[0]
         server.gui.set_panel_label(f"qrsim - {title}")
         server.gui.main_panel.dock_right()
-        self.scene = Scene(server, cast, world, title)
+        self.scene = Scene(server, cast, world, title, imagery)
         self.dropped: Callable[[], int] = lambda: 0
         self.plotted: Plotted | None = None
         self.sky: Callable[[int], list[Satellite]] = lambda vehicle: []
+        self.scene.stage.sky = self._sky_now
         self.failing: Callable[[Any], FailingControls] | None = None
         self.viewers: dict[int, Viewer] = {}
         self.drawn = 0
@@ -213,7 +227,8 @@ class Page:
         """Add the switches of layers, and the slider for the size of vehicles."""
         gui, stage = self.server.gui, self.scene.stage
         self._shown: dict[str, Any] = {}
-        with gui.add_folder("Layers", order=LAYERS):
+        self.layers_folder = gui.add_folder("Layers", order=LAYERS)
+        with self.layers_folder:
             largest = max(40.0, round(4.0 * stage.span))
             size = gui.add_slider("Size [m]", 0.5, largest, 0.5, max(0.5, _half(stage.span)), hint="of drawn vehicles")
             true = gui.add_checkbox("True size", False, hint=f"vehicles of {stage.cast.true_span:.2g} m")
@@ -257,6 +272,21 @@ class Page:
                     self._choices[number] = viewer.choice
                     self._come(client)
 
+    def add_colours(self, names: list[str], paint: Callable[[str], Paint], chosen: str | None = None) -> None:
+        """Let vehicles and true paths be coloured by one of some quantities, at first by ``chosen``."""
+        with self.layers_folder:
+            by = self.server.gui.add_dropdown(
+                "Colour", (BY_VEHICLE, *names), initial_value=chosen or BY_VEHICLE, hint="of vehicles and true paths"
+            )
+
+        def change(_: object) -> None:
+            """Colour the scene by the quantity that is set."""
+            self.scene.colour(None if by.value == BY_VEHICLE else paint(by.value))
+
+        by.on_update(change)
+        if chosen is not None:
+            self.scene.colour(paint(chosen))
+
     # ---- what happens ----
 
     def _show(self, title: str, event: Any) -> None:
@@ -289,6 +319,7 @@ class Page:
         stopped = f", {len(frame.reasons)} stopped" if frame.reasons else ""
         fliers = self.scene.cast.fliers
         flying = f"{int((frame.valid & fliers).sum())} of {int(fliers.sum())} vehicles fly{stopped}"
+        flying += f", {self.scene.cast.others}" if self.scene.cast.others else ""
         paused = "" if self.clock is None or self.clock.playing else " (paused)"
         frames = f"{self.drawn} frames drawn, {self.dropped() + self._delivery.missed} dropped"
         if (lag := self._delivery.lag_s) > NOTABLE_S:

@@ -28,6 +28,7 @@ class Paths(Layer):
     title = "true paths"
     every = 10
     thickness = 3.0
+    paints = True
 
     def begin(self) -> None:
         """Start all paths at the vehicles' starts."""
@@ -39,11 +40,13 @@ class Paths(Layer):
         # One more than a minute needs, for the one that grows.
         self._points = np.repeat(cast.start_ned[None].astype(np.float32), (pieces + 1) * (self._corners + 1), axis=0)
         self._points = self._points.reshape(pieces + 1, self._corners + 1, cast.size, 3)
+        self._stamps = np.zeros(self._points.shape[:2])
         self._from, self._to = np.zeros(pieces + 1), np.full(pieces + 1, -np.inf)
         self._newest, self._known, self._corner_at = 0, 1, 0.0
         self._time: float | None = None
         self._changed: set[int] = set()
         self._nodes: dict[int, Any] = {}
+        self._painted = False
 
     def note(self, frame: Frame) -> None:
         """Append a frame; an earlier time restarts the paths."""
@@ -63,6 +66,7 @@ class Paths(Layer):
                 self._restart(time, point)
             tip = self._points[self._newest, -1]
             self._points[self._newest, self._known :] = np.where(np.isfinite(point), point, tip)
+            self._stamps[self._newest, self._known :] = time
             self._time = self._to[self._newest] = time
             self._changed.add(self._newest)
             if time - self._corner_at >= self._corner_s * (1.0 - 1e-6):
@@ -72,6 +76,7 @@ class Paths(Layer):
     def _restart(self, time: float, point: Floats) -> None:
         """Begin the path of each vehicle again at a time [s] and its point (n, 3) in NED [m]."""
         self._points[:] = np.where(np.isfinite(point), point, self.stage.cast.start_ned)
+        self._stamps[:] = time
         self._from[:], self._to[:] = time, -np.inf
         self._newest, self._known, self._corner_at = 0, 1, time
         self._changed = set(range(len(self._points)))
@@ -82,7 +87,7 @@ class Paths(Layer):
         if self._known > self._corners or time - self._from[self._newest] >= self._piece_s * (1.0 - 1e-6):
             tip = self._points[self._newest, -1]
             self._newest, self._known = (self._newest + 1) % len(self._points), 1
-            self._points[self._newest] = tip
+            self._points[self._newest], self._stamps[self._newest] = tip, time
             self._from[self._newest] = self._to[self._newest] = time
             self._changed.add(self._newest)
 
@@ -102,24 +107,34 @@ class Paths(Layer):
         for number in self._changed:
             if number in self._nodes:
                 self._nodes[number].points = self._segments(number)
+                if self._painted or self.stage.paint:
+                    self._nodes[number].colors = np.asarray(self._colours(number), np.uint8)
             # What has no length yet would weigh as much as a path.
             elif np.isfinite(self._to[number]):
                 self._nodes[number] = self.stage.scene.add_line_segments(
                     f"{self.path}/{number}",
                     self._segments(number),
-                    self._colours(),
+                    self._colours(number),
                     thickness=self.thickness,
                     thickness_units="screen",
                 )
         self._changed.clear()
+        self._painted = self.stage.paint is not None
+
+    def repaint(self) -> None:
+        """Send all pieces again at the next frame, because the colours have changed."""
+        self._changed = set(range(len(self._points)))
 
     def _segments(self, number: int) -> Floats:
         """Return the path of a vehicle as line segments (corners, 2, 3) in NED [m]."""
         points = self._points[number]
         return np.stack([points[:-1], points[1:]], axis=2).reshape(-1, 2, 3)
 
-    def _colours(self) -> Any:
-        """Return one colour for all segments, or a colour for each end of each segment."""
+    def _colours(self, number: int) -> Any:
+        """Return one colour for all segments of a piece, or a colour for each end of each segment."""
+        if self.paints and self.stage.paint is not None:
+            own = shapes.linear(self.stage.paint.colours(self._stamps[number]))
+            return np.stack([own[:-1], own[1:]], axis=2).reshape(-1, 2, 3)
         colours = self.stage.colours
         if (colours == colours[0]).all():
             return tuple(colours[0].tolist())
@@ -149,11 +164,12 @@ class EstimatedPaths(Paths):
     title = "estimated paths"
     most = MANY
     thickness = 1.5
+    paints = False
 
     def position(self, frame: Frame) -> Floats:
         """Return the estimated positions (n, 3) [m] in a frame."""
         return frame.estimate_ned
 
-    def _colours(self) -> Any:
+    def _colours(self, number: int) -> Any:
         """Return one colour for the segments of all vehicles."""
         return ESTIMATE_COLOUR

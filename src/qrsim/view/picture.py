@@ -49,9 +49,9 @@ def photograph(server: ViserServer, caption: str, size: tuple[int, int] = (WIDTH
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
         )
         browser.open(f"{address(server)}/?fixedDpr=1")
-        _wait_for_client(server)
+        wait_for_client(server)
         browser.evaluate(SCENE_ONLY)
-        picture = _settled(browser)
+        picture = settled(browser)
     # A letter is about half as wide as high.
     size_px = min(20.0, max(9.0, 1.9 * (width - 32) / max(1, len(caption))))
     ImageDraw.Draw(picture).text((16, 12), caption, fill="black", font_size=size_px)
@@ -60,7 +60,7 @@ def photograph(server: ViserServer, caption: str, size: tuple[int, int] = (WIDTH
     return found.getvalue()
 
 
-def _wait_for_client(server: ViserServer) -> None:
+def wait_for_client(server: ViserServer) -> None:
     """Wait until a browser has opened the page; raise RunError if none does in time."""
     deadline = time.monotonic() + PATIENCE_S
     while not server.get_clients():
@@ -69,7 +69,7 @@ def _wait_for_client(server: ViserServer) -> None:
         time.sleep(0.05)
 
 
-def _settled(browser: Browser) -> Image.Image:
+def settled(browser: Browser) -> Image.Image:
     """Return the page's picture once it is not empty and no longer changes."""
     before, changed = b"", time.monotonic()
     deadline = changed + PATIENCE_S

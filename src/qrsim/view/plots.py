@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+import threading
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 
 import numpy as np
 
 from qrsim.core.arrays import Floats
+from qrsim.errors import QrsimError
 from qrsim.runs.layout import Event
 from qrsim.view.recording import Recording
 from qrsim.view.satellite_events import first_lost
@@ -48,6 +51,8 @@ class Plots:
 
     def __init__(self, recording: Recording | Several):
         self._recording = recording
+        # Browsers ask in threads.
+        self._lock = threading.Lock()
         members = recording.members
         self._series = [Series(member, members[0]) for member in members]
         # Number of the run, and of the vehicle in it.
@@ -109,7 +114,10 @@ class Plots:
         times[1::2] += 0.5 * np.diff(edges)
         lines, parts = [], [times]
         for line in wish["lines"][:MOST_LINES]:
-            found = self._line(line, edges)
+            found = None
+            # A damaged part of a log has no line, but other lines have theirs.
+            with self._lock, suppress(QrsimError):
+                found = self._line(line, edges)
             lines.append(None if found is None else found[0])
             parts += [] if found is None else found[1]
         head = json.dumps({"number": wish.get("number"), "lines": lines}).encode()

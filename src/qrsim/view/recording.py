@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 
@@ -10,13 +12,17 @@ from qrsim.core.arrays import Floats
 from qrsim.errors import QrsimError, RunError, warn_user
 from qrsim.models.gnss.fixes import OF_SATELLITES
 from qrsim.runs import Run
+from qrsim.runs.export.place import place_of
 from qrsim.runs.layout import EVENTS, Event
 from qrsim.runs.radio_columns import links_logged
 from qrsim.runs.summary import NOT_A_STOP
 from qrsim.runs.surroundings import surroundings_of
 from qrsim.tasks.places import Places
 from qrsim.view.columns import Columns, vector
+from qrsim.view.details import RecordedDetails
 from qrsim.view.frame import Cast, Frame, Links, cast_of
+from qrsim.view.imagery import Imagery
+from qrsim.view.paint import Paints
 from qrsim.view.readings import Excerpts
 from qrsim.view.reasons import in_words
 from qrsim.view.rebuilt import rebuilt
@@ -71,6 +77,8 @@ class Recording:
         time: (T,) times of the true states that are kept [s].
         shown: every so-many-th tick is shown.
         stops: events of vehicles that stopped, and the number of the vehicle.
+        paints: quantities that can colour vehicles and paths.
+        imagery: picture of the ground to show with it; None: none.
         notes: what does not fit of other runs, one line each: of one run nothing.
     """
 
@@ -98,6 +106,9 @@ class Recording:
         self._rebuilt = rebuilt(run, self.world) if over is None else None
         self._links = _links(run) if over is None else None
         self._excerpts = Excerpts(run)
+        self.paints = Paints(run)
+        self.imagery: Imagery | None = None
+        self._details = RecordedDetails(run)
         self._slots = columns_of(run["measurements"].columns()) if "measurements" in run else []
 
     @property
@@ -136,7 +147,7 @@ class Recording:
             return over.world, replace(over.cast, start_ned=np.nan_to_num(start).astype(float), flown=self._flown())
         try:
             world = self.run.built().world(self.run.info.precision)
-            cast = replace(cast_of(world, start, self._places()), flown=self._flown())
+            cast = replace(cast_of(world, start, self._places()), flown=self._flown(), site=self._site())
             if cast.names == self.run.vehicles:
                 return world, cast
             why = "its vehicles are others"
@@ -148,7 +159,14 @@ class Recording:
         )
         count = len(self.run.vehicles)
         starts = np.nan_to_num(start).astype(np.float64)
-        return None, Cast(self.run.vehicles, np.zeros(count, int), starts, flown=self._flown())
+        return None, Cast(self.run.vehicles, np.zeros(count, int), starts, flown=self._flown(), site=self._site())
+
+    def _site(self) -> tuple[float, float, float] | None:
+        """Return latitude, longitude [deg] and height [m] of the origin; None where the scenario has none."""
+        with suppress(RunError):
+            latitude, longitude, height = place_of(self.run).geodetic(np.zeros(3)).tolist()
+            return latitude, longitude, height
+        return None
 
     def _flown(self) -> Floats:
         """Return positions (K, 3) [m] along all flown paths."""
@@ -179,6 +197,7 @@ class Recording:
             {i: self.why(event) for event, i in self.stops if event.time <= now + 1e-6},
             self._rebuilt.at(now) if self._rebuilt else None,
             self._links_at(now),
+            cache(lambda: self._details.at(now)),
         )
 
     def _links_at(self, time: float) -> Links | None:

@@ -27,12 +27,20 @@ class Replay:
         recording: what is shown.
         page: where; its clock says how fast.
         time: to begin at [s].
+        colour: quantity that colours vehicles and true paths at first; None: none does.
 
     Attributes:
         time: simulated time that is shown [s].
     """
 
-    def __init__(self, recording: Recording | Several, page: Page, clock: Clock, time: float = 0.0):
+    def __init__(
+        self,
+        recording: Recording | Several,
+        page: Page,
+        clock: Clock,
+        time: float = 0.0,
+        colour: str | None = None,
+    ):
         self.recording, self.page, self.clock = recording, page, clock
         self.time = time
         self._lock = threading.Lock()
@@ -44,6 +52,7 @@ class Replay:
         self._timeline = Timeline(page.server, end, recording.events, clock, self.seek, Plots(recording))
         page.note = page.note or " / ".join(recording.notes)
         page.sky = lambda vehicle: recording.sky(vehicle, self.time)
+        page.add_colours(recording.paints.names, recording.paints.of, colour)
         self.seek(time)
 
     def _scrub(self, event: Any) -> None:

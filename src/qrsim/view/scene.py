@@ -11,17 +11,24 @@ from viser import ViserServer
 
 from qrsim.core.arrays import Floats
 from qrsim.view.air import AIR, Air, air_layers
-from qrsim.view.cameras import Cameras, camera_layers
+from qrsim.view.cameras import camera_layers
 from qrsim.view.contents import contents_layers
 from qrsim.view.differences import difference_layers
+from qrsim.view.ellipsoids import ellipsoid_layers
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.ground import Area, Ground, Obstacles, keep_out_layers
+from qrsim.view.imagery import Image, Imagery
 from qrsim.view.interference import interference_layers
+from qrsim.view.jets import wake_layers
+from qrsim.view.labels import LabelStates
 from qrsim.view.layers import Ghosts, Gusts, Layer, Names, Poles, Stage, Vehicles, Wind
 from qrsim.view.overlay import SOUTH, Overlay
+from qrsim.view.paint import Paint
 from qrsim.view.paths import EstimatedPaths, Paths, Routes
 from qrsim.view.radio import radio_layers
+from qrsim.view.rays import ray_layers
 from qrsim.view.task import task_layers
+from qrsim.view.thermals import thermal_layers
 from qrsim.world.state import World
 
 # Spans of a drawn vehicle [m]: that of a Pelican, and the largest of a few; of many, a part of the room that each has.
@@ -41,6 +48,7 @@ class Scene:
         cast: who is in it.
         world: what there is; None where that is not known, and only vehicles and ground are drawn.
         title: of the page, beside "qrsim".
+        imagery: picture of the ground; None: none.
 
     Attributes:
         cast: who is in it.
@@ -50,7 +58,9 @@ class Scene:
         lag_s: returns how far behind the slowest browser is [s].
     """
 
-    def __init__(self, server: ViserServer, cast: Cast, world: World | None, title: str = ""):
+    def __init__(
+        self, server: ViserServer, cast: Cast, world: World | None, title: str = "", imagery: Imagery | None = None
+    ):
         self._server = server
         self.cast = cast
         self.frame: Frame | None = None
@@ -60,26 +70,34 @@ class Scene:
         self._lock = threading.RLock()
         scene = server.scene
         scene.set_up_direction((0.0, 0.0, -1.0))
-        scene.add_light_ambient("/light", intensity=1.2)
+        hilly = world is not None and not world.ground.at_zero
+        scene.add_light_ambient("/light", intensity=0.8 if hilly else 1.2)
+        scene.configure_default_lights(enabled=not hilly, cast_shadow=False)
+        if hilly:
+            # A low sun in the north-west, as on maps: it shades the slopes.
+            scene.add_light_directional("/light/sun", intensity=3.4, position=(1.0, -1.0, -1.0))
         scene.add_frame("/world", show_axes=False)
         self.stage = Stage(scene, self.cast, _span(cast), ground=None if world is None else world.ground)
         self.vehicles = Vehicles(self.stage)
         self.paths = (Paths(self.stage), EstimatedPaths(self.stage))
-        others, names = (Poles, Ghosts, Wind, Gusts), Names(self.stage)
-        moving = [*self.paths, *(layer(self.stage) for layer in others), names, *difference_layers(self.stage)]
+        others, names, states = (Poles, Ghosts, Wind, Gusts), Names(self.stage), LabelStates(self.stage)
+        moving = [*self.paths, *(layer(self.stage) for layer in others), names, states, *difference_layers(self.stage)]
         solid: list[Layer] = []
         if world is not None:
             solid = [Area(self.stage, world), *keep_out_layers(self.stage, world), Obstacles(self.stage, world)]
             solid += contents_layers(self.stage, world)
             solid += [*camera_layers(self.stage, world), *air_layers(self.stage, world)]
             solid += [*interference_layers(self.stage, world), *radio_layers(self.stage, world)]
+            solid += [*ellipsoid_layers(self.stage, world), *ray_layers(self.stage, world)]
+            solid += [*wake_layers(self.stage, world), *thermal_layers(self.stage, world)]
         solid += [*task_layers(self.stage, cast.places), *([Routes(self.stage)] if any(map(len, cast.routes)) else [])]
         ground = Ground(self.stage, world)
-        layers: list[Layer] = [ground, *solid, self.vehicles, *moving]
+        picture = [] if imagery is None else [Image(self.stage, imagery)]
+        layers: list[Layer] = [ground, *picture, *solid, self.vehicles, *moving]
         self.layers = {layer.title: layer for layer in layers}
         marked = (ground.north, ground.cell)
         self.overlay = Overlay(server, self.stage, self.vehicles.bodies, self.layers, title, marked)
-        names.tell = self.overlay.say
+        names.tell, states.tell = self.overlay.say, self.overlay.states
         # Parts of the way to their next drawing, spread so that not all are due at the same frame.
         self._due = [1.0 - GOLDEN * number % 1.0 for number in range(len(layers))]
         self._look()
@@ -149,6 +167,18 @@ class Scene:
             layer.root.visible = visible
             if visible and self.frame is not None:
                 layer.draw(self.frame)
+            if isinstance(layer, LabelStates) and not visible:
+                layer.tell({})
+
+    def colour(self, paint: Paint | None) -> None:
+        """Colour vehicles and true paths by a quantity, or as vehicles for None."""
+        with self._lock, self._server.atomic():
+            self.stage.paint = paint
+            self.overlay.paint(None if paint is None else paint.told())
+            self.paths[0].repaint()
+            if self.frame is not None:
+                for layer in (self.vehicles, self.paths[0]):
+                    layer.draw(self.frame)
 
     @property
     def air(self) -> Air | None:
@@ -177,7 +207,7 @@ class Scene:
         with self._lock:
             self.stage.chosen = frozenset(vehicles)
             for layer in self.layers.values():
-                if isinstance(layer, Cameras) and layer.root.visible and self.frame is not None:
+                if layer.of_chosen and layer.root.visible and self.frame is not None:
                     layer.draw(self.frame)
 
     def nearest(self, origin: object, direction: object) -> int | None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from qrsim.core.arrays import Floats
+from qrsim.errors import QrsimError
 from qrsim.runs.layout import EVENTS, INDEX
 from qrsim.view.derived import ALWAYS, Derived, gnss_error, to_fence
 from qrsim.view.readings import sampled
@@ -45,14 +47,13 @@ class Series:
     def __init__(self, member: Member, first: Member):
         self.member, self._first, self._run = member, first, member.recording.run
         self._kept: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
-        run = self._run
-        logged = [
-            Quantity(f"{stream}.{column.name}", column.unit, column.doc)
-            for stream in run.streams
-            if stream != EVENTS
-            for column in run.describe(stream)[len(INDEX) :]
-            if column.dtype != "str" and not of_satellites(column.name)
-        ]
+        logged: list[Quantity] = []
+        for stream in self._run.streams:
+            # Of a damaged stream there is nothing to plot.
+            with suppress(QrsimError):
+                columns = self._run.describe(stream)[len(INDEX) :] if stream != EVENTS else ()
+                plain = [own for own in columns if own.dtype != "str" and not of_satellites(own.name)]
+                logged += [Quantity(f"{stream}.{own.name}", own.unit, own.doc) for own in plain]
         known = {quantity.name: quantity for quantity in logged}
         self._derived = {f"{DERIVED}.{own.name}": own for own in self._possible(set(known))}
         found = {name: Quantity(name, own.unit, own.doc) for name, own in self._derived.items()}
@@ -125,11 +126,13 @@ class Series:
         names = [name for name in self.quantities if name not in self._derived and name != BETWEEN]
         for stream in dict.fromkeys(name.partition(".")[0] for name in names):
             columns = [name.partition(".")[2] for name in names if name.partition(".")[0] == stream]
-            values = sampled(self._run, stream, columns, time - self.member.shift)
-            found |= {f"{stream}.{column}": values[column] for column in columns}
-        for name in self.quantities.keys() - found.keys():
-            known, own = self.values(name)
-            found[name] = own[rows_at(known, time)].copy()
+            with suppress(QrsimError):
+                values = sampled(self._run, stream, columns, time - self.member.shift)
+                found |= {f"{stream}.{column}": values[column] for column in columns}
+        for name in (name for name in self.quantities if name in self._derived or name == BETWEEN):
+            with suppress(QrsimError):
+                known, own = self.values(name)
+                found[name] = own[rows_at(known, time)].copy()
         outside = (time < self.member.shift - 1e-6) | (time > self.member.end + 1e-6)
         for own in found.values():
             own[outside] = np.nan

@@ -17,6 +17,8 @@ from qrsim.runs import Run
 from qrsim.runs.layout import Event
 from qrsim.view.aligning import shift_of
 from qrsim.view.frame import Cast, Frame
+from qrsim.view.imagery import Imagery
+from qrsim.view.paint import JoinedPaints
 from qrsim.view.recording import Member, Recording
 from qrsim.view.sky import Satellite
 from qrsim.world.state import World
@@ -49,6 +51,8 @@ class Several:
         members: the runs.
         stops: events of vehicles that stopped, and the number of the vehicle.
         notes: what does not fit, one line each.
+        paints: quantities that can colour vehicles and paths.
+        imagery: picture of the ground to show with them; None: none.
     """
 
     def __init__(self, recordings: list[Recording], align: str | None = None):
@@ -62,6 +66,10 @@ class Several:
         self.world: World | None = self._first.world
         self.run, self.shown = self._first.run, max(found.shown for found in recordings)
         self.cast = _cast(self.members)
+        self.paints = JoinedPaints(
+            [(member.recording.paints, member.shift, member.recording.cast.size) for member in self.members]
+        )
+        self.imagery: Imagery | None = None
         self.end = max(member.end for member in self.members)
         own = self._first.time
         step = float(np.median(np.diff(own))) if len(own) > 1 else self.run.info.time_step
@@ -211,6 +219,7 @@ def _cast(members: list[Member]) -> Cast:
         np.vstack(flown) if flown else None,
         tuple(map(_name, members)),
         np.repeat(np.arange(len(members)), [own.size for own in casts]),
+        casts[0].site,
     )
 
 

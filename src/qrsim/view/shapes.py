@@ -164,6 +164,23 @@ def arrow() -> Mesh:
     return merged(box((0.0, -0.12, -0.12), (0.7, 0.12, 0.12)), cone(0.65, 1.0, 0.35))
 
 
+def ball() -> Mesh:
+    """Return a ball of radius 1."""
+    from trimesh.creation import icosphere
+
+    found = icosphere(subdivisions=2)
+    return np.asarray(found.vertices, np.float32), np.asarray(found.faces, np.uint32)
+
+
+def funnel(narrow: float) -> Mesh:
+    """Return an open cone of length 1 along x: of radius ``narrow`` at the origin and 1 at its end."""
+    angles = np.arange(16) * 2.0 * math.pi / 16
+    rim = np.stack([np.zeros(16), np.cos(angles), np.sin(angles)], axis=1)
+    corners = np.vstack([narrow * rim, rim + np.array([1.0, 0.0, 0.0])])
+    i, j = np.arange(16), np.roll(np.arange(16), -1)
+    return corners, np.concatenate([np.stack([i, j, j + 16], axis=1), np.stack([i, j + 16, i + 16], axis=1)])
+
+
 def pin() -> Mesh:
     """Return a cone of height 1 whose tip points down, at the origin."""
     corners, faces = cone(-1.0, 0.0, 0.25, 12)

@@ -22,6 +22,8 @@ DIRECTIONS = {
     "west": (-0.3, -0.85, -0.45),
     "above": (-0.02, 0.0, -1.0),
 }
+# Cameras that go with a vehicle.
+RIDES = ("chase", "onboard")
 # A view of all that vehicles may fly in, and how far from it the camera is, in diagonals of it.
 AREA, FAR = "area", 0.8
 # From a vehicle that is looked at, in spans as it is drawn.
@@ -36,7 +38,7 @@ class Camera:
 
     Attributes:
         vehicle: that is in the middle; None: all are in the picture.
-        direction: one of DIRECTIONS, or AREA; None: that of the page.
+        direction: one of DIRECTIONS, or AREA, or with a vehicle one of RIDES; None: that of the page.
     """
 
     vehicle: str | None = None
@@ -59,8 +61,9 @@ class Camera:
             raise UsageError(f"--camera {text}: no such view{did_you_mean(text, (*DIRECTIONS, AREA, *vehicles))}")
         if name not in vehicles:
             raise UsageError(f"--camera {text}: no vehicle '{name}'{did_you_mean(name, vehicles)}")
-        if direction not in DIRECTIONS:
-            raise UsageError(f"--camera {text}: no direction '{direction}'{did_you_mean(direction, DIRECTIONS)}")
+        known = (*DIRECTIONS, *RIDES)
+        if direction not in known:
+            raise UsageError(f"--camera {text}: no direction '{direction}'{did_you_mean(direction, known)}")
         return Camera(name, direction)
 
     def aim(self, scene: Scene, world: World | None = None) -> None:
@@ -69,7 +72,9 @@ class Camera:
             number = scene.cast.names.index(self.vehicle)
             scene.choose(number)
             at = np.nan_to_num(scene.frame.position_ned[number])
-            scene.look(at, CLOSE * scene.stage.span, DIRECTIONS[self.direction or "south"])
+            scene.look(at, CLOSE * scene.stage.span, DIRECTIONS.get(self.direction or "", SOUTH))
+            if self.direction in RIDES:
+                scene.overlay.ride(number, self.direction)
         elif self.direction == AREA:
             corners = _corners(scene, world)
             low, high = corners.min(axis=0), corners.max(axis=0)

@@ -38,6 +38,11 @@ def _velocity_ned(truth: Mapping[str, Floats]) -> Floats:
     if not all(name in truth for name in names):
         return np.full((len(next(iter(truth.values()))), 3), np.nan)
     attitude, body = (np.stack([truth[name] for name in part], axis=1) for part in (names[:3], names[3:]))
+    return turned_to_ned(attitude, body)
+
+
+def turned_to_ned(attitude: Floats, body: Floats) -> Floats:
+    """Return vectors (k, 3) in body axes as vectors in NED, by roll, pitch and yaw (k, 3) [rad]."""
     quaternion = quaternion_of(attitude)
     scalar, vector = quaternion[:, :1], quaternion[:, 1:]
     twice = 2.0 * np.cross(vector, body)

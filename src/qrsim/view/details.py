@@ -1,0 +1,143 @@
+"""Further quantities of the vehicles at one time, which only some layers draw: read when a layer asks for them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from qrsim.control.failsafes import ACTIONS
+from qrsim.core.arrays import Floats
+from qrsim.core.host import on_host
+from qrsim.errors import QrsimError
+from qrsim.runs import Run
+from qrsim.runs.failsafe_events import ENDS, FAILSAFE
+from qrsim.runs.layout import EVENTS
+from qrsim.view.columns import Columns, vector
+from qrsim.view.truth import ANGLES, AXES, turned_to_ned
+from qrsim.world.state import FleetState, State, World
+
+_load = on_host(lambda vehicle, states: vehicle.load(states))
+
+
+@dataclass(frozen=True)
+class Details:
+    """Quantities of n vehicles at one time; NaN where unknown.
+
+    Attributes:
+        velocity_ned: (n, 3) [m/s].
+        thrust: (n,) of the rotors together [N].
+        believed_ned, std_ned: (n, 3) position by the estimator, and the standard deviations that it reports [m].
+        charge: (n,) of the battery, 0 to 1.
+        waypoint: (n,) index of the waypoint or leg.
+        modes: vehicle -> failsafe that acts now, in words.
+    """
+
+    velocity_ned: Floats
+    thrust: Floats
+    believed_ned: Floats
+    std_ned: Floats
+    charge: Floats
+    waypoint: Floats
+    modes: dict[int, str]
+
+
+def details_of_state(state: State, world: World) -> Details:
+    """Return the details of a state of NumPy arrays."""
+    parts = [_of_fleet(fleet, own) for fleet, own in zip(world.fleets, state.fleets, strict=True)]
+    actions = np.concatenate([part.pop("action") for part in parts]).astype(int)
+    together = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return Details(**together, modes={int(i): f"failsafe: {ACTIONS[actions[i]]}" for i in np.flatnonzero(actions)})
+
+
+def _of_fleet(fleet: Any, state: FleetState) -> dict[str, Floats]:
+    """Return the details of a fleet by name, and the number of the failsafe's action."""
+    size = fleet.size
+
+    def axes(value: object) -> Floats:
+        """Return a Vec3 as (n, 3), NaN for None."""
+        if value is None:
+            return np.full((size, 3), np.nan)
+        return np.stack([np.broadcast_to(np.asarray(axis), (size,)) for axis in vars(value).values()], axis=-1)
+
+    def one(value: object) -> Floats:
+        """Return a number for each vehicle."""
+        return np.broadcast_to(np.asarray(value, np.float64), (size,))
+
+    pose = fleet.vehicle.pose(state.vehicle)
+    belief = state.belief
+    load = _load(fleet.vehicle, state.vehicle) if fleet.vehicle.wake() is not None else None
+    return {
+        "velocity_ned": turned_to_ned(axes(pose.attitude), axes(pose.velocity_body)),
+        "thrust": one(np.nan if load is None else load.thrust),
+        "believed_ned": axes(None if belief is None else belief.estimate.position_ned),
+        "std_ned": axes(None if belief is None or belief.std is None else belief.std.position_ned),
+        "charge": one(getattr(state.battery, "charge", np.nan) if fleet.battery.drains else np.nan),
+        "waypoint": one(state.guidance.index),
+        "action": one(0 if state.failsafe is None else state.failsafe.action),
+    }
+
+
+class RecordedDetails:
+    """The details of a recorded run; each stream is read when it is first asked for.
+
+    Args:
+        run: what was recorded.
+    """
+
+    def __init__(self, run: Run):
+        self._run = run
+
+    @cached_property
+    def _truth(self) -> Columns:
+        truth = self._run["truth"]
+        ones = {name: (column,) if column in truth else None for name, column in _OF_TRUTH.items()}
+        parts = {"velocity": ("velocity_body", AXES), "attitude": ("attitude", ANGLES)}
+        return Columns(self._run, "truth", ones | {name: vector(self._run, "truth", *of) for name, of in parts.items()})
+
+    @cached_property
+    def _commands(self) -> Columns:
+        columns = self._run["commands"].columns() if "commands" in self._run else ()
+        parts = {"believed": "estimate.position_ned", "std": "estimate_std.position_ned"}
+        found = {name: vector(self._run, "commands", of, AXES) for name, of in parts.items()}
+        return Columns(self._run, "commands", found | {"waypoint": ("waypoint",) if "waypoint" in columns else None})
+
+    @cached_property
+    def _modes(self) -> list[tuple[float, int, str]]:
+        """Return times [s], vehicles and words of changes of failsafes, in order."""
+        numbers = {name: i for i, name in enumerate(self._run.vehicles)}
+        try:
+            events = self._run.events if EVENTS in self._run else []
+        except QrsimError:  # a damaged stream of events hides no vehicle
+            events = []
+        return [
+            (event.time, numbers[event.vehicle], (event.message or event.kind) if event.kind == FAILSAFE else "")
+            for event in events
+            if event.kind in (FAILSAFE, ENDS) and event.vehicle in numbers
+        ]
+
+    def at(self, time: float) -> Details:
+        """Return the details at a time [s]."""
+        modes: dict[int, str] = {}
+        for since, vehicle, words in self._modes:
+            if since <= time + 1e-6:
+                modes[vehicle] = words
+
+        def one(columns: Columns, name: str) -> Floats:
+            """Return the values (n,) of a column."""
+            return columns.at(name, time)[..., 0]
+
+        return Details(
+            turned_to_ned(self._truth.at("attitude", time), self._truth.at("velocity", time)),
+            one(self._truth, "thrust"),
+            self._commands.at("believed", time),
+            self._commands.at("std", time),
+            one(self._truth, "charge"),
+            one(self._commands, "waypoint"),
+            {vehicle: words for vehicle, words in modes.items() if words},
+        )
+
+
+_OF_TRUTH = {"thrust": "thrust", "charge": "battery.charge"}

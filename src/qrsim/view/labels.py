@@ -1,0 +1,63 @@
+"""What labels say of vehicles besides their names: speed, height, battery, leg or failsafe, and the estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from qrsim.view.details import Details
+from qrsim.view.frame import Frame
+from qrsim.view.layers import MOST_LABELS, Layer
+
+STATES = "states in labels"
+
+
+class LabelStates(Layer):
+    """Two or three lines in the label of each vehicle, of up to 20, or of the selected ones; browsers draw them."""
+
+    title = STATES
+    every = 6
+    most = -1
+    in_film = False
+    of_chosen = True
+
+    def begin(self) -> None:
+        """Start without lines."""
+        self.tell: Callable[[dict[int, list[str]]], None] = lambda lines: None
+
+    def draw(self, frame: Frame) -> None:
+        """Send the overlay the lines of the vehicles that have labels."""
+        if frame.details is None:
+            return
+        size = self.stage.cast.size
+        shown = range(size) if size <= MOST_LABELS else sorted(self.stage.chosen)
+        found = frame.details()
+        self.tell({vehicle: self._lines(frame, found, vehicle) for vehicle in shown if frame.valid[vehicle]})
+
+    def _lines(self, frame: Frame, found: Details, vehicle: int) -> list[str]:
+        """Return the lines of a vehicle."""
+        routes = self.stage.cast.routes
+        return lines_of(frame, found, vehicle, max(0, len(routes[vehicle]) - 1) if routes else 0)
+
+
+def lines_of(frame: Frame, found: Details, vehicle: int, waypoints: int) -> list[str]:
+    """Return the lines of a vehicle with a number of waypoints; unknown quantities are left out."""
+    speed, height = float(np.linalg.norm(found.velocity_ned[vehicle])), -float(frame.position_ned[vehicle, 2])
+    lines = [f"{speed:.1f} m/s, {height:z.1f} m high"] if np.isfinite(speed + height) else []
+    mode, charge, leg = found.modes.get(vehicle), float(found.charge[vehicle]), float(found.waypoint[vehicle])
+    parts = (
+        [mode]
+        if mode
+        else [f"waypoint {min(leg + 1, waypoints):.0f} of {waypoints}"]
+        if waypoints and np.isfinite(leg)
+        else []
+    )
+    parts += [f"battery {100.0 * charge:.0f} %"] if np.isfinite(charge) else []
+    lines += [", ".join(parts)] if parts else []
+    error = float(np.linalg.norm(found.believed_ned[vehicle] - frame.position_ned[vehicle]))
+    std = float(np.linalg.norm(found.std_ned[vehicle]))
+    if np.isfinite(error):
+        reported = f" (\u03c3 {std:.2g} m)" if np.isfinite(std) else ""
+        lines.append(f"estimate {error:.2g} m off{reported}")
+    return lines

@@ -1,0 +1,211 @@
+// Tools of each browser: camera presets and saved views, the place under the pointer, and measuring. `host` is the overlay.
+const toolsIn = (host) => {
+  const { data, state, make, tools } = host;
+  const vector = (...parts) => new (host.m().camera.position.constructor)(...parts);
+  const nedOf = (point) => point.clone().applyMatrix4(host.world().clone().invert()).toArray();
+  const number = (value, digits) => {
+    const text = Math.abs(value).toFixed(digits);
+    return (value < 0 && Number(text) ? "\u2212" : "") + text;
+  };
+
+  // ---- the ground, and places on the Earth ----
+
+  // Down coordinate [m] of the ground: that of its surface, a square grid of corners, or 0.
+  const ground = (north, east) => {
+    const own = host.nodes()[data.surface]?.message?.props?.vertices;
+    if (!own) return 0;
+    const at = host.floats(own), n = Math.round(Math.sqrt(at.length / 3)), last = at.length - 3;
+    const row = ((n - 1) * (north - at[0])) / (at[last] - at[0]), column = ((n - 1) * (east - at[1])) / (at[last + 1] - at[1]);
+    if (!(row >= 0 && column >= 0 && row <= n - 1 && column <= n - 1)) return null;
+    const i = Math.min(n - 2, Math.floor(row)), j = Math.min(n - 2, Math.floor(column)), f = row - i, g = column - j;
+    const down = (a, b) => at[3 * ((i + a) * n + j + b) + 2];
+    return (1 - f) * ((1 - g) * down(0, 0) + g * down(0, 1)) + f * ((1 - g) * down(1, 0) + g * down(1, 1));
+  };
+  // Where a pixel of the canvas shows the ground, NED [m]; null for the sky.
+  const groundAt = (x, y, box) => {
+    const eye = nedOf(host.m().camera.position);
+    const far = nedOf(vector((2 * x) / box.width - 1, 1 - (2 * y) / box.height, 0.5).unproject(host.m().camera));
+    const way = far.map((value, axis) => value - eye[axis]), size = Math.hypot(...way);
+    const place = (s) => eye.map((value, axis) => value + (s * way[axis]) / size);
+    const above = (s) => { const p = place(s), g = ground(p[0], p[1]); return g === null ? NaN : g - p[2]; };
+    // Steps that grow with the distance, then halves.
+    for (let s = 0, step = Math.max(0.5, 0.002 * Math.abs(eye[2])); s < 1e5; s += step, step *= 1.02) {
+      if (!(above(s + step) < 0)) continue;
+      let [low, high] = [s, s + step];
+      for (let turn = 0; turn < 30; turn++) { const half = (low + high) / 2; if (above(half) < 0) high = half; else low = half; }
+      return place(high);
+    }
+    return null;
+  };
+  // Latitude and longitude [deg] of a place NED [m] on WGS 84.
+  const geodetic = ([north, east, down]) => {
+    const a = 6378137, e2 = 6.69437999014e-3, [lat0, lon0] = data.site.map((value) => (value * Math.PI) / 180);
+    const [s, c, sl, cl] = [Math.sin(lat0), Math.cos(lat0), Math.sin(lon0), Math.cos(lon0)], n0 = a / Math.sqrt(1 - e2 * s * s);
+    const outwards = (n0 + data.site[2] - down) * c - north * s;
+    const x = outwards * cl - east * sl, y = outwards * sl + east * cl, z = (n0 * (1 - e2) + data.site[2] - down) * s + north * c;
+    const p = Math.hypot(x, y);
+    let lat = Math.atan2(z, p * (1 - e2));
+    for (let turn = 0; turn < 5; turn++) {
+      const n = a / Math.sqrt(1 - e2 * Math.sin(lat) ** 2);
+      lat = Math.atan2(z + e2 * n * Math.sin(lat), p);
+    }
+    return [(lat * 180) / Math.PI, (Math.atan2(y, x) * 180) / Math.PI];
+  };
+
+  // ---- the scale bar, which holds at the middle of the view ----
+
+  const scale = make("div", "qrsim-scale", host.root), scaleText = make("span", "", scale), scaleBar = make("div", "", scale);
+  scale.title = "so long at the middle of the view";
+  const layScale = (box) => {
+    const control = host.m().cameraControl;
+    const far = control.getPosition(vector()).distanceTo(control.getTarget(vector()));
+    const metres = (2 * far * host.tangent()) / box.height, most = Math.min(160, 0.3 * box.width) * metres;
+    const decade = 10 ** Math.floor(Math.log10(most));
+    const length = [5, 2, 1].map((part) => part * decade).find((value) => value <= most);
+    scaleText.textContent = length >= 1000 ? `${length / 1000} km` : `${+length.toPrecision(1)} m`;
+    scaleBar.style.width = length / metres + "px";
+  };
+
+  // ---- the place under the pointer ----
+
+  const pointer = make("div", "qrsim-pointer", host.root);
+  let mouse = null;
+  const say = (box) => {
+    const at = mouse && !measuring ? groundAt(mouse[0], mouse[1], box) : null;
+    pointer.style.display = at ? "" : "none";
+    if (!at) return;
+    const parts = [`N ${number(at[0], 1)} m, E ${number(at[1], 1)} m`];
+    if (data.site) parts.unshift(geodetic(at).map((value) => number(value, 6) + "\u00b0").join(", "));
+    if (host.nodes()[data.surface]) parts.push(`ground ${number(-at[2], 1)} m`);
+    pointer.textContent = parts.join(" \u00b7 ");
+    pointer.style.bottom = box.height - host.free(box).bottom + 12 + "px";
+  };
+
+  // ---- measuring ----
+
+  const line = host.draw("path", "qrsim-measure"), words = make("div", "qrsim-measured", host.root);
+  let measuring = false, ends = [];
+  const button = host.tool("Measure", "distance and height between two clicks; Escape ends", () => measure(!measuring));
+  const measure = (on) => {
+    measuring = on;
+    ends = [];
+    button.classList.toggle("qrsim-on", on);
+    host.again();
+  };
+  const placeOf = (end) => ("vehicle" in end ? [...host.place().at.subarray(3 * end.vehicle, 3 * end.vehicle + 3)] : end.ned);
+  const pick = (x, y, box) => {
+    let best = null;
+    data.names.forEach((_, vehicle) => {
+      const spot = host.pixel(vehicle, box), off = spot && Math.hypot(spot.x - x, spot.y - y);
+      if (spot && off < Math.max(14, 0.6 * spot.radius) && (!best || off < best.off)) best = { vehicle, off };
+    });
+    const ned = best ? null : groundAt(x, y, box);
+    return best ? { vehicle: best.vehicle } : ned ? { ned } : null;
+  };
+  const layMeasure = (box) => {
+    line.style.display = words.style.display = measuring ? "" : "none";
+    if (!measuring) return;
+    words.style.bottom = box.height - host.free(box).bottom + 12 + "px";
+    const places = ends.map(placeOf), spots = places.map((ned) => host.pixelOf(host.at3(...ned), box));
+    line.setAttribute("d", spots.every(Boolean) ? spots.map((s, i) => `${i ? "L" : "M"}${s.x},${s.y}`).join("") +
+      spots.map((s) => `M${s.x - 5},${s.y}h10m-5,-5v10`).join("") : "");
+    if (places.length < 2) { words.textContent = places.length ? "click the second place or vehicle" : "click a place or a vehicle"; return; }
+    const [n, e, d] = places[1].map((value, axis) => value - places[0][axis]), level = Math.hypot(n, e);
+    const bearing = (((Math.atan2(e, n) * 180) / Math.PI) + 360) % 360;
+    words.textContent = `${Math.hypot(level, d).toFixed(1)} m, level ${level.toFixed(1)} m, ` +
+      `height ${number(-d, 1)} m, bearing ${bearing.toFixed(0)}\u00b0`;
+  };
+
+  // ---- views ----
+
+  const choice = make("select", "qrsim-views", tools), STORE = "qrsim-views " + data.title;
+  choice.title = "where the camera is";
+  const numbers = (values) => Array.isArray(values) && values.length === 3 && values.every(Number.isFinite);
+  const kept = () => {
+    try {
+      const found = JSON.parse(localStorage.getItem(STORE) ?? "[]");
+      return Array.isArray(found) ? found.filter((view) => numbers(view?.eye) && numbers(view?.target)).slice(0, 9) : [];
+    } catch { return []; }
+  };
+  const keep = (views) => { try { localStorage.setItem(STORE, JSON.stringify(views)); } catch { /* a file has no storage */ } };
+  const vehicle = () => state.chosen ?? state.ride?.vehicle ?? 0;
+  const presets = {
+    Overview: () => host.frame(true), Top: () => host.frame(true, [-0.02, 0, -1]),
+    Follow: () => { host.follow(null); host.follow(vehicle()); },
+    Chase: () => { state.ride = { kind: "chase", vehicle: vehicle() }; },
+    Onboard: () => { state.ride = { kind: "onboard", vehicle: vehicle() }; },
+  };
+  const go = (name) => {
+    state.ride = null;
+    host.touch();
+    if (name in presets) { if (name !== "Follow") host.follow(null); presets[name](); return; }
+    const control = host.m().cameraControl;
+    if (name === "save") {
+      keep([...kept(), { eye: control.getPosition(vector()).toArray(), target: control.getTarget(vector()).toArray() }].slice(-9));
+    } else if (name === "forget") keep([]);
+    else {
+      const view = kept()[Number(name)];
+      host.follow(null);
+      if (view) control.setLookAt(...view.eye, ...view.target, true);
+    }
+    fill();
+  };
+  const fill = () => {
+    const option = (text, value) => Object.assign(make("option", "", choice, text), { value });
+    choice.replaceChildren();
+    Object.assign(option("View", ""), { disabled: true });
+    for (const name of Object.keys(presets)) option(name, name);
+    kept().forEach((_, i) => option(`Saved ${i + 1}`, String(i)));
+    option("Save this view", "save");
+    if (kept().length) option("Forget saved views", "forget");
+    choice.value = "";
+  };
+  choice.onchange = () => { const name = choice.value; choice.value = ""; choice.blur(); go(name); };
+  fill();
+  // The camera behind, or at the nose of, a vehicle; its horizon stays level.
+  const ride = () => {
+    if (!state.ride) return;
+    const own = vehicle(), [w, x, y, z] = host.place().turn.subarray(4 * own, 4 * own + 4), span = host.place().span;
+    const nose = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)];
+    const level = Math.hypot(nose[0], nose[1]) || 1, ahead = [nose[0] / level, nose[1] / level, 0];
+    const at = host.place().at.subarray(3 * own, 3 * own + 3), along = (way, far, up) => at3(way.map((v, i) => at[i] + far * v), up);
+    const at3 = (ned, up) => host.at3(ned[0], ned[1], ned[2] - up);
+    const chase = state.ride.kind === "chase";
+    const eye = chase ? along(ahead, -4 * span, 1.4 * span) : along(nose, 0.7 * span, 0);
+    const to = chase ? along(ahead, 2 * span, 0) : along(nose, 0.7 * span + 10, 0);
+    host.m().cameraControl.setLookAt(...eye.toArray(), ...to.toArray(), false);
+  };
+
+  // ---- what the mouse does ----
+
+  let down = null;
+  const spot = (event) => { const box = host.canvasBox(); return [event.clientX - box.left, event.clientY - box.top]; };
+  const events = {
+    pointermove: (event) => { mouse = event.pointerType === "touch" ? null : spot(event); host.again(); },
+    pointerleave: () => { mouse = null; host.again(); },
+    pointerdown: (event) => { down = spot(event); state.ride = null; },
+    pointerup: (event) => {
+      const at = spot(event), still = down && Math.hypot(at[0] - down[0], at[1] - down[1]) < 5;
+      if (!measuring || !still) return;
+      const end = pick(...at, host.canvasBox());
+      if (end) ends = ends.length < 2 ? [...ends, end] : [end];
+      host.again();
+    },
+  };
+  const escape = (event) => { if (event.key === "Escape" && measuring) measure(false); };
+  window.addEventListener("keydown", escape);
+  let canvas = null;
+  const listen = (to) => {
+    for (const [name, act] of Object.entries(events)) {
+      canvas?.removeEventListener(name, act);
+      to?.addEventListener(name, act);
+    }
+    canvas = to;
+  };
+  return {
+    listen, ride, go, geodetic, groundAt, ground, scale,
+    lay: (box) => { layScale(box); say(box); layMeasure(box); },
+    boxes: () => [pointer, words],
+    ends: () => { listen(null); window.removeEventListener("keydown", escape); },
+  };
+};
