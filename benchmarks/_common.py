@@ -7,10 +7,11 @@ import json
 import math
 import os
 import platform
+import time
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 HEIGHTS = (20.0, 30.0, 40.0, 50.0, 60.0)
 SPACING = 80.0
@@ -69,6 +70,76 @@ def patrol(count: int, scenario: str = "patrol_published") -> dict[str, Any]:
     content["name"] = f"{scenario}_{count}"
     content["fleets"]["pelicans"]["vehicles"] = vehicles
     return content
+
+
+class Nothing:
+    """Sums up nothing of a flight."""
+
+    def init(self, world: Any, state: Any) -> tuple[()]:
+        """Return no memory."""
+        return ()
+
+    def update(self, flight: Any, world: Any, state: Any, tick: Any) -> tuple[()]:
+        """Return no memory."""
+        return ()
+
+
+class Took(NamedTuple):
+    """Time that something took [s], by the clock and of the processor."""
+
+    wall: float
+    cpu: float
+
+
+class Flown:
+    """Worlds in flight, which are compiled and have flown one tick.
+
+    Args:
+        world: of each.
+        worlds: how many.
+        metrics: of the flight; None: nothing is summed up.
+
+    Attributes:
+        compiled: what it took to the end of the first tick.
+        vehicles: in all worlds together.
+    """
+
+    def __init__(self, world: Any, worlds: int, metrics: Any = None):
+        import numpy as np
+
+        from qrsim.core.noise import Key
+        from qrsim.simulation.many_worlds import Flight
+        from qrsim.simulation.rollout import setup_of
+        from qrsim.world.draws import keys_of
+
+        wall, cpu = time.perf_counter(), time.process_time()
+        setup, fixed, own = setup_of([world], metrics=metrics or Nothing())
+        keys = keys_of(world, Key.roots(np.zeros(worlds, np.int64), np.arange(worlds)))
+        count = sum(fleet.size for fleet in world.fleets)
+        self.flight, self.tick, self.vehicles = Flight(setup, fixed, own, keys, count, 1), 0, worlds * count
+        self.advance(1)
+        self.compiled = Took(time.perf_counter() - wall, time.process_time() - cpu)
+
+    def advance(self, ticks: int) -> Took:
+        """Fly some ticks, to the end, and return the time that they took."""
+        import numpy as np
+
+        wall, cpu = time.perf_counter(), time.process_time()
+        self.flight.advance(self.tick, ticks, ((), ()))
+        np.asarray(self.flight.get(lambda carry: carry.wrong_tick))
+        self.tick += ticks
+        return Took(time.perf_counter() - wall, time.process_time() - cpu)
+
+    def ticks_in(self, seconds: float) -> int:
+        """Fly ten ticks, and return how many take so long [s] of wall time, a multiple of ten."""
+        return max(10, round(10 * seconds / max(self.advance(10).wall, 1e-6)) // 10 * 10)
+
+    def flying(self) -> int:
+        """Return how many vehicles still fly."""
+        import numpy as np
+
+        codes = self.flight.get(lambda carry: [fleet.violation.code for fleet in carry.state.fleets])
+        return int((np.concatenate(codes, axis=-1) == 0).sum())
 
 
 def machine() -> dict[str, Any]:

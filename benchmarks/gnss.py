@@ -103,55 +103,28 @@ class Flying:
 
     Args:
         world: of each.
-        worlds, count: how many, and vehicles in each.
+        worlds: how many.
         seconds: wall time that one measurement should take.
     """
 
-    def __init__(self, world: Any, worlds: int, count: int, seconds: float):
-        import numpy as np
-
-        from qrsim.core.noise import Key
-        from qrsim.simulation.many_worlds import Flight
-        from qrsim.simulation.rollout import setup_of
-        from qrsim.world.draws import keys_of
-
-        begun = time.perf_counter()
-        setup, fixed, own = setup_of([world], metrics=throughput.Nothing())
-        keys = keys_of(world, Key.roots(np.zeros(worlds, np.int64), np.arange(worlds)))
-        self.flight, self.vehicles = Flight(setup, fixed, own, keys, worlds * count, 1), worlds * count
-        self.tick, self.found = 0, []
-        self.fly(1)
-        self.compile_seconds = round(time.perf_counter() - begun, 2)
-        once = time.perf_counter()
-        self.fly(10)
-        self.ticks = max(10, round(10 * seconds / (time.perf_counter() - once)) // 10 * 10)
-
-    def fly(self, ticks: int) -> float:
-        """Advance, and return the CPU time [s] that it took."""
-        import numpy as np
-
-        begun = time.process_time()
-        self.flight.advance(self.tick, ticks, ((), ()))
-        np.asarray(self.flight.get(lambda carry: carry.wrong_tick))
-        self.tick += ticks
-        return time.process_time() - begun
+    def __init__(self, world: Any, worlds: int, seconds: float):
+        self.flown = _common.Flown(world, worlds)
+        self.vehicles, self.found = self.flown.vehicles, list[float]()
+        self.ticks = self.flown.ticks_in(seconds)
 
     def measure(self) -> None:
         """Take another measurement."""
-        self.found.append(1e9 * self.fly(self.ticks) / (self.vehicles * self.ticks))
+        self.found.append(1e9 * self.flown.advance(self.ticks).cpu / (self.vehicles * self.ticks))
 
     def row(self, sky: str, sensor: str) -> dict[str, Any]:
         """Return the row of the table."""
-        import numpy as np
-
-        flying = int((np.concatenate(self.flight.get(throughput._codes), axis=-1) == 0).sum())
         return {
             "sky": sky,
             "sensor": sensor,
             "vehicles": self.vehicles,
             "ns": min(self.found),
-            "compile_seconds": self.compile_seconds,
-            "flying": flying,
+            "compile_seconds": round(self.flown.compiled.wall, 2),
+            "flying": self.flown.flying(),
             **dict.fromkeys(("own_ns", "over_gps", "table_seconds", "table_mb")),
         }
 
@@ -175,10 +148,10 @@ def measured(count: int, buildings: int, most: int, seconds: float, repeats: int
             if of.skyline is not None:
                 size = of.skyline.words.nbytes / 2**20
                 tables[sky, sensor] = {"table_seconds": time.perf_counter() - begun, "table_mb": size}
-            flights[sky, sensor] = Flying(of, 1, count, seconds)
+            flights[sky, sensor] = Flying(of, 1, seconds)
     for name, worlds in PATROLS:
         for sensor in ("gnss_receiver", "gnss"):
-            flights[name, sensor] = Flying(patrol(sensor), min(worlds, most), 5, seconds)
+            flights[name, sensor] = Flying(patrol(sensor), min(worlds, most), seconds)
     for _ in range(repeats):
         for flight in flights.values():
             flight.measure()

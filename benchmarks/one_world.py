@@ -82,14 +82,13 @@ def served(arguments: Sequence[str]) -> None:
     from qrsim.simulation.many_worlds import Flight
     from qrsim.simulation.rollout import setup_of
     from qrsim.world.draws import keys_of
-    from throughput import Nothing
 
     worlds, count, threads = map(int, arguments[:3])
     seconds = float(arguments[3])
     qrsim.configure(cpu_devices=threads)
     world = large_world(count)
     count = world.fleets[0].size
-    setup, fixed, own = setup_of([world], metrics=Nothing())
+    setup, fixed, own = setup_of([world], metrics=_common.Nothing())
     keys = keys_of(world, Key.roots(np.zeros(worlds, np.int64), np.arange(worlds)))
     flight = Flight(setup, fixed, own, keys, count, 1)
     flight.advance(0, TICKS, ((), ()))

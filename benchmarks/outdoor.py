@@ -8,14 +8,12 @@ time to compile.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 import _common
-from throughput import Nothing
 
 FLEET = "fleets.pelicans"
 # What replaces each stage.
@@ -37,39 +35,6 @@ HEADINGS = {
 }
 
 
-class Flown:
-    """Worlds of the default scenario in flight, one stage of it replaced.
-
-    Args:
-        stage: one of STAGES.
-        worlds: how many.
-    """
-
-    def __init__(self, stage: str, worlds: int):
-        from qrsim import load_scenario
-        from qrsim.core.noise import Key
-        from qrsim.simulation.many_worlds import Flight
-        from qrsim.simulation.rollout import setup_of
-        from qrsim.world.draws import keys_of
-
-        world = load_scenario("outdoor_patrol", list(STAGES[stage]), quiet=True).world()
-        begun = time.process_time()
-        setup, fixed, own = setup_of([world], metrics=Nothing())
-        keys = keys_of(world, Key.roots(np.zeros(worlds, np.int64), np.arange(worlds)))
-        self.stage, self.worlds, self.vehicles = stage, worlds, world.fleets[0].size
-        self.flight, self.tick = Flight(setup, fixed, own, keys, self.vehicles, 1), 0
-        self.advance(1)
-        self.compile_seconds = time.process_time() - begun
-
-    def advance(self, ticks: int) -> float:
-        """Fly some ticks and return the CPU time they took [s]."""
-        begun = time.process_time()
-        self.flight.advance(self.tick, ticks, ((), ()))
-        np.asarray(self.flight.get(lambda carry: carry.wrong_tick))
-        self.tick += ticks
-        return time.process_time() - begun
-
-
 def measured(worlds: int, seconds: float, repeats: int, stages: Sequence[str] = tuple(STAGES)) -> list[dict[str, Any]]:
     """Return a row for each stage: medians of measurements that were taken in turns.
 
@@ -79,20 +44,27 @@ def measured(worlds: int, seconds: float, repeats: int, stages: Sequence[str] = 
         repeats: measurements of each stage.
         stages: which, the whole first.
     """
-    flown = [Flown(stage, worlds) for stage in stages]
-    ticks = [max(10, round(10 * seconds / max(each.advance(10), 1e-6)) // 10 * 10) for each in flown]
-    found = [[each.advance(count) / count for each, count in zip(flown, ticks, strict=True)] for _ in range(repeats)]
+    from qrsim import load_scenario
+
+    flown = [
+        _common.Flown(load_scenario("outdoor_patrol", list(STAGES[stage]), quiet=True).world(), worlds)
+        for stage in stages
+    ]
+    ticks = [each.ticks_in(seconds) for each in flown]
+    found = [
+        [each.advance(count).cpu / count for each, count in zip(flown, ticks, strict=True)] for _ in range(repeats)
+    ]
     medians = np.median(found, axis=0) / worlds
     return [
         {
-            "stage": each.stage,
+            "stage": stage,
             "worlds": worlds,
-            "ns": float(1e9 * median / each.vehicles),
+            "ns": float(1e9 * median * worlds / each.vehicles),
             "tick_us": float(1e6 * median),
             "share": float(1.0 - median / medians[0]) if i else 1.0,
-            "compile_seconds": round(each.compile_seconds, 2),
+            "compile_seconds": round(each.compiled.cpu, 2),
         }
-        for i, (each, median) in enumerate(zip(flown, medians, strict=True))
+        for i, (stage, each, median) in enumerate(zip(stages, flown, medians, strict=True))
     ]
 
 

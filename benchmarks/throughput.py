@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -40,18 +39,6 @@ HEADINGS = {
     "per_cpu_second": "per CPU second",
     "compile_seconds": "compile [s]",
 }
-
-
-class Nothing:
-    """Sums up nothing of a flight."""
-
-    def init(self, world: Any, state: Any) -> tuple[()]:
-        """Return no memory."""
-        return ()
-
-    def update(self, flight: Any, world: Any, state: Any, tick: Any) -> tuple[()]:
-        """Return no memory."""
-        return ()
 
 
 def stage_world(count: int, stage: str) -> Any:
@@ -120,43 +107,20 @@ def measure(worlds: int, count: int, stage: str, seconds: float, repeats: int) -
 def _measured(world: Any, worlds: int, count: int, stage: str, seconds: float, repeats: int) -> dict[str, Any]:
     import numpy as np
 
-    from qrsim.core.noise import Key
-    from qrsim.simulation.many_worlds import Flight
-    from qrsim.simulation.rollout import setup_of
-    from qrsim.world.draws import keys_of
-
-    begun = time.perf_counter()
-    setup, fixed, own = setup_of([world], metrics=Nothing())
-    keys = keys_of(world, Key.roots(np.zeros(worlds, np.int64), np.arange(worlds)))
-    flight = Flight(setup, fixed, own, keys, count, 1)
-    flight.advance(0, 1, ((), ()))
-    compiled, tick = time.perf_counter() - begun, 1
-    once = time.perf_counter()
-    flight.advance(tick, 10, ((), ()))
-    ticks, tick = max(10, round(10 * seconds / (time.perf_counter() - once)) // 10 * 10), tick + 10
-    walls, cpus = [], []
-    for _ in range(repeats):
-        wall, cpu = time.perf_counter(), time.process_time()
-        flight.advance(tick, ticks, ((), ()))
-        np.asarray(flight.get(lambda carry: carry.wrong_tick))
-        walls.append(time.perf_counter() - wall)
-        cpus.append(time.process_time() - cpu)
-        tick += ticks
+    flown = _common.Flown(world, worlds)
+    ticks = flown.ticks_in(seconds)
+    wall, cpu = np.median([flown.advance(ticks) for _ in range(repeats)], axis=0)
     steps = worlds * count * ticks
     return {
         "stage": stage,
         "vehicles": worlds * count,
         "worlds": worlds,
-        "per_wall_second": round(steps / float(np.median(walls))),
-        "per_cpu_second": round(steps / float(np.median(cpus))),
-        "compile_seconds": round(compiled, 2),
+        "per_wall_second": round(steps / float(wall)),
+        "per_cpu_second": round(steps / float(cpu)),
+        "compile_seconds": round(flown.compiled.wall, 2),
         "ticks": ticks,
-        "flying": int((np.concatenate(flight.get(_codes), axis=-1) == 0).sum()),
+        "flying": flown.flying(),
     }
-
-
-def _codes(carry: Any) -> list[Any]:
-    return [fleet.violation.code for fleet in carry.state.fleets]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import statistics
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -51,46 +50,24 @@ def _star(north: float, east: float, radius: float, waves: float) -> list[list[f
     return [[north + r * math.cos(a), east + r * math.sin(a)] for r, a in zip(lengths, angles, strict=True)]
 
 
-class Measured:
-    """A flight of many worlds that is measured in parts."""
-
-    def __init__(self, area: str, metrics: bool, vehicles: int, worlds: int):
-        import numpy as np
-
-        import qrsim
-        from qrsim.core.noise import Key
-        from qrsim.interface.metrics import FLIGHT_METRICS
-        from qrsim.simulation.many_worlds import Flight
-        from qrsim.simulation.rollout import setup_of
-        from qrsim.world.draws import keys_of
-        from throughput import Nothing
-
-        world = qrsim.load_scenario(content_of(area, vehicles), quiet=True).world()
-        begun = time.process_time()
-        setup, fixed, own = setup_of([world], metrics=FLIGHT_METRICS if metrics else Nothing())
-        keys = keys_of(world, Key.roots(np.zeros(worlds, np.int64), np.arange(worlds)))
-        self.flight = Flight(setup, fixed, own, keys, vehicles, 1)
-        self.flight.advance(0, 1, ((), ()))
-        self.compile_s = time.process_time() - begun
-        self.tick, self.count = 1, vehicles * worlds
-
-    def us(self, ticks: int) -> float:
-        """Return the time per vehicle and tick [us], measured over a number of ticks."""
-        begun = time.process_time()
-        self.flight.advance(self.tick, ticks, ((), ()))
-        _ = self.flight.get(lambda carry: carry.wrong_tick)
-        self.tick += ticks
-        return 1e6 * (time.process_time() - begun) / (ticks * self.count)
-
-
 def measure(metrics: bool, quick: bool) -> list[dict[str, Any]]:
     """Return a row for the box and one for the zones, measured in turns; all times are those of the processor."""
+    import qrsim
+    from qrsim.interface.metrics import FLIGHT_METRICS
+
     vehicles, worlds, turns, ticks = (20, 1, 1, 10) if quick else (VEHICLES, WORLDS, 7, 100)
-    flights = {area: Measured(area, metrics, vehicles, worlds) for area in ("box", "zones")}
+    flights = {
+        area: _common.Flown(
+            qrsim.load_scenario(content_of(area, vehicles), quiet=True).world(),
+            worlds,
+            FLIGHT_METRICS if metrics else None,
+        )
+        for area in ("box", "zones")
+    }
     found: dict[str, list[float]] = {area: [] for area in flights}
     for _ in range(turns):
         for area, flight in flights.items():
-            found[area].append(flight.us(ticks))
+            found[area].append(1e6 * flight.advance(ticks).cpu / (ticks * flight.vehicles))
     base = statistics.median(found["box"])
     return [
         {
@@ -98,7 +75,7 @@ def measure(metrics: bool, quick: bool) -> list[dict[str, Any]]:
             "metrics": metrics,
             "us_per_vehicle_tick": round(statistics.median(each), 3),
             "percent_of_box": round(100.0 * statistics.median(each) / base),
-            "compile_s": round(flights[area].compile_s, 1),
+            "compile_s": round(flights[area].compiled.cpu, 1),
         }
         for area, each in found.items()
     ]

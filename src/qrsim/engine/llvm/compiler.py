@@ -6,14 +6,18 @@ module compiles its standard input to better code; it imports nothing of the pac
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import threading
+from collections.abc import Iterator
 from functools import lru_cache
 
 import llvmlite.binding as llvm
 
 # Sessions of a server compile in threads of their own; here one does at a time.
 _LOCK = threading.Lock()
+# First line of a text in which LLVM should begin no operation long before its result is needed.
+TOPDOWN = "; topdown"
 
 
 @lru_cache(maxsize=1)
@@ -79,8 +83,23 @@ def machine_code(text: str, tier: str = "better") -> bytes:
             passes.add_sroa_pass()
             passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
         # Object code and not a running engine, because that can be kept in a file.
-        code: bytes = machine.emit_object(module)
+        with _scheduled(text):
+            code: bytes = machine.emit_object(module)
         return code
+
+
+@contextlib.contextmanager
+def _scheduled(text: str) -> Iterator[None]:
+    """Let LLVM order instructions as a text asks for, on processors where its default is known."""
+    if not text.startswith(TOPDOWN) or not machine_triple().startswith("x86_64"):
+        yield
+        return
+    # An option of the whole process, so it is set back, for other users of llvmlite.
+    llvm.set_option("", "--misched-prera-direction=topdown")
+    try:
+        yield
+    finally:
+        llvm.set_option("", "--misched-prera-direction=bottomup")
 
 
 class Loaded:

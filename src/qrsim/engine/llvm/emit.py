@@ -14,6 +14,7 @@ from qrsim.engine.llvm.refusal import UnsupportedError
 from qrsim.engine.llvm.scattering import write_scatter, write_update
 from qrsim.engine.llvm.schedule import Step
 from qrsim.engine.llvm.text import neutral, scalar_type, splat, stored_type, vector
+from qrsim.engine.llvm.turns import parts_of, turns_of
 from qrsim.engine.llvm.writing import Place, Scope
 
 
@@ -106,7 +107,7 @@ class Emitter(Loops):
         # A sum along the vector's own axis would be taken in another order.
         if self.side_by_side or self.lanes == 1 or (last in step.reduced and ordered):
             lane_axis = None
-        together = 1 if step.reduced else _together(step, shared_axis(step.kept, lane_axis))
+        together = 1 if step.reduced else turns_of(step, shared_axis(step.kept, lane_axis))
         self._loops(step, step.kept, Scope(step.domain, ["0"] * (last + 1), lane_axis, {}, {}), together, stored)
 
     def _rows(self, step: Step, stored: set[int]) -> None:
@@ -121,7 +122,7 @@ class Emitter(Loops):
             for part in step.parts:
                 last = len(part.domain) - 1
                 kept = [axis for axis in part.kept if axis != last]
-                together = _together(part, shared_axis(part.reduced or kept, None))
+                together = turns_of(part, shared_axis(part.reduced or kept, None))
                 scope = Scope(part.domain, ["0"] * last + [counter], last if vectors else None, {}, {}, row)
                 accumulators = self._loops(part, kept, scope, together, stored)
                 if not kept:
@@ -166,18 +167,22 @@ class Emitter(Loops):
     def _body(
         self, step: Step, scopes: list[Scope], accumulators: dict[int, tuple[Node, str]], stored: set[int]
     ) -> None:
-        """Write one or several unrolled turns of a loop, operation by operation."""
-        for node in step.nodes:
-            if node.op == "kernel":
-                for scope, value in zip(scopes, self._kernel(node, scopes, self._width(node)), strict=True):
-                    scope.values[node.number] = value
+        """Write one or several unrolled turns of a loop: a part of one turn, then the same part of the next."""
+        several = len(scopes) > 1 and bool(accumulators)
+        # LLVM would begin all sums of all turns first, and move most of them to memory.
+        self.topdown |= several
+        for part in parts_of(step.nodes) if several else [[node] for node in step.nodes]:
+            if part[0].op == "kernel":
+                for scope, value in zip(scopes, self._kernel(part[0], scopes, self._width(part[0])), strict=True):
+                    scope.values[part[0].number] = value
                 continue
             for scope in scopes:
                 self.scope = scope
-                if node.op == "reduce":
-                    self._accumulate(*accumulators[node.number])
-                else:
-                    scope.values[node.number] = self._compute(node, self._width(node))
+                for node in part:
+                    if node.op == "reduce":
+                        self._accumulate(*accumulators[node.number])
+                    else:
+                        scope.values[node.number] = self._compute(node, self._width(node))
         for scope in scopes:
             self.scope = scope
             self._keep(step, stored)
@@ -368,19 +373,3 @@ class Emitter(Loops):
         self.move_all(moves, keep)
         self.do(f"br label %{after}")
         self.scalars = outside
-
-
-def _together(step: Step, axis: int | None) -> int:
-    """Return by how many turns to unroll a loop along an axis.
-
-    One turn of a body of some hundred operations that wait for each other fills what the processor looks ahead, and
-    few of them run at once. A shorter body needs no help, and a longer one no more of it than its registers hold.
-    """
-    if axis is None:
-        return 1
-    # The results of a kernel share its operations.
-    called = {(node.attributes[0], node.args) for node in step.nodes if node.op == "kernel"}
-    size = sum(node.op != "kernel" for node in step.nodes) + sum(len(kernels.body(name).nodes) for name, _ in called)
-    if not 60 <= size <= 200 or (size < 100 and not step.reduced):
-        return 1
-    return next((turns for turns in (4, 2) if step.domain[axis] % turns == 0), 1)

@@ -12,7 +12,7 @@ from qrsim.core.arrays import DType
 from qrsim.engine.layout import SPARE, Packer, struct
 from qrsim.engine.llvm import kernels
 from qrsim.engine.llvm.background import packed
-from qrsim.engine.llvm.compiler import machine_code, machine_triple
+from qrsim.engine.llvm.compiler import TOPDOWN, machine_code, machine_triple
 from qrsim.engine.llvm.emit import Emitter
 from qrsim.engine.llvm.entries import for_each, head, keeping, seated
 from qrsim.engine.llvm.graph import Graph, Node, Shape, View, squeezed
@@ -313,12 +313,14 @@ class Draft:
         functions = [kernels.function(name, lanes) for name, lanes in sorted(writer.kernels)]
         return "\n".join(
             [
-                *writer.constants,
+                *([TOPDOWN] if writer.topdown else []),
+                writer.constants.text(),
                 *sorted(writer.declarations.union(*(declared for _, declared in functions))),
                 *(line for lines, _ in functions for line in lines),
                 *(seated(shared, machine_triple()) if self.strip else ()),
                 head(shared, self.strip > 0),
                 "entry:",
+                writer.constants.entry,
                 *writer.entry,
                 *writer.lines,
                 "}",

@@ -16,6 +16,7 @@ import numpy as np
 
 from qrsim.core.arrays import DType
 from qrsim.engine.llvm.compiler import vector_bytes
+from qrsim.engine.llvm.constants import Constants
 from qrsim.engine.llvm.graph import Access, Node, Shape
 from qrsim.engine.llvm.refusal import UnsupportedError
 from qrsim.engine.llvm.text import literal, scalar_type, splat, stored_bytes, stored_type, suffix, vector
@@ -73,10 +74,12 @@ class Writer:
         self.lines: list[str] = []
         self.entry: list[str] = []
         self.declarations: set[str] = set()
-        self.constants: list[str] = []
+        self.constants = Constants()
         # Kernels that are called, each with its lanes; none where they are written out.
         self.kernels: set[tuple[str, int]] = set()
         self.kernels_inside = False
+        # Whether LLVM should keep the order of the text more than it does by default.
+        self.topdown = False
         self.count = 0
         self.block = "entry"
         self.scalars: dict[int, tuple[str, int]] = {}
@@ -359,16 +362,11 @@ class Writer:
             return self.places[node.number]
         if node.number not in self._constant_places:
             array = np.frombuffer(node.attributes[0], node.dtype).reshape(node.shape)
-            # As bools lie in memory everywhere else.
-            if array.dtype.kind == "b":
-                array = array.astype(np.int32)
             # Rows are read in whole vectors, so the last one needs something behind it.
-            padded = np.concatenate([array.ravel(), np.zeros(2 * self.lanes, array.dtype)])
-            element = stored_type(node.dtype)
-            body = ", ".join(f"{element} {literal(v, np.dtype(array.dtype))}" for v in padded)
-            symbol = f"@constant{node.number}"
-            self.constants.append(f"{symbol} = private constant [{padded.size} x {element}] [{body}], align 64")
-            self._constant_places[node.number] = Place(symbol, 0, tuple(map(int, array.strides)), own=False)
+            offset = self.constants.add(array, 2 * self.lanes)
+            element = stored_bytes(node.dtype) // array.dtype.itemsize
+            strides = tuple(element * stride for stride in array.strides)
+            self._constant_places[node.number] = Place(self.constants.pointer, offset, strides, own=False)
         return self._constant_places[node.number]
 
     def write(self, place: Place, dtype: DType, value: str, lanes: int, variables: Sequence[str]) -> None:
