@@ -27,8 +27,8 @@ endif
 
 LINT = echo "== ruff check" && $(BIN)/ruff check $(CODE) && \
 	echo "== ruff format" && $(BIN)/ruff format --check $(CODE) && \
-	echo "== mypy" && $(BIN)/mypy && \
 	echo "== import-linter" && $(BIN)/lint-imports --no-logo
+TYPES = echo "== mypy" && $(BIN)/mypy
 
 install: $(STAMP)  ## make .venv and install qrsim with what running it needs, pinned (PYTHON=python3.12 chooses another Python)
 
@@ -57,7 +57,7 @@ $(TOOLS): $(STAMP)
 run: $(STAMP)  ## run the default scenario (ARGS='...' is handed to 'qrsim run')
 	@$(BIN)/qrsim run $(ARGS)
 
-# The linters run during the tests: mypy needs one core for most of a minute. Their output follows that of the tests.
+# Linters run during the tests, and their output follows that of the tests. mypy needs a core for a minute: long tests have it.
 test: $(TOOLS)  ## all checks, and all tests but the long ones
 	@echo "== pytest"
 	@{ $(LINT); } > .lint.log 2>&1 & linters=$$!; \
@@ -65,9 +65,12 @@ test: $(TOOLS)  ## all checks, and all tests but the long ones
 		wait $$linters; lint=$$?; cat .lint.log; rm -f .lint.log; \
 		[ $$lint -eq 0 ] && exit $$tests; exit $$lint
 
-test-long: $(TOOLS)  ## the long tests: real clients, browsers, small forms of the studies
+test-long: $(TOOLS)  ## mypy, and the long tests: real clients, browsers, small forms of the studies
 	@echo "== pytest (long)"
-	@$(BIN)/python -m pytest -n 2 --dist loadfile -m "long and not nightly" $(ARGS)
+	@{ $(TYPES); } > .types.log 2>&1 & types=$$!; \
+		$(BIN)/python -m pytest -n 2 --dist loadfile -m "long and not nightly" $(ARGS); tests=$$?; \
+		wait $$types; types=$$?; cat .types.log; rm -f .types.log; \
+		[ $$types -eq 0 ] && exit $$tests; exit $$types
 
 test-nightly: $(TOOLS)  ## tests of minutes each: random programs, fuzzing, other versions of Python and dependencies, mutation
 	@echo "== pytest (nightly)"
@@ -77,7 +80,7 @@ mutation: $(TOOLS)  ## change models/ and control/, and print what no test notic
 	@$(BIN)/python -m tests.mutation $(ARGS)
 
 lint: $(TOOLS)  ## formatting, lint, types, layers of imports
-	@$(LINT)
+	@$(LINT) && $(TYPES)
 
 bench: $(TOOLS)  ## run every benchmarks/*.py
 	@set -e; for script in $(filter-out benchmarks/_%,$(sort $(wildcard benchmarks/*.py))); do \
