@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
-from qrsim.errors import UsageError, did_you_mean, nearest
+from qrsim.errors import RunError, UsageError, did_you_mean, nearest
 from qrsim.runs.layout import EVENTS, INDEX, Column
 from qrsim.runs.reader import Run
 
@@ -25,7 +26,21 @@ class Quantity:
 def quantities(run: Run) -> list[Quantity]:
     """Return all quantities in the order in which they were recorded."""
     streams = [stream for stream in run.streams if stream != EVENTS]
-    return [Quantity(stream, column) for stream in streams for column in run.describe(stream)[len(INDEX) :]]
+    return [each for stream in streams for each in _of_stream(run, stream)]
+
+
+def readable_quantities(run: Run) -> list[Quantity]:
+    """Return the quantities of all streams but those whose columns cannot be read."""
+    found: list[Quantity] = []
+    for stream in run.streams:
+        with suppress(RunError):
+            found += _of_stream(run, stream) if stream != EVENTS else []
+    return found
+
+
+def _of_stream(run: Run, stream: str) -> list[Quantity]:
+    """Return the quantities of a stream; raise RunError if its columns cannot be read."""
+    return [Quantity(stream, column) for column in run.describe(stream)[len(INDEX) :]]
 
 
 def find_quantities(run: Run, name: str) -> list[Quantity]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from qrsim.control.failsafes import ACTIONS
 from qrsim.core.arrays import Floats
 from qrsim.core.host import on_host
 from qrsim.errors import QrsimError
+from qrsim.models.vehicles.contracts import Charged
 from qrsim.runs import Run
 from qrsim.runs.failsafe_events import ENDS, FAILSAFE
 from qrsim.runs.layout import EVENTS
@@ -74,7 +75,7 @@ def _of_fleet(fleet: Any, state: FleetState) -> dict[str, Floats]:
         "thrust": one(np.nan if load is None else load.thrust),
         "believed_ned": axes(None if belief is None else belief.estimate.position_ned),
         "std_ned": axes(None if belief is None or belief.std is None else belief.std.position_ned),
-        "charge": one(getattr(state.battery, "charge", np.nan) if fleet.battery.drains else np.nan),
+        "charge": one(cast(Charged, state.battery).charge if fleet.battery.drains else np.nan),
         "waypoint": one(state.guidance.index),
         "action": one(0 if state.failsafe is None else state.failsafe.action),
     }

@@ -13,6 +13,7 @@ import numpy as np
 from viser import ClientHandle, ViserServer
 
 from qrsim.core.arrays import Floats
+from qrsim.errors import QrsimError
 from qrsim.view.air import REACHES
 from qrsim.view.clock import Clock
 from qrsim.view.failing import FailingControls
@@ -280,8 +281,11 @@ class Page:
             )
 
         def change(_: object) -> None:
-            """Colour the scene by the quantity that is set."""
-            self.scene.colour(None if by.value == BY_VEHICLE else paint(by.value))
+            """Colour the scene by the quantity that is set, or say why its stream cannot be read."""
+            try:
+                self.scene.colour(None if by.value == BY_VEHICLE else paint(by.value))
+            except QrsimError as error:
+                self.say(str(error))
 
         by.on_update(change)
         if chosen is not None:

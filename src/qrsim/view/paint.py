@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from qrsim.core.arrays import Floats
-from qrsim.errors import UsageError, did_you_mean
+from qrsim.errors import RunError, UsageError, did_you_mean
 from qrsim.runs import Run
 from qrsim.runs.colours import GREY, on_scale
-from qrsim.runs.quantities import quantities
+from qrsim.runs.quantities import readable_quantities
 from qrsim.view.columns import Columns, vector
 from qrsim.view.truth import AXES
 
@@ -80,10 +81,13 @@ class Paints:
         self._run = run
         self._columns = {
             item.name: (item.stream, item.column)
-            for item in quantities(run)
+            for item in readable_quantities(run)
             if item.column.dtype.startswith(("float", "int", "uint", "bool"))
         }
-        self._computed = {name: make for name, make in self._derived().items() if make is not None}
+        self._computed: dict[str, Callable[[], _Recipe]] = {}
+        # Of a damaged stream nothing is computed.
+        with suppress(RunError):
+            self._computed = {name: make for name, make in self._derived().items() if make is not None}
         self.names = [*self._computed, *self._columns]
         self._kept: dict[str, Paint] = {}
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.core.vectors import Vec3
+from qrsim.models.gnss.parameters import ReceiverParameters
 from qrsim.models.scene.rays import can_hide, first_hit
 from qrsim.runs.colours import GREY
 from qrsim.view import shapes
@@ -110,5 +111,6 @@ def dashes(kind: int) -> Floats:
 
 def ray_layers(stage: Stage, world: World) -> list[Layer]:
     """Return the layer of a world with a receiver that reports single satellites."""
-    told = any(getattr(sensor, "per_satellite", False) for fleet in world.fleets for sensor in fleet.sensors)
+    sensors = (sensor for fleet in world.fleets for sensor in fleet.sensors)
+    told = any(isinstance(sensor, ReceiverParameters) and sensor.per_satellite for sensor in sensors)
     return [Rays(stage, world)] if told else []
