@@ -160,7 +160,8 @@ def test_a_hill_on_a_leg_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[
     code, found = brief(file)
     assert (code, found["verdict"], found["runs"]) == (1, "no-go", 32)
     row = rows(found)["loss"]
-    assert row["why"].startswith("32 of 32 runs lost (100 %): 32 crashed; the earliest: vehicle a, leg 2, ")
+    assert row["why"].startswith("32 of 32 runs lost (100 %): 32 crashed; ")
+    assert "of them on leg 2; the earliest: vehicle a, leg 2, " in row["why"]
     # The vehicle is up at 12 m after about 8 s.
     assert (row["worst"]["leg"], row["worst"]["vehicle"]) == (2, "a")
     assert 5.0 < row["worst"]["at_s"] < 20.0

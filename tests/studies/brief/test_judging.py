@@ -83,7 +83,8 @@ def test_one_loss_needs_another_look() -> None:
     assert verdicts(Given(144, **lost), 2)["loss"] == "go"
     loss = rows(Given(144, **lost), 2)["loss"]
     assert loss.why.startswith(
-        "1 of 144 runs lost (0.69 %): 1 left the area, the strongest wind of those that left was 19 m/s; the share is"
+        "1 of 144 runs lost (0.69 %, could be up to 4.7 %): 1 left the area, the strongest wind of those that left was "
+        "19 m/s; the place: vehicle scout, leg 2, 12 s, seed 0"
     )
     assert loss.worst is not None
     assert loss.worst.text() == "vehicle scout, leg 2, 12 s, seed 0"
@@ -109,8 +110,8 @@ def test_the_early_look_decides_against_only() -> None:
     )
     assert found["loss"].verdict == "no-go"
     assert (
-        found["loss"].why
-        == "6 of 32 runs lost (19 %): 6 crashed, the battery was empty in 4; the earliest: 20 s, seed 1"
+        found["loss"].why == "6 of 32 runs lost (19 %, could be up to 34 %): 6 crashed, the battery was empty in 4; "
+        "the earliest: 20 s, seed 1"
     )
     assert not undecided(list(found.values()))
 
@@ -119,7 +120,13 @@ def test_runs_that_do_not_finish() -> None:
     taken = {"failsafes": [1.0] * 20, "failsafe_s": [50.0] * 20, "charge_end": [0.14] * 18}
     found = rows(Given(72, not_finished=[1.0] * 20, **taken), 1)
     assert found["finished"].verdict == "no-go"
-    assert "a failsafe took over in 20, with the battery low in 18" in found["finished"].why
+    assert (
+        found["finished"].why
+        == "20 of 72 runs do not finish the mission (28 %, could be up to 40 %); a failsafe takes over in 20, with the "
+        "battery low in 18"
+    )
+    found = rows(Given(72, not_finished=[1.0] * 20, stopped=[1.0] * 7, stopped_s=[9.0] * 7), 1)
+    assert found["finished"].why.endswith("; 7 are lost; 13 are still on their way when the run ends")
 
 
 @pytest.mark.parametrize(("charge", "verdict"), [(0.21, "go"), (0.15, "marginal"), (0.05, "no-go")])
@@ -140,14 +147,22 @@ def test_a_lost_run_says_nothing_of_the_reserve() -> None:
     assert rows(found, 1)["reserve"].value == 0.6
 
 
+def test_a_run_that_an_empty_battery_ended_has_nothing_in_reserve() -> None:
+    found = rows(Given(72, charge_end=[0.0] * 72, stopped=[1.0] * 72, stopped_s=[90.0] * 72), 1)["reserve"]
+    assert (found.verdict, found.value) == ("no-go", 0.0)
+
+
 @pytest.mark.parametrize(("metres", "verdict"), [(6.0, "go"), (3.0, "marginal"), (1.0, "no-go"), (-1.0, "no-go")])
 def test_a_margin_names_its_moment(metres: float, verdict: str) -> None:
     margin = "fence_horizontal_min"
     given = {f"{margin}_m": [20.0, metres], f"{margin}_leg": [1.0, 3.0], f"{margin}_at_s": [5.0, 80.0]}
     row = rows(Given(72, **given), 1)["fence"]
     assert row.verdict == verdict
-    nearest = f"the nearest to the sides of the area was {metres:.1f} m"
-    assert row.why.endswith(f"{nearest} (vehicle scout, leg 3, 80 s, seed 1)")
+    nearest = {-1.0: "1.0 m beyond", 1.0: "1.0 m from", 3.0: "3.0 m from", 6.0: "6.0 m from"}[metres]
+    assert row.why == (
+        f"{'none of 72 runs comes' if metres > 5.0 else '1 of 72 runs comes'} nearer than 5 m to the sides of the area "
+        f"or the ceiling; the nearest is {nearest} the sides of the area (vehicle scout, leg 3, 80 s, seed 1)"
+    )
 
 
 def test_the_worst_counts_and_what_is_only_reported_does_not() -> None:
@@ -157,5 +172,5 @@ def test_the_worst_counts_and_what_is_only_reported_does_not() -> None:
     assert overall([good, reported]) == ("go", "every criterion is met")
     assert overall([good, bad, reported]) == ("no-go", "near")
     worse = Row("loss", "no-go", 1.0, 1.0, 0.01, "1", "all are lost")
-    assert overall([worse, bad]) == ("no-go", "all are lost; also no-go: fence")
+    assert overall([worse, bad]) == ("no-go", "all are lost; also no-go: distance to the area's limits")
     assert overall([]) == ("marginal", "nothing was flown")

@@ -33,8 +33,9 @@ def test_zones_and_buildings_are_drawn() -> None:
         "planned route",
         "stay in",
         "stay out",
-        "worst runs",
-        "lost here",
+        "start",
+        "worst runs (1)",
+        "last record of a lost run",
     }
     assert len(axes.patches) == 3
     assert "#bfbfbf" in {to_hex(each.get_facecolor()) for each in axes.patches}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -59,24 +60,26 @@ def map_figure(scenario: Scenario, tracks: NumpyArray, worst: Sequence[int], los
     if counts.any():
         shown = np.where(counts > 0.0, counts / counts.sum(), np.nan)
         drawn = axes.pcolormesh(edges[1], edges[0], shown, norm=LogNorm(), cmap="Blues", rasterized=True)
-        figure.colorbar(drawn, ax=axes, label="share of the time in a cell", shrink=0.7)
+        figure.colorbar(drawn, ax=axes, label="share of the flight time (dark: often flown over)", shrink=0.7)
     draw_surroundings(axes, around)
     for number, vehicle in enumerate(_vehicles(scenario)):
-        line = np.array([vehicle.position_ned, *vehicle.places_ned.values()])
+        line = _route(vehicle)
         axes.plot(line[:, 1], line[:, 0], color="black", lw=0.8, ls="--", label=None if number else "planned route")
+        axes.plot(line[0, 1], line[0, 0], "^", color="black", ms=6, label=None if number else "start")
+        if len(_vehicles(scenario)) == 1:
+            _number_legs(axes, vehicle, line)
     for number, run in enumerate(worst):
         for vehicle in range(tracks.shape[2]):
             path = tracks[run, :, vehicle]
-            axes.plot(
-                path[:, 1], path[:, 0], color="#b26a00", lw=0.6, label=None if number or vehicle else "worst runs"
-            )
+            label = None if number or vehicle else f"worst runs ({len(worst)})"
+            axes.plot(path[:, 1], path[:, 0], color="#b26a00", lw=0.6, label=label)
     if len(lost):
-        axes.plot(lost[:, 1], lost[:, 0], "x", color=COLOURS["no-go"], ms=6, mew=1.5, label="lost here")
+        axes.plot(lost[:, 1], lost[:, 0], "x", color=COLOURS["no-go"], ms=6, mew=1.5, label="last record of a lost run")
     axes.set_aspect("equal")
     axes.set(xlim=(low[1], high[1]), ylim=(low[0], high[0]), xlabel="east [m]", ylabel="north [m]")
     marks = {str(artist.get_label()): artist for artist in (*axes.lines, *axes.patches)}
     named = [mark for label, mark in marks.items() if label and not label.startswith("_")]
-    axes.legend(handles=named, loc="upper left", fontsize=8)
+    axes.legend(handles=named, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, fontsize=8)
     return figure
 
 
@@ -96,6 +99,25 @@ def _dense(tracks: NumpyArray) -> NumpyArray:
     parts = [one + (other - one) * (step / BETWEEN) for step in range(BETWEEN)]
     found = np.concatenate([part.reshape(-1, 2) for part in parts])
     return found[np.isfinite(found).all(axis=1)]
+
+
+def _route(vehicle: Any) -> NumpyArray:
+    """Return the planned places (K, 3) NED [m]: the start, the end of each leg, and where the last one lands."""
+    places = [vehicle.position_ned, *vehicle.places_ned.values()]
+    last = vehicle.legs[-1]
+    if last.type == "land" and last.at_ned is not None:
+        places.append([*last.at_ned, 0.0])
+    return np.array(places)
+
+
+def _number_legs(axes: Any, vehicle: Any, line: NumpyArray) -> None:
+    """Write the number of each leg next to its middle, several numbers together where legs share it."""
+    middles: dict[tuple[int, int], list[str]] = {}
+    for number, (one, other) in enumerate(itertools.pairwise(line), 1):
+        north, east = 0.5 * (one[:2] + other[:2])
+        middles.setdefault((round(north), round(east)), []).append(str(number))
+    for (north, east), numbers in middles.items():
+        axes.annotate(", ".join(numbers), (east, north), xytext=(4, 4), textcoords="offset points", fontsize=8)
 
 
 def _vehicles(scenario: Scenario) -> list[Any]:

@@ -30,6 +30,26 @@ ORDER: tuple[Verdict, ...] = ("go", "marginal", "no-go")
 WORST_CHARGE, WORST_MARGIN = 0.05, 0.01
 # Between a reported charge and the true one.
 CHARGE_NOISE = 0.01
+# What each criterion measures, and on which side of its limit a go is.
+MEASURES = {
+    "loss": ("runs lost", "below"),
+    "finished": ("runs not finished", "below"),
+    "reserve": ("charge at the end", "at least"),
+    "fence": ("distance to the area's limits", "above"),
+    "ground": ("height above the ground", "above"),
+    "obstacle": ("distance to obstacles", "above"),
+    "separation": ("distance between vehicles", "above"),
+    "wind": ("wind with gusts", "below"),
+    "gnss": ("time with good GNSS", "at least"),
+}
+# Places that margins are measured to.
+PLACES = {
+    "ceiling_min": "the ceiling",
+    "ground_min": "the ground",
+    "obstacle_min": "an obstacle",
+    "fence_horizontal_min": "the sides of the area",
+    "air_separation_min": "another vehicle in the air",
+}
 # Criteria that more runs decide.
 SEQUENTIAL = ("loss", "finished", "reserve")
 
@@ -70,8 +90,13 @@ def overall(rows: Sequence[Row]) -> tuple[Verdict, str]:
     if worst == "go":
         return worst, "every criterion is met"
     first, *others = (row for row in counted if row.verdict == worst)
-    also = f"; also {worst}: {', '.join(row.name for row in others)}" if others else ""
+    also = f"; also {worst}: {', '.join(measured(row.name)[0] for row in others)}" if others else ""
     return worst, f"{first.why}{also}"
+
+
+def measured(name: str) -> tuple[str, str]:
+    """Return what a criterion, or the fault of that name, measures, and the side of its limit on which a go is."""
+    return MEASURES.get(name, (f"{name}: come home", "at least"))
 
 
 def undecided(rows: Sequence[Row]) -> bool:
@@ -121,15 +146,30 @@ def _loss(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
     lost = runs["stopped"] > 0.0
     hits, total = int(lost.sum()), len(runs)
     verdict, bound = _share(hits, total, criteria.p_loss, look)
-    worst, told = None, f"{total} runs, none lost: below {_percent(bound)}"
+    worst, told = None, f"none of {total} runs lost; a share above {_percent(bound)} is ruled out"
     if hits:
         worst = runs.loss(int(np.nanargmin(np.where(lost, runs["stopped_s"], np.nan))))
-        told = f"{hits} of {total} runs lost ({_percent(hits / total)}){_kinds(runs, lost)}"
-        told += f"; the earliest: {worst.text()}" if verdict == "no-go" else f"; the share is below {_percent(bound)}"
+        told = f"{_part(hits, total, 'lost', bound)}{_kinds(runs, lost)}{_usual_leg(runs, lost)}"
+        told += f"; the {'earliest' if hits > 1 else 'place'}: {worst.text()}"
     if verdict == "marginal":
         needed = max(first_look(min(criteria.p_loss, UNFINISHED)), runs_needed(criteria.p_loss, hits, spent(1)))
-        told += f"; about {needed} runs would decide {_percent(criteria.p_loss)}"
+        told += f"; too few runs: about {needed} are needed to judge the limit of {_percent(criteria.p_loss)}"
     return Row("loss", verdict, hits / total, bound, criteria.p_loss, "1", told, worst)
+
+
+def _part(hits: int, total: int, words: str, bound: float) -> str:
+    """Return "2 of 32 runs lost (6.2 %, could be up to 18 %)", from what is counted and the share's upper bound."""
+    most = f", could be up to {_percent(bound)}" if hits < total else ""
+    return f"{hits} of {total} runs {words} ({_percent(hits / total)}{most})"
+
+
+def _usual_leg(runs: Runs, lost: NumpyArray) -> str:
+    """Return the leg on which most of several runs were lost, as text; "" where no leg is known."""
+    legs = runs["stopped_leg"][lost]
+    numbers, counts = np.unique(legs[np.isfinite(legs)].astype(int), return_counts=True)
+    if not len(numbers) or lost.sum() < 2:
+        return ""
+    return f"; {counts.max()} of them on leg {numbers[np.argmax(counts)]}"
 
 
 def _kinds(runs: Runs, lost: NumpyArray) -> str:
@@ -149,13 +189,17 @@ def _finished(runs: Runs, look: int | None, low_battery: float) -> Row:
     missed = runs["not_finished"] > 0.0
     hits, total = int(missed.sum()), len(runs)
     verdict, bound = _share(hits, total, UNFINISHED, look)
-    told = f"{total - hits} of {total} runs finish the mission; the share of the others is below {_percent(bound)}"
+    told = f"all {total} runs finish the mission; a share above {_percent(bound)} that does not is ruled out"
     worst = None
     if hits:
-        taken = missed & (runs["failsafes"] > 0.0)
-        told += f"; a failsafe took over in {int(taken.sum())}" if taken.any() else ""
+        taken, lost = missed & (runs["failsafes"] > 0.0), missed & (runs["stopped"] > 0.0)
+        late = missed & ~taken & ~lost
+        told = _part(hits, total, "do not finish the mission", bound)
+        told += f"; {int(lost.sum())} are lost" if lost.any() else ""
+        told += f"; a failsafe takes over in {int(taken.sum())}" if taken.any() else ""
         low = taken & (runs["charge_end"] <= low_battery + CHARGE_NOISE)
         told += f", with the battery low in {int(low.sum())}" if low.any() else ""
+        told += f"; {int(late.sum())} are still on their way when the run ends" if late.any() else ""
         run = int(np.flatnonzero(missed)[0])
         at = float(runs["failsafe_s"][run])
         worst = Moment(int(runs.seeds[run]), "", None, None if math.isnan(at) else at)
@@ -164,11 +208,12 @@ def _finished(runs: Runs, look: int | None, low_battery: float) -> Row:
 
 def _reserve(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
     """Return the row of the charge at the end of the worst 5 % of runs."""
-    left = np.where(runs["stopped"] > 0.0, np.nan, runs["charge_end"])
-    if not np.isfinite(left).any():
-        return Row(
-            "reserve", "marginal", None, None, criteria.reserve, "1", "no run came to its end, so no charge counts"
-        )
+    left = runs["charge_end"]
+    # The charge of a lost run says nothing, unless it was the charge that ended it.
+    left = np.where((runs["stopped"] > 0.0) & ~(left < CHARGE_NOISE), np.nan, left)
+    ended = int(np.isfinite(left).sum())
+    if not ended:
+        return Row("reserve", "marginal", None, None, criteria.reserve, "1", "not judged: every run was lost")
     value = quantile(left, WORST_CHARGE)
     for_go, for_no_go = _levels(look)
     low, _ = quantile_bounds(left, WORST_CHARGE, spent(1) if for_go is None else for_go)
@@ -179,9 +224,9 @@ def _reserve(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
     elif for_no_go is not None and high < 0.5 * criteria.reserve:
         verdict = "no-go"
     run = int(np.nanargmin(left))
-    told = (
-        f"5 % of the runs end with less than {_percent(value)} of charge; the reserve is {_percent(criteria.reserve)}"
-    )
+    told = f"19 of 20 runs end with more than {_percent(value)} of charge; the reserve is {_percent(criteria.reserve)}"
+    if verdict == "marginal" and value >= criteria.reserve:
+        told += f"; {ended} runs that came to their end are too few to be sure"
     down = float(runs["down_s"][run])
     # A run that ends in the air has no time of its end.
     worst = Moment(int(runs.seeds[run]), "", None, None if math.isnan(down) else down)
@@ -213,12 +258,13 @@ def _margin(runs: Runs, name: str, margins: tuple[str, ...], values: NumpyArray,
     run = int(np.nanargmin(smallest))
     part = int(np.nanargmin(values[:, run]))
     worst = runs.moment(run, margins[part])
-    words = {"ceiling_min": "the ceiling", "ground_min": "the ground", "obstacle_min": "an obstacle"}
-    words |= {"fence_horizontal_min": "the sides of the area", "air_separation_min": "another vehicle in the air"}
+    near = int((smallest < limit).sum())
     told = (
-        f"{name}: 1 % of the runs come nearer than {value:.1f} m; wanted {limit:g} m; the nearest to "
-        f"{words[margins[part]]} was {smallest[run]:.1f} m ({worst.text()})"
+        f"{near or 'none'} of {len(runs)} runs {'comes' if near < 2 else 'come'} nearer than {limit:g} m to "
+        f"{' or '.join(PLACES[margin] for margin in margins)}; the nearest is {abs(smallest[run]):.1f} m "
+        f"{'beyond' if smallest[run] < 0.0 else 'from'} {PLACES[margins[part]]} ({worst.text()})"
     )
+    told += "; crashes count as lost runs" if name == "ground" and (runs["crashed"] > 0.0).any() else ""
     return Row(name, verdict, value, low if math.isfinite(low) else None, limit, "m", told, worst)
 
 

@@ -12,21 +12,10 @@ from matplotlib.figure import Figure
 from qrsim.extras import load
 from qrsim.studies.brief.briefing import Brief
 from qrsim.studies.brief.figures import MOST_TRACKS, losses, map_figure, margins_figure, png, polar_figure, time_figure
+from qrsim.studies.brief.judging import measured
 from qrsim.studies.brief.studying import TRACK_S
 
 TEMPLATE = "page.html.jinja"
-# What each criterion measures, and on which side of its limit a go is.
-MEASURES = {
-    "loss": ("runs lost", "below"),
-    "finished": ("runs not finished", "below"),
-    "reserve": ("charge at the end", "at least"),
-    "fence": ("distance to the fence", "above"),
-    "ground": ("height above the ground", "above"),
-    "obstacle": ("distance to obstacles", "above"),
-    "separation": ("distance between vehicles", "above"),
-    "wind": ("wind with gusts", "below"),
-    "gnss": ("time with good GNSS", "at least"),
-}
 
 
 class Picture(NamedTuple):
@@ -50,7 +39,8 @@ def write_page(brief: Brief) -> str:
     pictures = [Picture(title, png(figure)) for title, figure in figures_of(brief)]
     page: str = made.from_string(template).render(
         about=brief.to_json(),
-        measures=MEASURES,
+        measured=measured,
+        conditions=conditions(brief),
         missing=brief.missing_text(),
         volumes=brief.volumes_text(),
         pictures=pictures,
@@ -74,10 +64,24 @@ def figures_of(brief: Brief) -> Iterator[tuple[str, Figure]]:
         yield "Wind", polar_figure(brief.boundary, brief.flights.wind)
 
 
+def conditions(brief: Brief) -> str:
+    """Return in one sentence which wind, vehicles and lengths of flights the page is about."""
+    wind, flights = brief.operation.wind, brief.flights
+    blows = f"wind of {wind.file}" if wind.file else f"wind {wind.speed:g} m/s from {wind.from_deg:g} deg"
+    blows += "" if wind.file else f" at {wind.height:g} m, with an error of {wind.std:g} m/s and {wind.from_std:g} deg"
+    kinds = [
+        f"{mission.name} ({mission.vehicle}), {planned:.0f} s planned"
+        for mission, planned in zip(brief.operation.missions, flights.planned_s, strict=True)
+    ]
+    return f"Simulated flights: {blows}, and its gusts; {'; '.join(kinds)}."
+
+
 def shown(value: float | None, unit: str) -> str:
     """Format a number with its unit; shares in percent, a dash for None."""
     if value is None:
         return "-"
     if unit == "1":
         return f"{100.0 * value:.3g} %"
+    if unit == "m":
+        return f"{value:.1f} m"
     return f"{value:.3g} {unit}" if abs(value) < 1000.0 else f"{value:.0f} {unit}"

@@ -133,8 +133,8 @@ def sky_row(sky: Sky, duration_s: float) -> Row:
     north, east, down = sky.places_ned[place]
     verdict: Verdict = "go" if good.min() >= GOOD_SHARE else "no-go" if bad.max() > BAD_SHARE else "marginal"
     told = (
-        f"GNSS: at least {count.min()} satellites and a PDOP of at most {pdop.max():.1f}; at north {north:.0f}, "
-        f"east {east:.0f}, height {-down:.0f} m, {100 * good[place]:.0f} % of the time has {GOOD_COUNT} "
-        f"satellites and a PDOP below {GOOD_PDOP:g}"
+        f"good ({GOOD_COUNT} satellites or more, PDOP below {GOOD_PDOP:g}) for {100 * good[place]:.0f} % of the time "
+        f"at the worst of {len(sky.places_ned)} places of the routes (north {north:.0f}, east {east:.0f}, height "
+        f"{-down:.0f} m); anywhere at least {count.min()} satellites, PDOP at most {pdop.max():.1f}"
     )
     return Row("gnss", verdict, float(good.min()), None, GOOD_SHARE, "1", told)
