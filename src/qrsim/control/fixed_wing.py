@@ -178,7 +178,7 @@ class FixedWingController(Controller):
         return 4.0 * self.l1_damping * self.l1_damping * speed * speed / self._reach(speed) * sine
 
     def _on_line(self, estimate: Estimate, track: TrackSetpoint) -> Array:
-        """Return the lateral acceleration (n,) [m/s^2], right positive, along a line; without a length, to its end."""
+        """Return the acceleration (n,) [m/s^2] to the right that follows a line, or leads to it if it is one point."""
         v, away = estimate.velocity_ned, estimate.offset_from(track.position_ned)
         speed = jnp.maximum(root(v.x * v.x + v.y * v.y), SLOWEST)
         way_north, way_east = (track.position_ned.x - track.begin_ned.x, track.position_ned.y - track.begin_ned.y)

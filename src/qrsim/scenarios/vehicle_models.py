@@ -74,7 +74,7 @@ def insert_vehicle_models(content: Content, source: str) -> list[str]:
             problems.append(f"fleets.{name}.vehicle.{error}")
             continue
         if "own" in vehicle:
-            _slow_down(fleet, float(vehicle["own"]["attitude_bandwidth"]))
+            _fill_gains(fleet, float(vehicle["own"]["attitude_bandwidth"]))
     if problems:
         raise ScenarioError(source, problems)
     return odd
@@ -111,7 +111,7 @@ def _written_out(vehicle: Content, warn: Callable[[str], None]) -> Content:
     return filled(found, beside)
 
 
-def _slow_down(fleet: Content, attitude_bandwidth: float) -> None:
+def _fill_gains(fleet: Content, attitude_bandwidth: float) -> None:
     """Set the missing gains of a cascade to suit the vehicle's attitude bandwidth, in place."""
     controller = fleet.setdefault("controller", {"type": "cascade"})
     if isinstance(controller, dict) and controller.get("type") == "cascade":

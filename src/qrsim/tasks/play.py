@@ -205,7 +205,7 @@ class Play:
         return select(fleet.violation.code != 0, before, self.task.shot(self.world, state))
 
     def look(self, progress: Progress, to: dict[str, Array]) -> dict[str, Array]:
-        """Return the parts of an observation in ``later``; stopped agents keep their last one.
+        """Return the large parts of an observation, those of ``task.later``; stopped agents keep their last ones.
 
         Args:
             progress: at the end of a step.

@@ -25,7 +25,7 @@ def pushed(
     Args:
         fleet: of the vehicles.
         vehicle: their state before the step.
-        step: from a state to the next one, the second part of its position, and the mean specific force [m/s^2].
+        step: from a state to the next one, the remainder of its position, and the mean specific force [m/s^2].
         tick: () int32, at which the step begins.
         dt: of the step [s].
 

@@ -50,7 +50,7 @@ def started(
     """Return vehicles (n,) at the start; those that start on the ground are put on it, at rest, rotors still.
 
     Returns:
-        The state, the second part of the position, and which vehicles are parked (n,), None in a fleet that cannot be.
+        The state, the remainder of the position, and which vehicles are parked (n,), None in a fleet that cannot be.
     """
     if fleet.ground != "parked":
         if "ground" in fleet.vehicle.reads:
@@ -73,11 +73,11 @@ def settled(
         world, fleet: parameters.
         before: the fleet before the step.
         command: the command that was flown.
-        moved, low, force: state, second part of the position and specific force after the step, as if there were no
+        moved, low, force: state, remainder of the position and specific force after the step, as if there were no
             ground.
 
     Returns:
-        The state, the second part of the position, the specific force [m/s^2], and which vehicles are parked (n,).
+        The state, the remainder of the position, the specific force [m/s^2], and which vehicles are parked (n,).
     """
     model = fleet.vehicle
     assert before.parked is not None

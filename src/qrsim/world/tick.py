@@ -202,7 +202,7 @@ def _fly(
         """Return the state after a tick of flight with a command, and its specific force."""
 
         def step(vehicle: VehicleState) -> tuple[Any, ...]:
-            """Return the vehicle one step later, the second part of its position, and the specific force."""
+            """Return the vehicle one step later, its position beyond single precision [m], and the specific force."""
             to_body = lambda trig: trig.rotation().to_body(air)  # noqa: E731
             return move(model, vehicle, state.position_low_ned, command, to_body, drawn, dt, around)
 

@@ -49,7 +49,7 @@ def sides_of(polygons: Sequence[Zone], zones: Sequence[Zone]) -> Floats:
 
 
 def _covers(other: Zone, zone: Zone) -> bool:
-    """Return whether ``other`` extends over the whole range of heights of ``zone``, from the same level."""
+    """Return whether the heights of ``other`` contain those of ``zone``, above the same datum; not the outlines."""
     (top, bottom), (own_top, own_bottom) = heights_of(other), heights_of(zone)
     return other.terrain == zone.terrain and top <= own_top and bottom >= own_bottom
 

@@ -231,7 +231,7 @@ class Partners:
         return int(self.distance.shape[0])
 
     def exchange(self) -> tuple[Array, int]:
-        """Return the number (P, n) of each exchange within a round, and the number of exchanges in a round."""
+        """Return the turn (P, n) at which each vehicle ranges to each partner, and the number of turns of a round."""
         rows, vehicles = self.distance.shape
         others = rows - self.beacons
         each = self.beacons + max(others - 1, 0)

@@ -223,7 +223,7 @@ class Vehicle(Protocol):
         return command
 
     def shown(self, command: object) -> object:
-        """Return a command in the one structure in which a world's state keeps every kind of ``actions``."""
+        """Return any command as the one record that a world's state keeps, NaN in fields that it lacks."""
         return command
 
     def handling(self) -> Handling | None:

@@ -23,7 +23,7 @@ def move(
     dt: float,
     around: Around | None = None,
 ) -> tuple[VehicleState, Vec3 | None, Vec3]:
-    """Return the state after one step, the second part of its position (None without one), and the specific force.
+    """Return the state after one step, the remainder of its position (None without one), and the specific force.
 
     A model that only adds to its position is given the second part in place of it: that is a small number, to which a
     small step can be added. The result is added to the first part without loss.
@@ -34,7 +34,7 @@ def move(
         position_low_ned: the second part; None: the position has one part only.
 
     Returns:
-        The state after the step, the second part of its position, and the mean specific force [m/s^2].
+        The state after the step, the remainder of its position, and the mean specific force [m/s^2].
     """
 
     def step(position_ned: Vec3) -> tuple[VehicleState, Vec3]:

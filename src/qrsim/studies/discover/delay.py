@@ -72,7 +72,7 @@ def _thrust_misfit(flight: Flight) -> float:
 
 
 def _features(leaves: list[Floats]) -> Floats:
-    """Return the powers up to the second of leaves, (N, F)."""
+    """Return 1, the standardised leaves (N,), their squares and their products with each other, as columns (N, F)."""
     one = [np.ones_like(leaves[0]), *((leaf - leaf.mean()) / (leaf.std() + 1e-12) for leaf in leaves)]
     return np.stack([a * b for a, b in itertools.combinations_with_replacement(one, 2)], axis=1)
 

@@ -70,9 +70,9 @@ class Way:
         return self._places[0], self._beyond[2]
 
     def beyond_goal(self, radius: float) -> float:
-        """Return the distance [m] beyond the goal that sets the speed at the goal.
+        """Return the braking distance [m] still allowed beyond the goal, which limits the speed at the goal.
 
-        It is half of the radius. A turn of more than a right angle would then lead too near to the goal: there it is
+        It is half of ``radius``. A turn of more than a right angle would then lead too near to the goal: there it is
         less, so that the turn begins at the speed of the same turn in a plan from a file.
 
         Args:
