@@ -254,7 +254,7 @@ class SharedCalls(ABC):
 
     @abstractmethod
     def _checked_reply(self, reply: Message, expected: Message.Type) -> Message:
-        """Return a reply of a type; raises Refused and ConnectionFailed."""
+        """Return ``reply`` if it has the expected type; raise Refused if the server declined, else ConnectionFailed."""
 
     @abstractmethod
     def _decode_pushed(self) -> None:

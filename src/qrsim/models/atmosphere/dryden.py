@@ -246,7 +246,7 @@ class FilterState:
     third: Array = quantity(unit="1", doc="z3, of the angular gust")
 
     def advance(self, x: Array, of: Decay, ratio: Array, of_lag: Decay, normals: tuple[Array, ...]) -> FilterState:
-        """Return the filters (n,) a time step T later; x = V T/L, airspeed V, scale length L; three ``normals`` (n,)."""
+        """Return the filters (n,) one step T later; x = V T/L (airspeed V, scale length L); three ``normals`` (n,)."""
         n1, n2, n3 = normals
         two = second_order(x, of)
         row = third_row(x, ratio, of, of_lag, two)
