@@ -1,4 +1,7 @@
-"""PPO of Stable-Baselines3 with its defaults on keep_spot in the form for learners: with_sb3.py --steps 200000."""
+"""PPO of Stable-Baselines3 with its defaults on keep_spot in the form for learners: with_sb3.py --steps 200000.
+
+``--out`` keeps the policy, which sb3_policy.py flies in ``qrsim score``.
+"""
 
 import argparse
 import json
@@ -17,10 +20,13 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=200_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--episodes", type=int, default=100)
+    parser.add_argument("--out", help="file to write, such as keep_spot_sb3.zip")
     asked = parser.parse_args()
     env = Monitor(gymnasium.make(qrsim.envs.learner_id("keep_spot")))
     model = PPO("MlpPolicy", env, seed=asked.seed, device="cpu")
     model.learn(asked.steps)
+    if asked.out:
+        model.save(asked.out)
     returns, whole = np.zeros(asked.episodes), np.zeros(asked.episodes, bool)
     for episode in range(asked.episodes):
         seen, _ = env.reset(seed=10**6 + episode)
