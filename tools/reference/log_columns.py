@@ -34,7 +34,9 @@ VECTORS = {
     "gust_rates_ned": "rotation of the gusts",
 }  # fmt: skip
 AXES = (".x", ".y", ".z"), (".roll", ".pitch", ".yaw")
-# One fleet for each kind of vehicle; the columns of a fleet depend on nothing else but its sensors.
+# Columns of a filter, which every vehicle can have.
+ESTIMATED, FILTERED = ("estimate.", "estimate_std.", "innovation."), "fleets with an `estimator`, if it computes them"
+# One fleet for each kind of vehicle; its columns also depend on its sensors, battery and estimator.
 VEHICLES: dict[str, dict[str, Any]] = {
     "pelican": {"controller": {"type": "cascade", "feed": "truth"}},
     "multirotor": {
@@ -52,7 +54,10 @@ def pages() -> Mapping[str, str]:
     introduction = """A run folder has a folder of Parquet files for each stream. A row is one vehicle at one
         tick. Units and meanings are in the metadata of the columns as well:
         `qrsim.open_run(FOLDER).describe("truth")`. A quantity that a fleet lacks is NaN in its rows. N is a number
-        from 0. [Runs](run_folder.md) explains the folder."""
+        from 0. [Runs](run_folder.md) explains the folder.
+
+        The last column, "present for", lists the vehicles of one example that have the quantity. There the multirotor
+        alone has a battery, all sensors and an `estimator`. Without an entry all vehicles have it."""
     simulation = _flown()
     history = simulation.history
     found: dict[str, dict[str, Column]] = {stream: {} for stream in STREAMS}
@@ -132,7 +137,6 @@ def _stream(stream: str, found: dict[str, Column], present: dict[str, list[str]]
         else:
             shown, meaning = code(name), column.doc
         everyone = len(where) == len(VEHICLES) or (stream == "measurements")
-        rows.append(
-            (shown, "" if column.unit == "1" else column.unit, sentence(meaning), "" if everyone else ", ".join(where))
-        )
+        shown_for = FILTERED if name.startswith(ESTIMATED) else "" if everyone else ", ".join(where)
+        rows.append((shown, "" if column.unit == "1" else column.unit, sentence(meaning), shown_for))
     return table(HEAD, rows)
