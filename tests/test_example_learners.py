@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -26,3 +27,19 @@ def test_a_recipe_learns_for_a_moment(recipe: str, package: str, words: list[str
     )
     assert run.returncode == 0, run.stderr
     assert said in run.stdout
+
+
+@pytest.mark.nightly
+def test_a_policy_of_stable_baselines_scores_in_the_published_task_as_for_its_learner(tmp_path: Path) -> None:
+    """The view and the pace of ``sb3_policy.py`` are those of the environment that the policy was trained in."""
+    pytest.importorskip("stable_baselines3", reason="needs stable_baselines3")
+    recipe = [str(LEARNERS / "with_sb3.py"), "--steps", "2048", "--episodes", "2", "--out", "keep_spot_sb3.zip"]
+    policy = f"{LEARNERS / 'sb3_policy.py'}:Learned"
+    words = ["-m", "qrsim.cli", "score", "keep_spot", "--policy", policy, "--first-seed", "1000000", "--seeds", "2"]
+    said = [
+        subprocess.run([sys.executable, *each], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300)
+        for each in (recipe, [*words, "--set", "task.period=0.1", "--json"])
+    ]
+    assert [each.returncode for each in said] == [0, 0], said[-1].stderr
+    learned, scored = (json.loads(each.stdout) for each in said)
+    assert scored["policies"][0]["mean"] == pytest.approx(learned["mean_return"], rel=1e-4)
