@@ -90,3 +90,5 @@ def test_parts_end_where_few_values_are_kept() -> None:
         nodes.append(wave)
     lengths = [len(part) for part in parts_of(nodes)]
     assert lengths == [1, 3, 4, 1]
+    # A loop may have no sum behind its kernels.
+    assert [len(part) for part in parts_of([*nodes, made("kernel", wave), made("mul", wave, wave)])] == [1] * 9 + [1, 1]

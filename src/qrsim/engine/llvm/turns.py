@@ -41,7 +41,8 @@ def parts_of(nodes: Sequence[Node]) -> list[list[Node]]:
         kept = {number for number in (*kept, node.number) if last.get(number, -1) > i}
         if node.op == "reduce" and i >= begin:
             ends.append((i + 1, len(kept)))
-    around = zip(ends, [(0, len(nodes)), *ends[:-1]], [*ends[1:], (0, len(nodes))], strict=True)
-    cuts = [end for (end, own), (_, before), (_, after) in around if own < min(before, after)]
+    outside = (0, len(nodes))
+    around = zip([outside, *ends], ends, [*ends[1:], outside], strict=False)
+    cuts = [end for (_, before), (end, own), (_, after) in around if own < min(before, after)]
     bounds = [*range(begin), *sorted({begin, *cuts, len(nodes)})]
     return [list(nodes[first:end]) for first, end in pairwise(bounds)]

@@ -7,6 +7,7 @@ direction errs by less than 1e-7 rad, and errors of minutes by nothing that can 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import jax.numpy as jnp
@@ -290,10 +291,20 @@ def slots_needed(ephemeris: Ephemeris, site: Site, start: float, duration_s: flo
     """Return the number of slots for the satellites of an ephemeris in view at once, over a day or the run."""
     first, last = ephemeris.span_gps_seconds
     begin = min(max(start, first), last)
-    end = min(last, begin + (DAY_S if math.isinf(last) else min(duration_s, DAY_S)))
+    if math.isinf(last):
+        return _nominal_slots(ephemeris, site, begin, begin + DAY_S, lowest_sine)  # type: ignore[arg-type]
+    return _slots_between(ephemeris, site, begin, min(last, begin + min(duration_s, DAY_S)), lowest_sine)
+
+
+def _slots_between(ephemeris: Ephemeris, site: Site, begin: float, end: float, lowest_sine: float) -> int:
+    """Return the number of slots for the satellites in view at once between two times [GPS s]."""
     times = np.append(np.arange(begin, end, LOOK_S), end)
     rays = (ephemeris.positions_ecef(times) - site.origin_ecef()) @ site.ned_from_ecef_rotation().T
     with np.errstate(invalid="ignore"):
         in_view = elevation_azimuth(rays)[0] > math.asin(lowest_sine)
     most = int(np.max(np.sum(in_view, axis=1), initial=1))
     return min(most + SPARE_SLOTS, in_view.shape[1], MOST_SLOTS)
+
+
+# Nominal orbits are given by their parameters, and a study builds many worlds under the same ones.
+_nominal_slots = lru_cache(maxsize=64)(_slots_between)
