@@ -87,7 +87,7 @@ def _notes(brief: Brief) -> Iterator[tuple[str, str]]:
             "come home": [each.home for each in own],
             "land elsewhere": [each.elsewhere for each in own],
             "leave the area": [each.left_area for each in own],
-            "crash": [each.crashed for each in own],
+            "crash or collide": [each.crashed for each in own],
         }
         told = ", ".join(f"{_percents(found)} {words}" for words, found in shares.items() if any(found))
         lines.append(f"Fault {fault} at {_percents([each.part for each in own])} of the mission: {told or 'none ends'}")
