@@ -224,9 +224,13 @@ def _reserve(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
     elif for_no_go is not None and high < 0.5 * criteria.reserve:
         verdict = "no-go"
     run = int(np.nanargmin(left))
-    told = f"19 of 20 runs end with more than {_percent(value)} of charge; the reserve is {_percent(criteria.reserve)}"
-    if verdict == "marginal" and value >= criteria.reserve:
-        told += f"; {ended} runs that came to their end are too few to be sure"
+    enough = value >= criteria.reserve
+    told = (
+        f"19 of 20 runs end with more than {_percent(value)}" if enough else f"1 of 20 runs ends with {_charge(value)}"
+    )
+    told += f" of charge; the reserve is {_percent(criteria.reserve)}"
+    if verdict == "marginal" and enough:
+        told += f"; {ended} runs that were not lost are too few to be sure"
     down = float(runs["down_s"][run])
     # A run that ends in the air has no time of its end.
     worst = Moment(int(runs.seeds[run]), "", None, None if math.isnan(down) else down)
@@ -266,6 +270,11 @@ def _margin(runs: Runs, name: str, margins: tuple[str, ...], values: NumpyArray,
     )
     told += "; crashes count as lost runs" if name == "ground" and (runs["crashed"] > 0.0).any() else ""
     return Row(name, verdict, value, low if math.isfinite(low) else None, limit, "m", told, worst)
+
+
+def _charge(value: float) -> str:
+    """Return "less than 12 %", or "nothing" within the noise of a reported charge."""
+    return "nothing" if value < CHARGE_NOISE else f"less than {_percent(value)}"
 
 
 def _percent(share: float) -> str:
