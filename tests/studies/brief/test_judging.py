@@ -150,6 +150,7 @@ def test_a_lost_run_says_nothing_of_the_reserve() -> None:
 def test_a_run_that_an_empty_battery_ended_has_nothing_in_reserve() -> None:
     found = rows(Given(72, charge_end=[0.0] * 72, stopped=[1.0] * 72, stopped_s=[90.0] * 72), 1)["reserve"]
     assert (found.verdict, found.value) == ("no-go", 0.0)
+    assert found.why == "1 of 20 runs ends with no charge; the reserve is 20 %"
 
 
 @pytest.mark.parametrize(("metres", "verdict"), [(6.0, "go"), (3.0, "marginal"), (1.0, "no-go"), (-1.0, "no-go")])

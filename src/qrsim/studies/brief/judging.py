@@ -225,10 +225,8 @@ def _reserve(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
         verdict = "no-go"
     run = int(np.nanargmin(left))
     enough = value >= criteria.reserve
-    told = (
-        f"19 of 20 runs end with more than {_percent(value)}" if enough else f"1 of 20 runs ends with {_charge(value)}"
-    )
-    told += f" of charge; the reserve is {_percent(criteria.reserve)}"
+    told = f"19 of 20 runs end with {_percent(value)} of charge or more" if enough else _empty(value)
+    told += f"; the reserve is {_percent(criteria.reserve)}"
     if verdict == "marginal" and enough:
         told += f"; {ended} runs that were not lost are too few to be sure"
     down = float(runs["down_s"][run])
@@ -272,9 +270,9 @@ def _margin(runs: Runs, name: str, margins: tuple[str, ...], values: NumpyArray,
     return Row(name, verdict, value, low if math.isfinite(low) else None, limit, "m", told, worst)
 
 
-def _charge(value: float) -> str:
-    """Return "less than 12 %", or "nothing" within the noise of a reported charge."""
-    return "nothing" if value < CHARGE_NOISE else f"less than {_percent(value)}"
+def _empty(value: float) -> str:
+    """Return in words that the worst 5 % of runs end with this charge or less."""
+    return f"1 of 20 runs ends with {'no charge' if value < CHARGE_NOISE else f'{_percent(value)} of charge or less'}"
 
 
 def _percent(share: float) -> str:
