@@ -69,11 +69,10 @@ def conditions(brief: Brief) -> str:
     wind, flights = brief.operation.wind, brief.flights
     blows = f"wind of {wind.file}" if wind.file else f"wind {wind.speed:g} m/s from {wind.from_deg:g} deg"
     blows += "" if wind.file else f" at {wind.height:g} m, with an error of {wind.std:g} m/s and {wind.from_std:g} deg"
-    kinds = [
-        f"{mission.name} ({mission.vehicle}), {planned:.0f} s planned"
-        for mission, planned in zip(brief.operation.missions, flights.planned_s, strict=True)
-    ]
-    return f"Simulated flights: {blows}, and its gusts; {'; '.join(kinds)}."
+    models = ", ".join(dict.fromkeys(mission.vehicle for mission in brief.operation.missions))
+    lengths = zip(flights.names, flights.planned_s, strict=True)
+    planned = ", ".join(f"{name} {length:.0f} s" for name, length in lengths)
+    return f"Simulated flights: {blows}, and its gusts; {models}; planned: {planned}."
 
 
 def shown(value: float | None, unit: str) -> str:
