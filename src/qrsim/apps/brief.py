@@ -251,7 +251,7 @@ class Brief:
         return exit_code(brief.verdict[0])
 
     def _flyer(self, opened: ExitStack, folder: Path, told: Callable[[str, int, int], None]) -> Flyer:
-        """Return what flies the studies, by worker processes that ``opened`` ends."""
+        """Return the flyer of the studies; ``opened`` ends its worker processes."""
         from qrsim.engine.settings import available_cores
         from qrsim.studies.brief.studying import Flyer
         from qrsim.studies.sweep.cluster import workers_of

@@ -45,7 +45,7 @@ class Objective(Protocol):
         """Return the learner's rewards (N,) for a step with the task's rewards (B, n) and ends (B,)."""
 
     def state(self) -> dict[str, Floats]:
-        """Return what was learned about rewards as arrays, for a checkpoint."""
+        """Return the reward statistics as arrays, for a checkpoint."""
 
     def restore(self, state: dict[str, Any]) -> None:
         """Set the state that ``state`` returned."""

@@ -103,7 +103,7 @@ def binned(time: Floats, values: Floats) -> Bins:
 
 
 def is_long(time: Floats) -> bool:
-    """Return whether there are so many ticks that lines are drawn as bins."""
+    """Return whether lines are drawn as bins, because there are many ticks."""
     return len(time) > MOST_TICKS
 
 

@@ -70,7 +70,7 @@ class Paths:
 
     @property
     def many(self) -> bool:
-        """Whether there are so many vehicles that only their paths are drawn."""
+        """Whether only the paths of vehicles are drawn, because there are many."""
         return len(self.names) > MOST_NUMBERED
 
 

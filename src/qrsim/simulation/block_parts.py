@@ -113,7 +113,7 @@ class Carry(NamedTuple):
 
 
 def begin_world(setup: Setup, fixed: Sequence[object], keys: WorldKeys, own: Sequence[object]) -> Carry:
-    """Return what one world carries from tick to tick, at its start."""
+    """Return the state of one world before its first tick, with all that passes from tick to tick."""
     world = setup.world(fixed, own)
     state = ticks_of.reset(world, keys)
     reading = Reading(world, state, 0, setup.site)
@@ -195,7 +195,7 @@ def _check_memory(before: object, after: object) -> None:
 def tick_of_world(
     setup: Setup, fixed: Sequence[object], own: Sequence[object], carry: Carry, tick: Any, given: tuple[Any, Any]
 ) -> Carry:
-    """Return what one world carries after a tick; ``given``: actions and estimates computed in lock-step."""
+    """Return the state of one world after a tick; ``given``: actions and estimates computed in lock-step."""
     world = setup.world(fixed, own)
     reading = Reading(world, carry.state, tick, setup.site)
     actions, estimates = given

@@ -41,12 +41,12 @@ def begin_function(setup: Setup) -> Function:
 
 
 def _begin(setup: Setup, fixed: Sequence[object], own: tuple[list[Any], WorldKeys]) -> Carry:
-    """Return what one world carries from tick to tick, at its start."""
+    """Return the state of one world before its first tick, with all that passes from tick to tick."""
     return begin_world(setup, fixed, own[1], own[0])
 
 
 def _tick(setup: Setup, fixed: Sequence[object], own: tuple[list[Any], Any], carry: Carry, tick: object) -> Carry:
-    """Return what one world carries after one tick."""
+    """Return the state of one world after one tick."""
     return tick_of_world(setup, fixed, own[0], carry, tick, own[1])
 
 

@@ -198,7 +198,7 @@ class Play:
         return Progress(episode, zeros[0], replace(zeros[1], observation=seen), self.truth(episode), shot)
 
     def _shot(self, state: State, before: Any) -> Any:
-        """Return what ``look`` needs of each agent; for stopped agents, the last value before the stop."""
+        """Return the input of ``look`` for each agent; for stopped agents, the last value before the stop."""
         if not self.late:
             return None
         _, fleet = fleet_of(self.world, state, self.task.fleet)

@@ -114,6 +114,8 @@ def test_the_early_look_decides_against_only() -> None:
         "the earliest: 20 s, seed 1"
     )
     assert not undecided(list(found.values()))
+    legs = {"stopped": [1.0] * 6, "stopped_s": [20.0] * 6, "stopped_leg": [4.0, 4.0, 1.0, 4.0, 4.0, 2.0]}
+    assert "; 4 of them on leg 4; the earliest: leg 4, 20 s, seed 0" in rows(Given(32, **legs), 0)["loss"].why
 
 
 def test_runs_that_do_not_finish() -> None:

@@ -95,7 +95,7 @@ def overall(rows: Sequence[Row]) -> tuple[Verdict, str]:
 
 
 def measured(name: str) -> tuple[str, str]:
-    """Return what a criterion, or the fault of that name, measures, and the side of its limit on which a go is."""
+    """Return in words the quantity that a criterion or fault measures, and the side of its limit that is a go."""
     return MEASURES.get(name, (f"{name}: come home", "at least"))
 
 

@@ -20,7 +20,7 @@ from qrsim.scenarios.scenario import Scenario, load_scenario
 from qrsim.studies.sweep.axes import Axis, apply, in_ticks
 from qrsim.world.state import World
 
-# From so many ranges on their places are looked for together.
+# With this many ranges or more, their places are found together.
 MANY = 4
 
 
