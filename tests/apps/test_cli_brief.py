@@ -79,6 +79,8 @@ def test_a_good_operation_is_a_go_and_a_stopped_brief_goes_on(
     # The page has the pictures in it, and fetches nothing.
     page = (file.parent / "out" / "brief.html").read_text()
     assert page.count("data:image/png;base64,") == 3
+    assert "wind 4 m/s from 250 deg at 10 m, with an error of 0.5 m/s and 15 deg" in page
+    assert "x500; planned: a " in page
     assert "<script" not in page
     assert "http" not in page
     assert len(page) < 2_000_000
