@@ -101,7 +101,7 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
         own = self._objective.reward(self._batch, np.array([[reward]]), np.array([terminated]), outputs)
         return self._inputs(seen), float(own[0]), terminated, truncated, info | {"task_reward": reward}
 
-    def _inputs(self, seen: Any) -> NumpyArray:
+    def _inputs(self, seen: object) -> NumpyArray:
         """Return the scaled, clipped inputs (F,) of an observation and the last action."""
         inputs: NumpyArray = (self.view.features(np.asarray(seen)[None], self._last) / self._units).clip(-LIMIT, LIMIT)
         return inputs[0].astype(np.float32)

@@ -129,7 +129,7 @@ class Engine:
             return False
         return bool(np.all(flight.get(lambda carry: metrics.ended(carry.flight))))
 
-    def _keep(self, flight: Flight, tick: int, rows: NumpyArray, found: list[Any]) -> None:
+    def _keep(self, flight: Flight, tick: int, rows: NumpyArray, found: list[object]) -> None:
         """Append the record of a tick to ``found``, or pass it to the sink, if a record is due."""
         if self.record is None or tick % self.schedule.record_every:
             return

@@ -146,7 +146,7 @@ def injected(
     return replace(world, fleets=tuple(fleets)), tuple(concerned)
 
 
-def _linked(world: World, kind: str, vehicles: Sequence[str] | None, numbers: Mapping[str, Any]) -> tuple[str, ...]:
+def _linked(world: World, kind: str, vehicles: Sequence[str] | None, numbers: Mapping[str, object]) -> tuple[str, ...]:
     """Return the vehicles that a fault of links affects; raise UsageError for wrong numbers."""
     if kind != OK:
         number_of(LINK, kind, numbers)
@@ -245,7 +245,7 @@ def _with_fault(
     kind: str,
     chosen: np.ndarray[Any, Any],
     ticks: tuple[int, int],
-    numbers: Mapping[str, Any],
+    numbers: Mapping[str, object],
     dt: float,
 ) -> Fleet:
     """Return the fleet with a fault of a target in ``chosen`` vehicles (n,) bool, for a range of ticks."""
@@ -268,7 +268,7 @@ def _with_fault(
     raise _not_injectable([fleet], target)
 
 
-def _swapped(parts: tuple[Any, ...], place: int, part: Any) -> tuple[Any, ...]:
+def _swapped(parts: tuple[object, ...], place: int, part: object) -> tuple[Any, ...]:
     """Return a tuple with the part at ``place`` replaced."""
     return (*parts[:place], part, *parts[place + 1 :])
 
@@ -300,7 +300,7 @@ def _sensor_fault(
 
 
 def _of_fields(
-    slot: FaultSlot, kind: str, numbers: Mapping[str, Any], dt: float, white: Mapping[str, Any] | None
+    slot: FaultSlot, kind: str, numbers: Mapping[str, object], dt: float, white: Mapping[str, object] | None
 ) -> FaultNumbers:
     """Return a fault's numbers, some of which may be given by field name; raise UsageError for wrong ones."""
     apart = {name: value for name, value in numbers.items() if isinstance(value, Mapping)}

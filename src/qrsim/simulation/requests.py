@@ -129,7 +129,7 @@ def _span(request: Injection, time_step: float) -> str:
     return later + (f" until {request.end_tick * time_step:.2f} s" if request.end_tick < LAST_TICK else "")
 
 
-def _of_world(request: Injection, where: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+def _of_world(request: Injection, where: Mapping[str, object]) -> Iterator[dict[str, Any]]:
     """Yield one event for each number of a change of the weather; ``where``: its time and tick."""
     over, numbers = request.numbers.get("over"), dict(request.numbers)
     slowly, jammer = f", over {over:g} s" if over else "", numbers.pop("jammer", None)

@@ -193,7 +193,7 @@ class Recorded:
         )
         return numbers.reshape(len(ticks), len(self.names), n.WIDTH)
 
-    def _news(self, column: int, tick: int, values: NumpyArray, before: dict[tuple[int, int], Any]) -> News:
+    def _news(self, column: int, tick: int, values: NumpyArray, before: dict[tuple[int, int], object]) -> News:
         """Return, for each vehicle, whether a column's sensor has a new reading in this tick, and its time [s]."""
         fresh: list[bool] = []
         times: list[float] = []

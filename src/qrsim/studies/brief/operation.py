@@ -195,7 +195,7 @@ class OperationSpec(Part):
 
     @field_validator("world")
     @classmethod
-    def _without_wind(cls, world: dict[str, Any]) -> dict[str, Any]:
+    def _without_wind(cls, world: dict[str, object]) -> dict[str, Any]:
         """Raise ValueError if ``world`` has a wind; otherwise return it."""
         if "wind" in world:
             raise ValueError(

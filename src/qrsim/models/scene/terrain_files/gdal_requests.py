@@ -117,7 +117,7 @@ def crs(text: str, site: tuple[float, float], esri: bool) -> dict[str, Any]:
     }
 
 
-def accuracy(base: dict[str, Any], latitude: float, longitude: float) -> float | None:
+def accuracy(base: dict[str, object], latitude: float, longitude: float) -> float | None:
     """Return the accuracy [m] of the best gridless shift from a datum to WGS 84, by PROJ's database; None if unknown.
 
     0: its coordinates are those of WGS 84 to 1 m or 2 (ETRS89 and NAD83 among them).
