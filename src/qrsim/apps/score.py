@@ -13,6 +13,7 @@ import tyro
 
 from qrsim.apps import progress_bar
 from qrsim.errors import UsageError
+from qrsim.files import Content
 
 if TYPE_CHECKING:
     from qrsim.envs.functional import Functional
@@ -91,7 +92,7 @@ class Score:
             save_picture(lambda: draw_scores(batch.functional.name, found), self.out)
         self._tell(batch.functional.name, found, kept)
 
-    def _makers(self, functional: Functional) -> dict[str, Any]:
+    def _makers(self, functional: Functional) -> Content:
         """Return policy name -> function that builds the policy."""
         from qrsim.envs import VERSION
         from qrsim.envs.scoring import BASELINE, BUILT_IN, HOVER, maker
@@ -166,7 +167,7 @@ class Score:
             print(f"dataset: {kept}, minari.load_dataset('{self.dataset}')")
 
 
-def _row(each: Any, first: Any) -> dict[str, Any]:
+def _row(each: Any, first: Any) -> Content:
     """Return the scores of a policy as a dict for JSON, with the difference from the first policy."""
     from qrsim.envs.scoring import Interval
 

@@ -7,13 +7,14 @@ import math
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from qrsim.apps import SECONDS, check_seed
 from qrsim.errors import RunError, UsageError, did_you_mean, nearest, os_error_as
 from qrsim.extras import require
+from qrsim.files import Content
 
 if TYPE_CHECKING:
     from qrsim.links.reference.roles import Options
@@ -177,7 +178,7 @@ class Serve:
             **shared,
         )
 
-    def _shared(self) -> dict[str, Any]:
+    def _shared(self) -> Content:
         """Return the options of a shared world as keyword arguments."""
         from qrsim.links.contracts import PACES
         from qrsim.links.shared.plant import checked_silence

@@ -119,7 +119,7 @@ class Train:
         policy = folder / "policy.npz"
         if self.json:
             best = None if training.best is None else asdict(training.best[1])
-            found: dict[str, Any] = {
+            found = {
                 "task": training.view.task,
                 "seed": self.seed,
                 "steps": training.steps,

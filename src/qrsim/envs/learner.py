@@ -72,7 +72,7 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
         self.observation_space = gymnasium.spaces.Box(-LIMIT, LIMIT, (self.view.inputs,), np.float32)
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | None = None, options: dict[str, object] | None = None
     ) -> tuple[NumpyArray, dict[str, Any]]:
         """Start an episode; return the observation (F,) and the info with the ground truth.
 

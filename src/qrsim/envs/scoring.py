@@ -287,7 +287,7 @@ def _together(batch: Batch, given: Any, name: str) -> tuple[Floats, Floats]:
     return np.concatenate(acts), np.concatenate(said)
 
 
-def _parted(batch: Batch, given: object, agents: int, name: str) -> tuple[Any, Floats]:
+def _parted(batch: Batch, given: object, agents: int, name: str) -> tuple[object, Floats]:
     """Return a policy's actions, and its radio messages (n, D), NaN for agents that send none.
 
     Raises:

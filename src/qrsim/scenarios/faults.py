@@ -98,8 +98,7 @@ def _draw_alike(one: FaultSpec, other: FaultSpec) -> bool:
 
 def _white_noise(fleet: FleetSpec, sensor: str, scenario: ScenarioSpec) -> dict[str, Any]:
     """Return field -> white noise that a sensor's class declares."""
-    found: dict[str, Any] = component(fleet.sensors[sensor], known.SENSORS, scenario).white_noise()
-    return found
+    return component(fleet.sensors[sensor], known.SENSORS, scenario).white_noise()
 
 
 def _numbers_given(spec: FaultSpec) -> dict[str, float | None]:
@@ -247,7 +246,7 @@ def mask_of(names: tuple[str, ...], chosen: list[str] | None) -> Any:
 
 def reading_fields(sensor_type: str) -> list[str]:
     """Return the dotted field names of a sensor type's reading; [] if its step has no return annotation."""
-    sensor: Any = known.SENSORS[sensor_type]
+    sensor = known.SENSORS[sensor_type]
     says = sensor.init if sensor.step is Memoryless.step else sensor.step
     pair = typing.get_args(typing.get_type_hints(says).get("return"))
     if len(pair) != 2 or not dataclasses.is_dataclass(pair[1]):

@@ -125,7 +125,7 @@ class Recorded:
         Args:
             columns: whose sensors' news are wanted.
         """
-        before: dict[tuple[int, int], Any] = {}
+        before: dict[tuple[int, int], object] = {}
         for begin in range(0, len(self._ticks), MOST_AT_ONCE):
             ticks = self._ticks[begin : begin + MOST_AT_ONCE]
             values, true = self._values(ticks), self._true_numbers(ticks)

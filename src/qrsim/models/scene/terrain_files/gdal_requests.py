@@ -26,7 +26,7 @@ def dataset(file: str, driver: str) -> Any:
 
 
 @lru_cache(maxsize=OPEN_FILES)
-def opened(file: str, driver: str, changed: int, size: int) -> Any:
+def opened(file: str, driver: str, changed: int, size: int) -> object:
     """Return the rasterio dataset of a file; ``changed`` and ``size`` are the cache's key for its version."""
     import rasterio
 
