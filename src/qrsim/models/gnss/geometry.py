@@ -229,7 +229,7 @@ def geometry_of(
         slots: satellites of the sky, K of them.
         seen: (K, m) bool: the satellite is tracked.
         age: (K, m) [s] for which it has been tracked; does not count if it is not.
-        view: what obstacles do to its signals; None: an open sky.
+        view: effect of obstacles on its signals; None: an open sky.
         jam: (n,) weakening of all signals by jammers; None: there are none.
     """
     age = jnp.where(seen, age, 0.0)
