@@ -230,7 +230,7 @@ def geometry_of(
         seen: (K, m) bool: the satellite is tracked.
         age: (K, m) [s] for which it has been tracked; does not count if it is not.
         view: effect of obstacles on its signals; None: an open sky.
-        jam: (n,) weakening of all signals by jammers; None: there are none.
+        jam: (n,) weakening of all signals by jammers; None: no jammer.
     """
     age = jnp.where(seen, age, 0.0)
     ramp = jnp.clip((age - across(receiver.acquisition)) / across(receiver.entry), 0.0, 1.0)
