@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from qrsim.apps import progress_bar
+from qrsim.apps import Repeated, progress_bar
 from qrsim.errors import UsageError
 from qrsim.files import Content
 
@@ -45,17 +45,17 @@ class Score:
 
     task: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="TASK")]
     """Name of a scenario with a task, or a YAML file."""
-    policy: Annotated[
-        tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="POLICY", help_behavior_hint="(default: none)")
-    ] = field(default_factory=list)
+    policy: Annotated[Repeated, tyro.conf.arg(metavar="POLICY", help_behavior_hint="(default: none)")] = field(
+        default_factory=list
+    )
     """Policy to fly; can be given several times. The others are compared with the first."""
     seeds: int = 20
     """Number of episodes."""
     first_seed: int = 0
     """Seed of the first episode; the others follow."""
-    set: Annotated[
-        tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE", help_behavior_hint="(default: none)")
-    ] = field(default_factory=list)
+    set: Annotated[Repeated, tyro.conf.arg(metavar="PATH=VALUE", help_behavior_hint="(default: none)")] = field(
+        default_factory=list
+    )
     """Change one value of the scenario; can be given several times."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE")] = None
     """Picture to write, .png, .pdf or .svg: all returns, and an episode of the first policy."""

@@ -296,7 +296,7 @@ def fault_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _radio_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield why the radios of a fleet cannot fail."""
+    """Yield problems, as text, of a radio fault of a fleet without suitable radios."""
     if scenario.world.radio is None:
         yield f"{path}: there is no world.radio that could fail"
     elif fleet.radio is not None and not fleet.radio.works:
@@ -304,7 +304,7 @@ def _radio_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iter
 
 
 def push_problems(path: str, where: str, push: Any, fleet: FleetSpec) -> Iterator[str]:
-    """Yield why a fleet's vehicles cannot be pushed this way; ``where`` is the path of the chosen vehicles."""
+    """Yield problems, as text, of a push that vehicles cannot get; ``where`` is the path of the chosen ones."""
     if not is_pushable(fleet):
         yield f"{where}: a '{fleet.vehicle.type}' cannot be pushed"
     if push.acceleration_ned is None and push.acceleration_body is None:

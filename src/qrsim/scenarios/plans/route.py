@@ -329,7 +329,7 @@ def _not_flown(asked: list[str]) -> str:
 
 
 def _why_refused(command: int, number: int) -> str:
-    """Return why a mission command cannot be flown, for a message."""
+    """Return the reason, for a message, that a mission command cannot be flown."""
     row = known.COMMANDS.get(command)
     name = f"{command} ({row.name})" if row else str(command)
     if row and row.why:

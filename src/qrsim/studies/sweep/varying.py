@@ -31,7 +31,7 @@ class Condition(str):
         return made
 
     def __getnewargs__(self) -> tuple[str, dict[str, object]]:  # type: ignore[override]
-        """Return what a copy is made of."""
+        """Return the arguments from which a copy is made."""
         return str(self), self.settings
 
 
