@@ -67,7 +67,7 @@ class Publisher:
         at, columns = self._schedule.due(tick, fresh)
         payloads, sent = self._payloads(self._owners[at], columns)
         at, columns, payloads = at[sent], columns[sent], payloads[sent]
-        for i in np.unique(at[columns == _ATTITUDE]).tolist():
+        for i in at[columns == _ATTITUDE].tolist():
             present[i].owes = True
         ends = np.cumsum(np.bincount(at, minlength=len(present)))
         # Frames are counted on each link, from its next number on.
@@ -91,8 +91,14 @@ class Publisher:
         width = int(_SIZES[columns].max(initial=0))
         found, sent = np.zeros((len(columns), width), np.uint8), np.zeros(len(columns), bool)
         rows: Rows | None = None
-        for column in np.unique(columns).tolist():
-            where, number, size = np.flatnonzero(columns == column), STREAMED[column], _SIZES[column]
+        order = np.argsort(columns, kind="stable")
+        counts = np.bincount(columns, minlength=len(STREAMED)).tolist()
+        end = 0
+        for column, count in enumerate(counts):
+            if not count:
+                continue
+            where, number, size = order[end : end + count], STREAMED[column], _SIZES[column]
+            end += count
             systems = owners[where]
             if number in BY_ROWS and len(where) >= MANY:
                 rows = rows or Rows.of(self._views)

@@ -31,7 +31,7 @@ GRAVITY = 9.80665
 _ESTIMATES, _NO_ESTIMATE = 0x1 | 0x2 | 0x4 | 0x8 | 0x10 | 0x20 | 0x100 | 0x200, 0x400
 # MAV_ODOM and MAV_ESTIMATOR_TYPE of a filter with GNSS; frames local NED and body FRD.
 LOCAL_NED, BODY_FRD, GPS_INS = 1, 12, 5
-_UINT16, _INT16 = 0xFFFF, 0x7FFF
+_UINT16, _INT16, _GPS = 0xFFFF, 0x7FFF, int(Sensor.GPS)
 
 _STRUCT = {name: layout.struct.pack for name, layout in LAYOUTS.items()}
 
@@ -81,7 +81,7 @@ def system_time(v: View) -> Payload:
 def gps_raw_int(v: View) -> Payload:
     """Return the payload of GPS_RAW_INT, with the receiver's reported accuracies."""
     row = v.row
-    if not v.seen.present & Sensor.GPS:
+    if not v.seen.present & _GPS:
         return None
     fix = v.seen.fix_type
     place, height = (0, 0, 0), 0
