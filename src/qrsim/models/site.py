@@ -144,15 +144,16 @@ def _frame(latitude: float, longitude: float, height: float) -> tuple[float, ...
 def _ned_to_geodetic(
     north: Float64, east: Float64, down: Float64, latitude: float, longitude: float, height: float, deg: bool
 ) -> Sequence[npt.ArrayLike]:
-    """Return what pymap3d.ned2geodetic returns, to the bit, in a third of its time for a few points.
+    """Return what pymap3d.ned2geodetic returns, to the bit, in less than half of its time for a few points.
 
     Method of You (2000), doi: 10.1061/(ASCE)0733-9453(2000)126:1(1). Points near the Earth's axis or centre are left to
     pymap3d.
     """
-    cos_lat, sin_lat, cos_lon, sin_lon, x, y, z = _frame(latitude, longitude, height)
+    cos_lat, sin_lat, cos_lon, sin_lon, x0, y0, z0 = _frame(latitude, longitude, height)
     up = -down
     t = cos_lat * up - sin_lat * north
-    x, y, z = x + (cos_lon * t - sin_lon * east), y + (sin_lon * t + cos_lon * east), z + (sin_lat * up + cos_lat * north)
+    x, y = x0 + (cos_lon * t - sin_lon * east), y0 + (sin_lon * t + cos_lon * east)
+    z = z0 + (sin_lat * up + cos_lat * north)
     r2 = np.sqrt(x * x + y * y + z * z) ** 2 - _FOCUS**2
     u, level = np.sqrt(0.5 * r2 + 0.5 * np.hypot(r2, 2 * _FOCUS * z)), np.hypot(x, y)
     if np.fmin.reduce(np.fmin(u, level), axis=None, initial=math.inf) < _NEAR_AXIS:

@@ -39,7 +39,7 @@ class Publisher:
         self._schedule: Schedule | None = None
 
     def publish(self, tick: int, wall: float) -> None:
-        """Send the messages, events and texts that are due at a tick on all links; ``wall`` [s] of ``time.monotonic``."""
+        """Send what is due at a tick on all links; ``wall`` [s] is the time of ``time.monotonic``."""
         if len(self._systems) < MANY:
             for system in self._systems:
                 system.publish(tick, wall)

@@ -138,7 +138,7 @@ class Schedule:
 def _due(
     streams: Sequence[Streams], interval: NumpyArray, following: NumpyArray, tick: int, fresh: Sequence[bool]
 ) -> tuple[NumpyArray, NumpyArray]:
-    """Return what ``Schedule.due`` returns, by the rows of links, and set ``following`` (n, columns) to the next time."""
+    """Return the result of ``Schedule.due``, and advance ``following`` (n, columns), the times of the next frames."""
     links, columns = np.nonzero(following <= tick)
     when = following[links, columns]
     # Late ones are not sent after.

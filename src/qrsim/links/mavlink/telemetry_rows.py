@@ -27,7 +27,13 @@ _FORMS: dict[str, np.dtype[np.void]] = {
     "ODOMETRY": np.dtype([_US, ("numbers", "<f4", 55), ("frames", "u1", 3), ("estimator", "u1"), ("quality", "i1")]),
 }
 # Columns of HIGHRES_IMU, their scales (microtesla are 0.01 gauss, pascals 0.01 mbar), and the bit of each first one.
-_IMU = [*(at + i for at in (s.FORCE, s.RATES, s.FIELD) for i in range(3)), s.PRESSURE, s.DIFFERENTIAL, s.HEIGHT, s.TEMPERATURE]
+_IMU = [
+    *(at + i for at in (s.FORCE, s.RATES, s.FIELD) for i in range(3)),
+    s.PRESSURE,
+    s.DIFFERENTIAL,
+    s.HEIGHT,
+    s.TEMPERATURE,
+]
 _IMU_SCALES = np.array([1.0] * 6 + [0.01] * 5 + [1.0, 1.0])
 _IMU_BITS = np.array([0x7, 0, 0, 0x38, 0, 0, 0x1C0, 0, 0, 0x200, 0x400, 0x800, 0x1000])
 _IMU_TEMPERATURE, _ZERO_CELSIUS = 12, 273.15
@@ -197,6 +203,7 @@ def odometry(r: Rows) -> Payloads:
 BY_ROWS: dict[int, Callable[[Rows], Payloads]] = {
     LAYOUTS[function.__name__.upper()].number: function
     for function in (
-        attitude, attitude_quaternion, local_position_ned, global_position_int, vfr_hud, altitude, highres_imu, odometry,
+        attitude, attitude_quaternion, local_position_ned, global_position_int, vfr_hud, altitude, highres_imu,
+        odometry,
     )
 }  # fmt: skip
