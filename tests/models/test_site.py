@@ -225,7 +225,7 @@ def test_positions_are_those_of_pymap3d_to_the_bit():
         site = Site.from_degrees(latitude, longitude, 40.0)
         for scale in (10.0, 1e6):
             ned = random.normal(size=(40, 3)) * scale
-            ned[:3] = math.nan, 0.0, (0.0, 0.0, 6356792.31424518)
+            ned[0], ned[1], ned[2] = math.nan, 0.0, (0.0, 0.0, 6356792.31424518)
             expected = pymap3d.ned2geodetic(*ned.T, site.latitude_rad, site.longitude_rad, 40.0, deg=False)
             for found, known in zip(site.ned_to_geodetic(ned), expected, strict=True):
                 assert found.tobytes() == known.tobytes()
