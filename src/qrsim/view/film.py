@@ -189,7 +189,7 @@ def _script(recording: Recording | Several, plots: Plots) -> str:
     """Return the script element that plays the page, with player, timeline, event marks and plots."""
     player, timeline = (files("qrsim.view").joinpath(name).read_text("utf-8") for name in ("film.js", "timeline.js"))
     data = json.dumps({"end": recording.end, "marks": _marks(recording)}).replace("<", "\\u003c")
-    text = f"{player}\n{{const data = {data};\n{timeline}}}\n{{{plots_script(plots)}}}"
+    text = f"{player}\n{{const data = {data};\n{timeline}}}\n{{{plots_script(plots, highlights=plots.highlights())}}}"
     return f"<script>{text.replace('</', '<' + chr(92) + '/')}</script>\n"
 
 

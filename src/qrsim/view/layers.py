@@ -98,6 +98,7 @@ class Layer:
         most_in_film: a page without a server has it at so many times at most, None: at all that it has.
         in_film: whether a page without a server has it.
         of_chosen: whether it shows something else once other vehicles are chosen.
+        always: whether it is drawn while it is hidden too, because it then shows something else.
     """
 
     title = ""
@@ -106,7 +107,7 @@ class Layer:
     beside = False
     most_in_film: int | None = None
     in_film = True
-    of_chosen = False
+    of_chosen = always = False
 
     def __init__(self, stage: Stage):
         self.stage = stage
