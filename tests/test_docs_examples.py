@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import shlex
 import sys
@@ -15,6 +16,7 @@ import qrsim
 from qrsim import cli
 from qrsim.engine.programs import forget
 from qrsim.scenarios.reading import built_in_names
+from qrsim.studies.sweep.sweeping import sweep_here
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -54,6 +56,15 @@ def examples(language: str) -> list[Any]:
             text = text.replace(given, fewer)
         cases.append(pytest.param(name, text, id=name, marks=marks))
     return cases
+
+
+@pytest.fixture(autouse=True)
+def _sweeps_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fly sweeps in this process; tests/studies/sweep/test_workers.py starts processes of its own."""
+    monkeypatch.setattr("qrsim.studies.sweep.cluster.workers_of", lambda *asked: contextlib.nullcontext())
+    monkeypatch.setattr(
+        "qrsim.studies.sweep.sweeping.sweep", lambda plan, store, client, progress: sweep_here(plan, store, progress)
+    )
 
 
 def test_the_pages_have_examples() -> None:

@@ -55,14 +55,14 @@ _NUMBERS = {
     "u": ((int,), 0, 2**32 - 1),
     "b": ((), 0, 0),
 }
-_by_jax = jnp.ufunc.__call__
+_by_jax: Callable[..., Any] = jnp.ufunc.__call__
 _lock = threading.Lock()
 _inside = [0]
 
 
 def make_jaxpr(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     """Return ``jax.make_jaxpr`` of a function, which traces the same program in less time."""
-    traced = jax.make_jaxpr(function, **options)
+    traced: Callable[..., Any] = jax.make_jaxpr(function, **options)
 
     def trace(*arguments: Any) -> Any:
         """Trace the function for arguments, or their shapes."""
@@ -101,12 +101,12 @@ def _direct(function: int, left: Any, right: Any) -> Any:
     array, other = (left, right) if isinstance(left, jax.core.Tracer) else (right, left)
     if not isinstance(array, jax.core.Tracer):
         return None
-    kind = array.aval
+    kind: Any = array.aval
     operation = _DIRECT.get(kind.dtype, {}).get(function)
     if operation is None or kind.weak_type:
         return None
     if isinstance(other, jax.core.Tracer):
-        its = other.aval
+        its: Any = other.aval
         alike = its.dtype == kind.dtype and not its.weak_type
         # One of them may be a scalar, as in the operation itself.
         return (
