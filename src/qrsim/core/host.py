@@ -20,6 +20,7 @@ import numpy as np
 from jax.extend import core as jex
 
 from qrsim.core.arrays import NumpyArray
+from qrsim.core.operators import make_jaxpr
 from qrsim.core.primitives import KERNELS
 from qrsim.core.structure import kinds
 
@@ -56,7 +57,7 @@ def on_host(function: Callable[..., Any]) -> Callable[..., Any]:
             while len(traced) >= _MOST:
                 del traced[next(iter(traced))]
             templates = jax.tree.unflatten(structure, arrays)
-            closed, shape = jax.make_jaxpr(function, return_shape=True)(*templates)
+            closed, shape = make_jaxpr(function, return_shape=True)(*templates)
             traced[key] = closed, jax.tree.structure(shape)
         closed, result = traced[key]
         return jax.tree.unflatten(result, evaluate(closed, arrays))
@@ -111,7 +112,7 @@ def _applied(equation: jex.JaxprEqn, inputs: Sequence[object]) -> Sequence[objec
 def _kernel(name: str) -> jex.ClosedJaxpr:
     """Return the jaxpr of a kernel for scalars; NumPy broadcasts its operations over arrays."""
     kernel = KERNELS[name]
-    return jax.make_jaxpr(kernel.body)(*(np.zeros((), dtype) for dtype in kernel.takes))
+    return make_jaxpr(kernel.body)(*(np.zeros((), dtype) for dtype in kernel.takes))
 
 
 # Programs inside programs
