@@ -172,7 +172,7 @@ def _set_battery(message: Message, sensors: Sensors, number: int) -> None:
     message.power_supply_technology, message.present = _LIPO, True
 
 
-_CONSTANTS: dict[str, Callable[[Any, Sensors, int], None]] = {
+_CONSTANTS: dict[str, Callable[[Message, Sensors, int], None]] = {
     t.FIX.topic: _set_fix,
     t.IMU.topic: _set_inertial,
     t.MAG.topic: _set_field,
