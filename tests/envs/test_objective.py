@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from qrsim.envs.batch import Batch
-from qrsim.envs.objective import CRASH, Reached, objective_of
+from qrsim.envs.objective import CRASH, Reached, Steady, objective_of
 
 
 @pytest.mark.parametrize(
@@ -45,3 +45,22 @@ def test_cats_share_half_of_what_the_distance_costs_them() -> None:
     # A tenth of: the potential 0.5 (1 - 0.98) of each metre, less 0.1 of log(1 + e^2) + 0.1 e.
     own = [0.01 * e - 0.1 * (np.log1p(e * e) + 0.1 * e) for e in (1.0, 2.0, 0.0)]
     np.testing.assert_allclose(found, 0.1 * (0.5 * np.array(own) + 0.5 * np.mean(own)), rtol=1e-5)
+
+
+def test_a_velocity_that_is_always_a_little_wrong_costs_more_and_more() -> None:
+    batch = Batch("keep_velocity", 2, ["duration=2", "task.velocity_north=1.5"])
+    batch.reset([1, 2])
+    objective = objective_of(batch, 0.98)
+    assert isinstance(objective, Steady)
+    objective.begin(batch)
+    # At rest with the heading north, wanted is 1.5 m/s north; nothing has drifted yet.
+    batch.truth["velocity_body"][:] = 0.0
+    np.testing.assert_allclose(objective.errors(batch), 1.5, atol=1e-5)
+    nothing = (np.zeros((2, 1)), np.zeros(2, bool), np.zeros((2, 4)))
+    for _ in range(4):
+        objective.reward(batch, *nothing)
+    # Four steps of 0.02 s at 1.5 m/s are 0.12 m, of which half counts for each second.
+    np.testing.assert_allclose(objective.errors(batch), 1.5 + 0.06, atol=1e-5)
+    # The next episode of the second row begins without.
+    objective.begin(batch, np.array([False, True]))
+    np.testing.assert_allclose(objective.errors(batch), [1.56, 1.5], atol=1e-5)

@@ -5,6 +5,8 @@ logarithm rewards precision near the goal, and the second term has a slope far f
 discounted cost of staying 120 m away forever, so that no crash is better than a flight. A potential of minus the error
 is added as gamma Phi(s') - Phi(s), which leaves the best policy as it is (Ng, Harada and Russell 1999). Errors are the
 true ones: a reward may use what a policy does not observe. All of it is multiplied by ``SCALE``.
+Velocities: the same of the error, and ``DRIFT`` of its integral.
+Landings: of the distance from the pad, and ``OFF_GROUND`` more while the vehicle moves.
 Pursuits: the same of the distance beyond that of a catch, half of it each cat's own and half the mean of all cats.
 Other tasks: the task's reward over the running standard deviation of its discounted sum.
 """
@@ -17,6 +19,7 @@ import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.envs.batch import Batch
+from qrsim.tasks.landing import Land
 from qrsim.tasks.learned import observed_names
 from qrsim.tasks.pursuit import Pursuit
 from qrsim.tasks.simple import KeepSpot, KeepVelocity
@@ -29,6 +32,10 @@ PULL = 0.1
 LONGEST = 0.1
 # Potential for each metre or m/s of error, and cost of the squared output of a network each second.
 POTENTIAL, EFFORT = 0.5, 0.05
+# Error of velocity for each metre of drift [1/s].
+DRIFT = 0.5
+# Error of a vehicle in the air where it is to land [m].
+OFF_GROUND = 3.0
 # Unit of the learner's reward, which makes values a few units large.
 SCALE = 0.1
 # Limit of a scaled reward.
@@ -38,8 +45,8 @@ LARGEST = 10.0
 class Objective(Protocol):
     """Reward of the learner."""
 
-    def begin(self, batch: Batch) -> None:
-        """Store the batch's values at the start of episodes."""
+    def begin(self, batch: Batch, ended: Floats | None = None) -> None:
+        """Store the batch's values at the start of episodes, in rows ``ended`` (N,) or, for None, in all."""
 
     def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
         """Return the learner's rewards (N,) for a step with the task's rewards (B, n) and ends (B,)."""
@@ -54,7 +61,11 @@ class Objective(Protocol):
 def objective_of(batch: Batch, discount: float) -> Objective:
     """Return the learner's reward for a task."""
     task = batch.functional.play.task
-    if isinstance(task, KeepSpot | KeepVelocity):
+    if isinstance(task, Land):
+        return Landed(batch, discount)
+    if isinstance(task, KeepVelocity):
+        return Steady(batch, discount)
+    if isinstance(task, KeepSpot):
         return Reached(batch, discount)
     if isinstance(task, Pursuit) and not task.senses:
         return Caught(batch, discount)
@@ -62,16 +73,15 @@ def objective_of(batch: Batch, discount: float) -> Objective:
 
 
 class Reached:
-    """Reward for a small true error of position or velocity."""
+    """Reward for a small true error of position."""
 
     def __init__(self, batch: Batch, discount: float):
         self._discount = discount
         # Of longer decisions too, as values are sums over decisions.
         self._seconds = min(batch.functional.play.task.period, LONGEST)
-        self._by_velocity = isinstance(batch.functional.play.task, KeepVelocity)
         self._error = np.zeros(0)
 
-    def begin(self, batch: Batch) -> None:
+    def begin(self, batch: Batch, ended: Floats | None = None) -> None:
         """Store the agents' errors at the start of episodes."""
         self._error = self.errors(batch)
 
@@ -91,13 +101,9 @@ class Reached:
         return reward
 
     def errors(self, batch: Batch) -> Floats:
-        """Return the agents' true errors (N,) of position or velocity [m or m/s]."""
-        seen, truth = batch.seen, batch.truth
-        if self._by_velocity:
-            wanted = seen[..., 9:12] + seen[..., 3:6]
-            return _length(wanted - _velocity_ned(truth))
-        goal = seen[..., 9:12] + seen[..., 0:3]
-        return _length(goal - truth["position_ned"])
+        """Return the agents' true distances (N,) from their goals [m]."""
+        goal = batch.seen[..., 9:12] + batch.seen[..., 0:3]
+        return _length(goal - batch.truth["position_ned"])
 
     def state(self) -> dict[str, Floats]:
         """Return {}: nothing is learned."""
@@ -105,6 +111,39 @@ class Reached:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Do nothing: there is no state."""
+
+
+class Steady(Reached):
+    """Reward for a small true error of velocity, and a small drift: an error that lasts leads out of the area."""
+
+    def __init__(self, batch: Batch, discount: float):
+        super().__init__(batch, discount)
+        self._drift = np.zeros((batch.size * len(batch.functional.agents), 3))
+
+    def begin(self, batch: Batch, ended: Floats | None = None) -> None:
+        """Store the agents' errors, and set the drift of new episodes to zero."""
+        self._drift[slice(None) if ended is None else ended] = 0.0
+        super().begin(batch, ended)
+
+    def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
+        """Return the rewards (N,), after the drift of this step."""
+        self._drift += batch.functional.play.task.period * _lacking(batch)
+        return super().reward(batch, reward, terminated, outputs)
+
+    def errors(self, batch: Batch) -> Floats:
+        """Return the agents' true errors (N,) of velocity, and ``DRIFT`` of the integral of each [m/s]."""
+        found: Floats = _length(_lacking(batch)) + DRIFT * _length(self._drift)
+        return found
+
+
+class Landed(Reached):
+    """Reward for a small true distance from a pad, and for standing."""
+
+    def errors(self, batch: Batch) -> Floats:
+        """Return the true distances (N,) from the pad [m], ``OFF_GROUND`` more for a vehicle that moves."""
+        moves = _length(batch.truth["velocity_body"]) > 0.0
+        found: Floats = Reached.errors(self, batch) + OFF_GROUND * moves
+        return found
 
 
 class Caught(Reached):
@@ -127,8 +166,15 @@ class Caught(Reached):
         return found
 
 
+def _lacking(batch: Batch) -> Floats:
+    """Return what the true velocities lack of the wanted ones, (N, 3) NED [m/s]."""
+    wanted = batch.seen[..., 9:12] + batch.seen[..., 3:6]
+    found: Floats = (wanted - _velocity_ned(batch.truth)).reshape(-1, 3)
+    return found
+
+
 def _length(vectors: Floats) -> Floats:
-    """Return the lengths (B n,) of vectors (B, n, 3)."""
+    """Return the lengths (N,) of vectors (..., 3)."""
     found: Floats = np.sqrt(np.square(vectors).sum(axis=-1)).ravel()
     return found
 
@@ -153,7 +199,7 @@ class Scaled:
         # Number of sums, their mean, and the sum of their squared differences from it.
         self._count, self._mean, self._squares = 1e-4, 0.0, 1e-4
 
-    def begin(self, batch: Batch) -> None:
+    def begin(self, batch: Batch, ended: Floats | None = None) -> None:
         """Allocate the running returns, on the first call."""
         size = batch.size * len(batch.functional.agents)
         if len(self._sum) != size:

@@ -72,7 +72,7 @@ class Flights:
             return
         self._last[ended] = 0.0
         self.batch.again(np.flatnonzero(ended.reshape(self.batch.size, self.agents).any(axis=1)))
-        self.objective.begin(self.batch)
+        self.objective.begin(self.batch, ended)
 
     def fly(self, act: Any, seeds: Floats) -> tuple[Floats, Floats]:
         """Fly one episode for each seed (B,) with ``act`` (inputs to outputs); return returns and survival.
