@@ -53,6 +53,12 @@ class Flights:
         """Return the unscaled inputs (N, F) for the next decision."""
         return self.view.features(self.batch.seen.reshape(self.rows, -1), self._last)
 
+    def _action(self) -> Floats:
+        """Return the actions (B, n, A) of the last outputs."""
+        seen = self.batch.seen.reshape(self.rows, -1)
+        found: Floats = self.view.action(self._last, seen).reshape(self.batch.size, self.agents, -1)
+        return found
+
     def decide(self, outputs: Floats) -> Decided:
         """Apply the network's outputs (N, K) for one decision; call ``follow`` for episodes that ended.
 
@@ -60,8 +66,7 @@ class Flights:
             RunError: a reward of the task is not finite.
         """
         self._last = outputs.clip(-LIMIT, LIMIT)
-        action = self.view.action(self._last).reshape(self.batch.size, self.agents, -1)
-        reward, terminated, truncated = self.batch.step(action)
+        reward, terminated, truncated = self.batch.step(self._action())
         own = self.objective.reward(self.batch, reward, terminated, self._last)
         crashed, ended = (np.repeat(each, self.agents) for each in (terminated, terminated | truncated))
         return Decided(self.features(), own, crashed, ended)
@@ -84,8 +89,7 @@ class Flights:
         total, alive = np.zeros(self.batch.size), np.ones(self.batch.size, bool)
         for _ in range(self.batch.functional.play.steps):
             self._last = act(self.features()).clip(-LIMIT, LIMIT)
-            action = self.view.action(self._last).reshape(self.batch.size, self.agents, -1)
-            reward, terminated, _ = self.batch.step(action)
+            reward, terminated, _ = self.batch.step(self._action())
             total += np.where(alive, reward.mean(axis=1, dtype=np.float64), 0.0)
             alive &= ~terminated
             if not alive.any():
