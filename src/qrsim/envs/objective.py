@@ -7,13 +7,15 @@ is added as gamma Phi(s') - Phi(s), which leaves the best policy as it is (Ng, H
 true ones: a reward may use what a policy does not observe. All of it is multiplied by ``SCALE``.
 Velocities: the same of the error, and ``DRIFT`` of its integral.
 Landings: of the distance from the pad, and ``OFF_GROUND`` more while the vehicle moves.
-Pursuits: the same of the distance beyond that of a catch, half of it each cat's own and half the mean of all cats.
+Pursuits: of the distance beyond that of a catch; less room than ``ROOM`` to the mouse or a cat costs too, and a mouse
+far from the middle of the area lowers the potential. Half of it is each cat's own and half the mean of all cats. A
+decision of 1 s counts as one, so a crash costs more, and the unit is smaller.
 Other tasks: the task's reward over the running standard deviation of its discounted sum.
 """
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 
@@ -38,6 +40,12 @@ DRIFT = 0.5
 OFF_GROUND = 3.0
 # Unit of the learner's reward, which makes values a few units large.
 SCALE = 0.1
+# Pursuits: cost of a crash and of each metre, longest time of a decision [s], unit.
+CRASH_IN_PURSUIT, PULL_IN_PURSUIT, LONGEST_IN_PURSUIT, SCALE_IN_PURSUIT = 400.0, 0.05, 1.0, 0.03
+# Distance [m] within which vehicles are too near to each other, and the cost of its lack squared each second.
+ROOM, CROWDED = 4.5, 3.0
+# The mouse's distance from the middle beyond which the potential falls, in parts of half a side, and its fall each metre.
+INNER, OUTWARD = 0.43, 0.3
 # Limit of a scaled reward.
 LARGEST = 10.0
 
@@ -73,28 +81,43 @@ def objective_of(batch: Batch, discount: float) -> Objective:
 
 
 class Reached:
-    """Reward for a small true error of position."""
+    """Reward for a small true error of position.
+
+    Attributes:
+        crash, pull, longest, scale: the numbers of the module that hold for the task.
+    """
+
+    crash, pull, longest, scale = CRASH, PULL, LONGEST, SCALE
 
     def __init__(self, batch: Batch, discount: float):
         self._discount = discount
         # Of longer decisions too, as values are sums over decisions.
-        self._seconds = min(batch.functional.play.task.period, LONGEST)
-        self._error = np.zeros(0)
+        self._seconds = min(batch.functional.play.task.period, self.longest)
+        self._potential = np.zeros(0)
 
     def begin(self, batch: Batch, ended: Floats | None = None) -> None:
-        """Store the agents' errors at the start of episodes."""
-        self._error = self.errors(batch)
+        """Store the agents' potentials at the start of episodes."""
+        self._potential = self.potential(batch, self.errors(batch))
 
     def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
         """Return the rewards (N,)."""
-        before, now = self._error, self.errors(batch)
-        self._error = now
+        before, error = self._potential, self.errors(batch)
+        now = self._potential = self.potential(batch, error)
         crashed = np.repeat(terminated, reward.shape[1])
         effort = EFFORT * np.square(outputs).sum(axis=1)
-        potential = POTENTIAL * (before - self._discount * np.where(crashed, 0.0, now))
-        cost = self._seconds * (np.log1p(now * now) + PULL * now + effort)
-        found: Floats = (SCALE * (potential - cost - CRASH * crashed)).astype(np.float32)
+        potential = before - self._discount * np.where(crashed, 0.0, now)
+        cost = self._seconds * (np.log1p(error * error) + self.pull * error + effort + self.crowding(batch))
+        found: Floats = (self.scale * (potential - cost - self.crash * crashed)).astype(np.float32)
         return self.shared(found, reward.shape[1])
+
+    def potential(self, batch: Batch, error: Floats) -> Floats:
+        """Return minus the potentials (N,) for errors (N,)."""
+        found: Floats = POTENTIAL * error
+        return found
+
+    def crowding(self, batch: Batch) -> Floats | float:
+        """Return the cost of each agent's lack of room per second, 0 here."""
+        return 0.0
 
     def shared(self, reward: Floats, agents: int) -> Floats:
         """Return the rewards (N,) unchanged: each agent's own."""
@@ -149,14 +172,42 @@ class Landed(Reached):
 class Caught(Reached):
     """Reward for cats near the mouse, by the offsets that they observe."""
 
+    crash, pull, longest, scale = CRASH_IN_PURSUIT, PULL_IN_PURSUIT, LONGEST_IN_PURSUIT, SCALE_IN_PURSUIT
+
+    def __init__(self, batch: Batch, discount: float):
+        super().__init__(batch, discount)
+        play = batch.functional.play
+        task, area = cast(Any, play.task), cast(Any, play.world.area)
+        self._mice = sum(name.startswith("mouse_") for name in observed_names(play)) // 2
+        self._catch = float(task.reach) * float(play.world.collision_distance)
+        # Of areas of other shapes no middle is known.
+        self._middle, self._inner = np.zeros(2), np.inf
+        if area.is_box:
+            low, high = (np.array([float(area.x_min), float(area.y_min)]), np.array([float(area.x_max), float(area.y_max)]))
+            self._middle, self._inner = 0.5 * (low + high), INNER * 0.5 * float((high - low).min())
+
     def errors(self, batch: Batch) -> Floats:
         """Return the observed distances (N,) [m] to the nearest mouse less that of a catch, at least 0."""
-        play = batch.functional.play
-        mice = sum(name.startswith("mouse_") for name in observed_names(play)) // 2
-        offsets = batch.seen[..., 4 : 4 + 2 * mice].reshape(-1, mice, 2)
-        task: Any = play.task
-        catch = float(task.reach) * float(play.world.collision_distance)
-        found: Floats = np.maximum(np.sqrt(np.square(offsets).sum(axis=-1)).min(axis=1) - catch, 0.0)
+        found: Floats = np.maximum(self._distances(batch)[:, : self._mice].min(axis=1) - self._catch, 0.0)
+        return found
+
+    def potential(self, batch: Batch, error: Floats) -> Floats:
+        """Return minus the potentials (N,) for errors (N,), and the mouse's places."""
+        mouse = batch.seen[..., 0:2] + batch.seen[..., 4:6] - self._middle
+        outside = np.maximum(np.sqrt(np.square(mouse).sum(axis=-1)).ravel() - self._inner, 0.0)
+        found: Floats = super().potential(batch, error) + OUTWARD * outside
+        return found
+
+    def crowding(self, batch: Batch) -> Floats:
+        """Return the cost (N,) of each cat's lack of room per second."""
+        lacking = np.maximum(ROOM - self._distances(batch).min(axis=1), 0.0)
+        found: Floats = CROWDED * lacking * lacking
+        return found
+
+    def _distances(self, batch: Batch) -> Floats:
+        """Return the observed distances (N, m + n - 1) [m] to the mice and the other cats."""
+        offsets = batch.seen[..., 4:].reshape(-1, (batch.seen.shape[-1] - 4) // 2, 2)
+        found: Floats = np.sqrt(np.square(offsets).sum(axis=-1))
         return found
 
     def shared(self, reward: Floats, agents: int) -> Floats:
