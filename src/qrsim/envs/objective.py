@@ -44,6 +44,8 @@ SCALE = 0.1
 CRASH_IN_PURSUIT, PULL_IN_PURSUIT, LONGEST_IN_PURSUIT, SCALE_IN_PURSUIT = 400.0, 0.05, 1.0, 0.03
 # Distance [m] within which vehicles are too near to each other, and the cost of its lack squared each second.
 ROOM, CROWDED = 4.5, 3.0
+# Cost of the squared error each second, and the error beyond which it does not grow [m].
+SQUARED, SQUARED_UP_TO = 0.1, 8.0
 # The mouse's distance from the middle beyond which the potential falls, in parts of half a side, and its fall each metre.
 INNER, OUTWARD = 0.43, 0.3
 # Limit of a scaled reward.
@@ -106,7 +108,7 @@ class Reached:
         crashed = np.repeat(terminated, reward.shape[1])
         effort = EFFORT * np.square(outputs).sum(axis=1)
         potential = before - self._discount * np.where(crashed, 0.0, now)
-        cost = self._seconds * (np.log1p(error * error) + self.pull * error + effort + self.crowding(batch))
+        cost = self._seconds * (np.log1p(error * error) + self.pull * error + effort + self.more(batch, error))
         found: Floats = (self.scale * (potential - cost - self.crash * crashed)).astype(np.float32)
         return self.shared(found, reward.shape[1])
 
@@ -115,8 +117,8 @@ class Reached:
         found: Floats = POTENTIAL * error
         return found
 
-    def crowding(self, batch: Batch) -> Floats | float:
-        """Return the cost of each agent's lack of room per second, 0 here."""
+    def more(self, batch: Batch, error: Floats) -> Floats | float:
+        """Return what else costs each agent per second, (N,) or 0."""
         return 0.0
 
     def shared(self, reward: Floats, agents: int) -> Floats:
@@ -198,10 +200,10 @@ class Caught(Reached):
         found: Floats = super().potential(batch, error) + OUTWARD * outside
         return found
 
-    def crowding(self, batch: Batch) -> Floats:
-        """Return the cost (N,) of each cat's lack of room per second."""
+    def more(self, batch: Batch, error: Floats) -> Floats:
+        """Return the cost (N,) of each cat's lack of room and of its squared error, as the task counts it, per second."""
         lacking = np.maximum(ROOM - self._distances(batch).min(axis=1), 0.0)
-        found: Floats = CROWDED * lacking * lacking
+        found: Floats = CROWDED * lacking * lacking + SQUARED * np.square(np.minimum(error, SQUARED_UP_TO))
         return found
 
     def _distances(self, batch: Batch) -> Floats:
