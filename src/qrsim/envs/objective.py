@@ -41,12 +41,10 @@ OFF_GROUND = 3.0
 # Unit of the learner's reward, which makes values a few units large.
 SCALE = 0.1
 # Pursuits: cost of a crash and of each metre, longest time of a decision [s], unit.
-CRASH_IN_PURSUIT, PULL_IN_PURSUIT, LONGEST_IN_PURSUIT, SCALE_IN_PURSUIT = 400.0, 0.05, 1.0, 0.03
+CRASH_IN_PURSUIT, PULL_IN_PURSUIT, LONGEST_IN_PURSUIT, SCALE_IN_PURSUIT = 600.0, 0.05, 1.0, 0.03
 # Distance [m] within which vehicles are too near to each other, and the cost of its lack squared each second.
 ROOM, CROWDED = 4.5, 3.0
-# Cost of the squared error each second, and the error beyond which it does not grow [m].
-SQUARED, SQUARED_UP_TO = 0.1, 8.0
-# The mouse's distance from the middle beyond which the potential falls, in parts of half a side, and its fall each metre.
+# The mouse's distance from the middle, in parts of half a side, beyond which the potential falls, and its fall a metre.
 INNER, OUTWARD = 0.43, 0.3
 # Limit of a scaled reward.
 LARGEST = 10.0
@@ -108,7 +106,7 @@ class Reached:
         crashed = np.repeat(terminated, reward.shape[1])
         effort = EFFORT * np.square(outputs).sum(axis=1)
         potential = before - self._discount * np.where(crashed, 0.0, now)
-        cost = self._seconds * (np.log1p(error * error) + self.pull * error + effort + self.more(batch, error))
+        cost = self._seconds * (np.log1p(error * error) + self.pull * error + effort + self.crowding(batch))
         found: Floats = (self.scale * (potential - cost - self.crash * crashed)).astype(np.float32)
         return self.shared(found, reward.shape[1])
 
@@ -117,8 +115,8 @@ class Reached:
         found: Floats = POTENTIAL * error
         return found
 
-    def more(self, batch: Batch, error: Floats) -> Floats | float:
-        """Return what else costs each agent per second, (N,) or 0."""
+    def crowding(self, batch: Batch) -> Floats | float:
+        """Return the cost of each agent's lack of room per second, (N,) or 0."""
         return 0.0
 
     def shared(self, reward: Floats, agents: int) -> Floats:
@@ -185,7 +183,7 @@ class Caught(Reached):
         # Of areas of other shapes no middle is known.
         self._middle, self._inner = np.zeros(2), np.inf
         if area.is_box:
-            low, high = (np.array([float(area.x_min), float(area.y_min)]), np.array([float(area.x_max), float(area.y_max)]))
+            low, high = np.array([[area.x_min, area.y_min], [area.x_max, area.y_max]], float)
             self._middle, self._inner = 0.5 * (low + high), INNER * 0.5 * float((high - low).min())
 
     def errors(self, batch: Batch) -> Floats:
@@ -200,10 +198,10 @@ class Caught(Reached):
         found: Floats = super().potential(batch, error) + OUTWARD * outside
         return found
 
-    def more(self, batch: Batch, error: Floats) -> Floats:
-        """Return the cost (N,) of each cat's lack of room and of its squared error, as the task counts it, per second."""
+    def crowding(self, batch: Batch) -> Floats:
+        """Return the cost (N,) of each cat's lack of room per second."""
         lacking = np.maximum(ROOM - self._distances(batch).min(axis=1), 0.0)
-        found: Floats = CROWDED * lacking * lacking + SQUARED * np.square(np.minimum(error, SQUARED_UP_TO))
+        found: Floats = CROWDED * lacking * lacking
         return found
 
     def _distances(self, batch: Batch) -> Floats:

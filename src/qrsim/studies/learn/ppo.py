@@ -34,6 +34,8 @@ class Settings:
         most_gradient: norm at which gradients are clipped.
         spread: first standard deviation of the outputs.
         width: of the two hidden layers.
+        averaged: weight of the iterations before in the running mean of the policies that is flown and kept; 0: the
+            last policy.
     """
 
     discount: float = 0.98
@@ -47,6 +49,7 @@ class Settings:
     most_gradient: float = 0.5
     spread: float = 1.0
     width: int = 32
+    averaged: float = 0.0
 
 
 class Learner(NamedTuple):

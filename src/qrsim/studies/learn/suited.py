@@ -10,7 +10,7 @@ from qrsim.studies.learn.training import Plan
 from qrsim.tasks.pursuit import Pursuit
 
 # Decisions of 1 s, whose consequences are fewer; noise that cats a few metres from each other survive.
-PURSUIT = Settings(discount=0.97, rate=1.5e-3, epochs=4, minibatches=8, spread=0.3)
+PURSUIT = Settings(discount=0.97, epochs=4, minibatches=8, spread=0.3, averaged=0.9)
 # Episodes side by side: fewer of a team, so that the policy is improved more often for the same decisions.
 ENVS, PURSUIT_ENVS = 512, 128
 
