@@ -35,9 +35,9 @@ STEPS = {
     "goto_waypoint": 2_000_000,
     "keep_velocity": 1_200_000,
     "land_on_pad": 1_000_000,
-    "cats_and_mouse/1A": 3_000_000,
+    "cats_and_mouse/1A": 5_000_000,
 }
-SEEDS = dict.fromkeys(STEPS, 10)
+SEEDS = dict.fromkeys(STEPS, 10) | {"cats_and_mouse/1A": 5}
 # What training changes of a task [s].
 SHORTER = {"cats_and_mouse/1A": ("duration=200",)}
 NEAR = 3.0
@@ -66,7 +66,12 @@ def run(full: bool, parts: tuple[str, ...] = PARTS) -> dict[str, Any]:
     if not full:
         plan = Plan("keep_spot", ("duration=2",), envs=64, steps=4096, tries=SMALL_TRIALS)
         return {"keep_spot_seed_0": trained(plan, SMALL_TRIALS)}
-    found: dict[str, Any] = {"seeds": SEEDS["keep_spot"], "trials": TRIALS, "near_m": NEAR}
+    found: dict[str, Any] = {
+        "seeds": SEEDS["keep_spot"],
+        "pursuit_seeds": SEEDS["cats_and_mouse/1A"],
+        "trials": TRIALS,
+        "near_m": NEAR,
+    }
     for task, steps in STEPS.items():
         if f"{key(task)}_compared" in parts:
             found[key(task)] = {"seeds": SEEDS[task], "steps": steps, **compared(task)}

@@ -43,9 +43,9 @@ def test_cats_share_half_of_what_the_distance_costs_them() -> None:
         batch.seen[0, row, 4:10] = north, 0.0, 9.0, 0.0, 0.0, 9.0
     objective.begin(batch)
     found = objective.reward(batch, np.zeros((1, 3)), np.array([False]), np.zeros((3, 2)))
-    # 0.03 of: the potential 0.5 (1 - 0.98) of each metre, less log(1 + e^2) + 0.05 e for 1 s. The third has 2 m of room
+    # 0.03 of: the potential 0.5 (1 - 0.98) of each metre, less log(1 + e^2) + 0.12 e for 1 s. The third has 2 m of room
     # less than the 4.5 m that it wants to have from everybody, which costs 3 * 2^2.
-    own = [0.01 * e - np.log1p(e * e) - 0.05 * e for e in (1.0, 2.0, 0.0)]
+    own = [0.01 * e - np.log1p(e * e) - 0.12 * e for e in (1.0, 2.0, 0.0)]
     own[2] -= 12.0
     np.testing.assert_allclose(found, 0.03 * (0.5 * np.array(own) + 0.5 * np.mean(own)), rtol=1e-5)
     # The mouse 80 m north and 60 m east is 39.8 m beyond 0.43 of half of 280 m: a drop of 0.3 each, when it gets there.

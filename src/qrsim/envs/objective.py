@@ -41,7 +41,7 @@ OFF_GROUND = 3.0
 # Unit of the learner's reward, which makes values a few units large.
 SCALE = 0.1
 # Pursuits: cost of a crash and of each metre, longest time of a decision [s], unit.
-CRASH_IN_PURSUIT, PULL_IN_PURSUIT, LONGEST_IN_PURSUIT, SCALE_IN_PURSUIT = 600.0, 0.05, 1.0, 0.03
+CRASH_IN_PURSUIT, PULL_IN_PURSUIT, LONGEST_IN_PURSUIT, SCALE_IN_PURSUIT = 600.0, 0.12, 1.0, 0.03
 # Distance [m] within which vehicles are too near to each other, and the cost of its lack squared each second.
 ROOM, CROWDED = 4.5, 3.0
 # The mouse's distance from the middle, in parts of half a side, beyond which the potential falls, and its fall a metre.
