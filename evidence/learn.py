@@ -29,20 +29,21 @@ from qrsim.tasks.learned import forward
 
 DOC = "policies of qrsim train on the simple tasks and in a pursuit, several seeds each, against the baseline"
 TRIALS, SMALL_TRIALS = 200, 8
+PURSUIT = "cats_and_mouse/1A"
 # Decisions that each seed learns from, and how many seeds.
 STEPS = {
     "keep_spot": 600_000,
     "goto_waypoint": 2_000_000,
     "keep_velocity": 1_200_000,
     "land_on_pad": 1_000_000,
-    "cats_and_mouse/1A": 5_000_000,
+    PURSUIT: 5_000_000,
 }
-SEEDS = dict.fromkeys(STEPS, 10) | {"cats_and_mouse/1A": 5}
+SEEDS = {**dict.fromkeys(STEPS, 10), PURSUIT: 5}
 # What training changes of a task [s].
-SHORTER = {"cats_and_mouse/1A": ("duration=200",)}
+SHORTER = {PURSUIT: ("duration=200",)}
 NEAR = 3.0
 # Those whose curves are drawn.
-DRAWN = ("keep_velocity", "land_on_pad", "cats_and_mouse/1A")
+DRAWN = ("keep_velocity", "land_on_pad", PURSUIT)
 IMAGE = IMAGES / "learning_curves.png"
 REPORT = ROOT / "docs" / "evidence" / "learn.json"
 
@@ -68,7 +69,7 @@ def run(full: bool, parts: tuple[str, ...] = PARTS) -> dict[str, Any]:
         return {"keep_spot_seed_0": trained(plan, SMALL_TRIALS)}
     found: dict[str, Any] = {
         "seeds": SEEDS["keep_spot"],
-        "pursuit_seeds": SEEDS["cats_and_mouse/1A"],
+        "pursuit_seeds": SEEDS[PURSUIT],
         "trials": TRIALS,
         "near_m": NEAR,
     }

@@ -11,6 +11,7 @@ import pytest
 from qrsim.errors import UsageError
 from qrsim.studies.learn.folder import make_folder, restore, save
 from qrsim.studies.learn.ppo import Settings
+from qrsim.studies.learn.suited import plan_of
 from qrsim.studies.learn.training import Plan, Training
 from qrsim.tasks.learned import forward, read_policy
 
@@ -27,9 +28,11 @@ def numbers(training: Training) -> list[tuple[float, ...]]:
 @pytest.mark.long
 def test_same_seed_same_bits_and_so_after_a_checkpoint(tmp_path: Path) -> None:
     whole = Training(SMALL)
-    weights = []
+    weights, steps = [], []
     for row in whole.cycles():
-        assert row.steps == 2048 * len(weights := [*weights, np.array(whole.learner.weights["policy"][0][0])])
+        steps.append(row.steps)
+        weights.append(np.array(whole.learner.weights["policy"][0][0]))
+    assert steps == [2048, 4096]
     # A quarter of the last of two policies and the rest of the first.
     np.testing.assert_allclose(whole.averaged[0][0], 0.75 * weights[0] + 0.25 * weights[1], atol=1e-6)
     make_folder(tmp_path / "whole")
@@ -88,3 +91,15 @@ def test_a_policy_learns_to_keep_its_place(tmp_path: Path) -> None:
     )
     assert alive.all()
     assert total.mean() > -20.0
+
+
+@pytest.mark.nightly
+def test_cats_learn_to_come_near_and_to_stay_apart() -> None:
+    training = Training(plan_of("cats_and_mouse/1A", ("duration=100",), seed=3, steps=1_000_000, tries=16))
+    rows = list(training.cycles())
+    assert training.averaged is not None
+    # Cats that stand still lose the mouse within 50 s. At the end they follow it.
+    assert rows[0].reward < -0.55
+    assert rows[-1].reward > -0.4
+    assert training.best is not None
+    assert training.best[0].view.ahead == (4, 5)
