@@ -36,8 +36,9 @@ LONGEST = 0.1
 POTENTIAL, EFFORT = 0.5, 0.05
 # Error of velocity for each metre of drift [1/s].
 DRIFT = 0.5
-# Error of a vehicle in the air where it is to land [m].
-OFF_GROUND = 3.0
+# Error of a vehicle in the air where it is to land [m], and the cost of a crash: of staying 40 m away forever. More would
+# teach to keep away from the ground.
+OFF_GROUND, CRASH_IN_LANDING = 5.0, 60.0
 # Unit of the learner's reward, which makes values a few units large.
 SCALE = 0.1
 # Pursuits: cost of a crash and of each metre, longest time of a decision [s], unit.
@@ -161,6 +162,8 @@ class Steady(Reached):
 
 class Landed(Reached):
     """Reward for a small true distance from a pad, and for standing."""
+
+    crash = CRASH_IN_LANDING
 
     def errors(self, batch: Batch) -> Floats:
         """Return the true distances (N,) from the pad [m], ``OFF_GROUND`` more for a vehicle that moves."""
