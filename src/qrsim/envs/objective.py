@@ -36,8 +36,8 @@ LONGEST = 0.1
 POTENTIAL, EFFORT = 0.5, 0.05
 # Error of velocity for each metre of drift [1/s].
 DRIFT = 0.5
-# Error of a vehicle in the air where it is to land [m], and the cost of a crash: of staying 40 m away forever. More would
-# teach to keep away from the ground.
+# Error of a vehicle in the air where it is to land [m], and the cost of a crash: that of staying 40 m away forever.
+# More would teach to keep away from the ground.
 OFF_GROUND, CRASH_IN_LANDING = 5.0, 60.0
 # Unit of the learner's reward, which makes values a few units large.
 SCALE = 0.1
