@@ -105,5 +105,9 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
     def _inputs(self, seen: Any) -> NumpyArray:
         """Return the scaled, clipped inputs (F,) of an observation, which is kept, and the last action."""
         self._seen = np.asarray(seen)[None]
-        inputs: NumpyArray = (self.view.features(self._seen, self._last) / self._units).clip(-LIMIT, LIMIT)
-        return inputs[0].astype(np.float32)
+        return self.scaled(self.view.features(self._seen, self._last))[0]
+
+    def scaled(self, features: NumpyArray) -> NumpyArray:
+        """Return the observations (N, F) of a policy for the inputs (N, F) of the view."""
+        found: NumpyArray = (features / self._units).clip(-LIMIT, LIMIT).astype(np.float32)
+        return found
