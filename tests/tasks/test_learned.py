@@ -30,6 +30,9 @@ VIEW = View(
 # Two inputs of the goal and two of the last action; the outputs are the goal ahead and minus the goal to the right.
 LAYERS = ((np.array([[1, 0], [0, -1], [0, 0], [0, 0]], np.float32), np.zeros(2, np.float32)),)
 
+# One index where there must be two.
+SHORT: Any = (0,)
+
 
 def policy(**changes: Any) -> PolicyFile:
     parts = {"view": VIEW, "scaling": Scaling(np.zeros(4, np.float32), np.ones(4, np.float32)), "layers": LAYERS}
@@ -91,7 +94,7 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         ({"view": dataclasses.replace(VIEW, kept=(0, 9))}, "is no policy"),
         ({"view": dataclasses.replace(VIEW, turned=(0, 1))}, "is no policy"),
         ({"view": dataclasses.replace(VIEW, ahead=(0, 3))}, "is no policy"),
-        ({"view": dataclasses.replace(VIEW, ahead=(0,))}, "is no policy"),
+        ({"view": dataclasses.replace(VIEW, ahead=SHORT)}, "is no policy"),
         ({"view": dataclasses.replace(VIEW, ahead=(0, 1), turned=(0, 2))}, "is no policy"),
         ({"layers": ((LAYERS[0][0], np.zeros((2, 2), np.float32)),)}, "is no policy"),
         ({"layers": ((LAYERS[0][0][:3], LAYERS[0][1]),)}, "is no policy"),
