@@ -49,7 +49,7 @@ class View:
         flown: which numbers of an action the policy gives; the others have the value of ``centre``.
         centre: (A,) action of a network that returns zeros.
         reach: (A,) change of the action for each unit that the network returns.
-        ahead: north and east of the observed offset along which the inputs are turned; None: along the heading, ``yaw``.
+        ahead: north and east of the observed offset along which the inputs are turned; None: the heading, ``yaw``.
         turned: which of the network's outputs are ahead and to the right of ``ahead``, and commanded north and east.
     """
 
