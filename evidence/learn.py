@@ -35,10 +35,10 @@ STEPS = {
     "keep_spot": 600_000,
     "goto_waypoint": 2_000_000,
     "keep_velocity": 1_200_000,
-    "land_on_pad": 1_000_000,
+    "land_on_pad": 2_000_000,
     PURSUIT: 5_000_000,
 }
-SEEDS = {**dict.fromkeys(STEPS, 10), PURSUIT: 5}
+SEEDS = {**dict.fromkeys(STEPS, 10), "land_on_pad": 5, PURSUIT: 2}
 # What training changes of a task [s].
 SHORTER = {PURSUIT: ("duration=200",)}
 NEAR = 3.0
@@ -69,6 +69,7 @@ def run(full: bool, parts: tuple[str, ...] = PARTS) -> dict[str, Any]:
         return {"keep_spot_seed_0": trained(plan, SMALL_TRIALS)}
     found: dict[str, Any] = {
         "seeds": SEEDS["keep_spot"],
+        "landing_seeds": SEEDS["land_on_pad"],
         "pursuit_seeds": SEEDS[PURSUIT],
         "trials": TRIALS,
         "near_m": NEAR,

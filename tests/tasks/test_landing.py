@@ -60,8 +60,8 @@ def test_a_learner_is_rewarded_for_standing() -> None:
     flown.truth["velocity_body"][:] = 0.0
     flown.truth["velocity_body"][0] = 0.1
     errors = objective.errors(flown)
-    # From (0, 0, -12) to (8, -8, 0) m; the flying one is 5 m farther. Estimates cancel.
-    np.testing.assert_allclose(errors, 272.0**0.5 + np.array([5.0, 0.0, 0.0, 0.0]), atol=1e-3)
+    # From (0, 0, -12) to (8, -8, 0) m; the flying one is 2 m farther. Estimates cancel.
+    np.testing.assert_allclose(errors, 272.0**0.5 + np.array([2.0, 0.0, 0.0, 0.0]), atol=1e-3)
 
 
 def test_a_fleet_that_cannot_stand_pays_all_the_time() -> None:

@@ -38,7 +38,7 @@ POTENTIAL, EFFORT = 0.5, 0.05
 DRIFT = 0.5
 # Error of a vehicle in the air where it is to land [m], and the cost of a crash: that of staying 40 m away forever.
 # More would teach to keep away from the ground.
-OFF_GROUND, CRASH_IN_LANDING = 5.0, 60.0
+OFF_GROUND, CRASH_IN_LANDING = 2.0, 60.0
 # Unit of the learner's reward, which makes values a few units large.
 SCALE = 0.1
 # Pursuits: cost of a crash and of each metre, longest time of a decision [s], unit.

@@ -12,10 +12,11 @@ from qrsim.studies.learn.suited import plan_of
 
 
 def test_a_task_of_one_vehicle_has_the_defaults() -> None:
-    plan = plan_of("land_on_pad", ("duration=5",), seed=7, steps=1000)
-    assert (plan.task, plan.overrides, plan.envs) == ("land_on_pad", ("duration=5",), 512)
+    plan = plan_of("keep_spot", ("duration=5",), seed=7, steps=1000)
+    assert (plan.task, plan.overrides, plan.envs) == ("keep_spot", ("duration=5",), 512)
     assert (plan.seed, plan.steps) == (7, 1000)
     assert plan.settings == Settings()
+    assert plan_of("land_on_pad").settings == Settings(spread=0.4)
 
 
 def test_a_pursuit_has_its_own() -> None:
