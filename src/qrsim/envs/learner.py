@@ -68,6 +68,7 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
         units = [UNITS.get(axis.unit, 1.0) for axis in axes]
         self._units = np.array([*(units[number] for number in self.view.kept), *[1.0] * acts], np.float32)
         self._last = np.zeros((1, acts), np.float32)
+        self._seen = np.zeros((1, len(self.view.observed)), np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (acts,), np.float32)
         self.observation_space = gymnasium.spaces.Box(-LIMIT, LIMIT, (self.view.inputs,), np.float32)
 
@@ -96,14 +97,15 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
                 f"action: expected {self._last.shape[1]} finite numbers from -1 to 1, found {action!r:.80}"
             )
         outputs = given[None].astype(np.float32).clip(-1.0, 1.0)
-        seen, reward, terminated, truncated, info = self.env.step(self.view.action(outputs)[0])
+        seen, reward, terminated, truncated, info = self.env.step(self.view.action(outputs, self._seen)[0])
         self._last = outputs
         own = self._objective.reward(self._batch, np.array([[reward]]), np.array([terminated]), outputs)
         return self._inputs(seen), float(own[0]), terminated, truncated, info | {"task_reward": reward}
 
     def _inputs(self, seen: object) -> NumpyArray:
-        """Return the scaled, clipped inputs (F,) of an observation and the last action."""
-        return self.scaled(self.view.features(np.asarray(seen)[None], self._last))[0]
+        """Return the scaled, clipped inputs (F,) of an observation, which is kept, and the last action."""
+        self._seen = np.asarray(seen)[None]
+        return self.scaled(self.view.features(self._seen, self._last))[0]
 
     def scaled(self, features: NumpyArray) -> NumpyArray:
         """Return the observations (N, F) of a policy for the inputs (N, F) of the view."""

@@ -38,6 +38,8 @@ class Settings:
         most_gradient: norm at which gradients are clipped.
         spread: first standard deviation of the outputs.
         width: of the two hidden layers.
+        averaged: weight of the iterations before in the running mean of the policies that is flown and kept; 0: the
+            last policy.
     """
 
     discount: float = 0.98
@@ -51,6 +53,7 @@ class Settings:
     most_gradient: float = 0.5
     spread: float = 1.0
     width: int = 32
+    averaged: float = 0.0
 
 
 class Learner(NamedTuple):
@@ -158,7 +161,7 @@ class Algorithm:
         features = self.view.features(seen, last)
         mean = network(weights["policy"], _scaled(scaling, features))
         outputs = mean + jnp.exp(weights["log_spread"])[None] * noise
-        return Decision(features, outputs, self.view.action(outputs.clip(-LIMIT, LIMIT)))
+        return Decision(features, outputs, self.view.action(outputs.clip(-LIMIT, LIMIT), seen))
 
     def _improve(self, learner: Learner, scaling: Pair, samples: Samples, orders: Array) -> tuple[Learner, Array]:
         """Return the learner after all passes over an iteration's samples, and the last pass's divergence ()."""
