@@ -20,6 +20,7 @@ from qrsim.view.failing import FailingControls
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.gate import NOTABLE_S
 from qrsim.view.imagery import Imagery
+from qrsim.view.loading import show_loading
 from qrsim.view.markdown import plain
 from qrsim.view.paint import Paint
 from qrsim.view.scene import Scene
@@ -73,6 +74,7 @@ class Page:
         title = heading.partition(",")[0]
         server.gui.set_panel_label(f"qrsim - {title}")
         server.gui.main_panel.dock_right()
+        show_loading(server, heading)
         self.scene = Scene(server, cast, world, title, imagery)
         self.dropped: Callable[[], int] = lambda: 0
         self.plotted: Plotted | None = None
@@ -88,6 +90,7 @@ class Page:
         self._choices: dict[int, Choice] = {}
         self._lock = threading.RLock()
         self._open = True
+        self._colour: Any = None
         self._delivery = Delivery(server)
         self.scene.lag_s = lambda: self._delivery.lag_s
         self._status = server.gui.add_markdown("", order=STATUS)
@@ -172,6 +175,9 @@ class Page:
             if title in self.scene.layers and layer.root.visible != self.scene.layers[title].root.visible:
                 self._shown[title].value = layer.root.visible
                 self.scene.show(title, layer.root.visible)
+        colours = (self._colour, other._colour)
+        if all(colours) and other._colour.value in self._colour.options:
+            self._colour.value = other._colour.value
         if self._air is not None and other._air is not None:
             for mine, theirs in zip(self._air, other._air, strict=True):
                 mine.value = theirs.value
@@ -288,6 +294,7 @@ class Page:
                 self.say(str(error))
 
         by.on_update(change)
+        self._colour = by
         if chosen is not None:
             self.scene.colour(paint(chosen))
 

@@ -65,8 +65,8 @@ class Recording:
 
     Args:
         run: what is read.
-        over: the run over which it is shown, None: it is shown by itself. Over another one only true positions and
-            attitudes are read.
+        over: the run over which it is shown, None: it is shown by itself. Over another one its wind, its
+            links and its contents are not read.
 
     Raises:
         RunError: there is no flight in it, or it is damaged.
@@ -79,10 +79,8 @@ class Recording:
         stops: events of vehicles that stopped, and the number of the vehicle.
         paints: quantities that can colour vehicles and paths.
         imagery: picture of the ground to show with it; None: none.
-        notes: what does not fit of other runs, one line each: of one run nothing.
+        notes: what the page says about the run, one line each.
     """
-
-    notes: tuple[str, ...] = ()
 
     def __init__(self, run: Run, over: Recording | None = None):
         self.run, self._over = run, over
@@ -95,7 +93,7 @@ class Recording:
         self._truth = Columns(run, "truth", {"position": position, "attitude": attitude, "valid": valid})
         if not len(self._truth.time):
             raise RunError(f"{run.folder}: not a single tick was recorded, so there is nothing to show")
-        measured = {"fix": _fixes(run), "height": _heights(run)} if over is None else {}
+        measured = {"fix": _fixes(run), "height": _heights(run)}
         wind = {name: vector(run, "wind", f"{name}_ned", AXES) for name in ("mean", "gust")} if over is None else {}
         self._measured = Columns(run, "measurements", measured)
         self._wind = Columns(run, "wind", wind)
@@ -110,6 +108,12 @@ class Recording:
         self.imagery: Imagery | None = None
         self._details = RecordedDetails(run)
         self._slots = columns_of(run["measurements"].columns()) if "measurements" in run else []
+
+    @property
+    def notes(self) -> list[str]:
+        """Whether the run is still being written, as one line."""
+        running = self.run.info.state == "running"
+        return [f"the run has not ended; shown up to {self.end:g} s, the last flush"] if running else []
 
     @property
     def end(self) -> float:
@@ -207,6 +211,11 @@ class Recording:
         found = [self._links.at(f"link{k}", time) for k in range(len(self._links.names))]
         sender, error, outcome = (np.nan_to_num(np.stack([link[:, i] for link in found])) for i in range(3))
         return Links(sender.astype(int), error, outcome.astype(int))
+
+    @property
+    def modes(self) -> list[tuple[float, int, str]]:
+        """Times [s], vehicles and texts of changes of failsafes, in order; "": it ends."""
+        return self._details.modes
 
     def why(self, event: Event) -> str:
         """Return as text why a vehicle has stopped, from its event."""

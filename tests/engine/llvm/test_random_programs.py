@@ -48,9 +48,7 @@ def test_programs_on_halves_of_symmetric_matrices(programs: int) -> None:
     assert {primitive.name for primitive in seen} >= {"half_times"}
 
 
-@pytest.mark.parametrize(
-    "programs", [20, pytest.param(50, marks=pytest.mark.long), pytest.param(300, marks=pytest.mark.nightly)]
-)
+@pytest.mark.parametrize("programs", [20, pytest.param(300, marks=pytest.mark.nightly)])
 def test_random_programs_and_every_primitive(programs):
     """Equal to the bit or within the roundings of their operations; none crashes; of many, no rule is left out."""
     seen: set[Any] = set()

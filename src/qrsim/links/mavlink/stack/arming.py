@@ -8,10 +8,10 @@ from qrsim.links.mavlink.stack.craft import Craft
 # A fix has to hold for so long [s].
 FIX_FOR = 1.0
 _SENSORS = (
-    (Sensor.GYRO, "gyroscope"),
-    (Sensor.ACCELEROMETER, "accelerometer"),
-    (Sensor.MAGNETOMETER, "magnetometer"),
-    (Sensor.BAROMETER, "barometer"),
+    (int(Sensor.GYRO), "gyroscope"),
+    (int(Sensor.ACCELEROMETER), "accelerometer"),
+    (int(Sensor.MAGNETOMETER), "magnetometer"),
+    (int(Sensor.BAROMETER), "barometer"),
 )
 
 
@@ -29,7 +29,7 @@ class ArmingChecks:
             self._fix_since = craft.seen.time
 
     def reasons(self, craft: Craft) -> list[str]:
-        """Return why a vehicle cannot be armed; empty where it can."""
+        """Return the reason that a vehicle cannot be armed; empty if it can."""
         seen, values = craft.seen, craft.parameters.values
         if seen.stopped:
             return [seen.end]
