@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.extend import source_info_util
 
 from qrsim.core.operators import make_jaxpr
 
@@ -92,6 +93,11 @@ def test_errors_are_those_of_jax_and_the_method_is_put_back() -> None:
     make_jaxpr(nested)(array(F32, 5))
     assert seen == [False]
     assert jnp.ufunc.__call__ is before
+
+
+def test_messages_name_the_line_of_the_caller() -> None:
+    (equation,) = make_jaxpr(lambda a: a * 2.0)(array(F32, 5)).jaxpr.eqns
+    assert "test_operators.py" in source_info_util.summarize(equation.source_info)
 
 
 def test_a_function_of_a_user_is_called() -> None:
