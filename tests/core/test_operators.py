@@ -14,11 +14,11 @@ from jax.extend import source_info_util
 
 from qrsim.core.operators import make_jaxpr
 
-BOTH = [
+BOTH: list[Callable[..., Any]] = [
     operator.add, operator.sub, operator.mul, operator.truediv, operator.lt, operator.le, operator.gt, operator.ge,
     operator.eq, operator.ne, jnp.maximum, jnp.minimum,
 ]  # fmt: skip
-BITS = [operator.and_, operator.or_, operator.xor]
+BITS: list[Callable[..., Any]] = [operator.and_, operator.or_, operator.xor]
 F32, F64, I32, U32 = np.float32, np.float64, np.int32, np.uint32
 KINDS = [(F32, F32), (I32, I32), (U32, U32), (np.bool_, np.bool_)]
 NUMBERS = [2.0, 3, 0.1, -0.0, float("nan"), float("inf")]
@@ -102,6 +102,6 @@ def test_messages_name_the_line_of_the_caller() -> None:
 
 def test_a_function_of_a_user_is_called() -> None:
     """Also where it has the name of one of JAX."""
-    own = jnp.frompyfunc(lambda x, y: x - y, 2, 1)
+    own: Any = jnp.frompyfunc(lambda x, y: x - y, 2, 1)
     own.__name__ = "add"
     same(lambda a, b: own(a, b), array(F32, 5), array(F32, 5))
