@@ -40,6 +40,7 @@ class Study:
 
     Attributes:
         task: the scenario.
+        learner: whether it is learned in its form for learners; scores are those of the task.
         scale: what rewards are multiplied by for the learner, by Gymnasium's ``TransformReward``; scores are not.
         episodes: how many are flown side by side; 0: the one of the registered environment.
         most: steps of agents at most.
@@ -47,9 +48,11 @@ class Study:
         tries: episodes of a try.
         until_whole: whether learning stops once all of these are flown to the end.
         trials: other episodes, those of the score.
+        learners: how many, of the seeds from 0 on.
     """
 
     task: str
+    learner: bool = False
     scale: float = 1.0
     episodes: int = 0
     most: int = 1_000_000
@@ -57,16 +60,17 @@ class Study:
     tries: int = 100
     until_whole: bool = True
     trials: int = 200
+    learners: int = 3
 
 
 # Agents of a team share a policy, which Stable-Baselines3 takes as environments side by side. Where a crash costs tens
 # of thousands, the value that a learner expects would grow to that too slowly.
 STUDIES = {
     "keep_spot": Study("keep_spot"),
+    "keep_spot_learner": Study("keep_spot", learner=True, between=50_000, learners=5),
     "goto_waypoint": Study("goto_waypoint", scale=0.01, most=600_000),
     "cats_and_mouse": Study("cats_and_mouse/1A", scale=0.01, episodes=4, most=600_000),
 }
-LEARNERS = 3
 
 
 def learned(name: str) -> dict[str, Any]:
@@ -77,9 +81,9 @@ def learned(name: str) -> dict[str, Any]:
     """
     study, python = STUDIES[name], environment()
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        each = list(threads.map(lambda seed: _learner(python, study, seed), range(LEARNERS)))
+        each = list(threads.map(lambda seed: _learner(python, study, seed), range(study.learners)))
     found: dict[str, Any] = {
-        "learners": LEARNERS,
+        "learners": study.learners,
         "scale": study.scale,
         "most": study.most,
         "tries": study.tries,
@@ -157,7 +161,8 @@ def draw(name: str, found: dict[str, Any]) -> Any:
     axes.set_ylim(top=0.0)
     axes.set_xlabel("steps of agents [10^6]")
     axes.set_ylabel(f"mean return of {found['tries']} new episodes")
-    axes.set_title(f"{STUDIES[name].task}: PPO of Stable-Baselines3 with its defaults", fontsize=10)
+    form = ", form for learners" if STUDIES[name].learner else ""
+    axes.set_title(f"{STUDIES[name].task}{form}: PPO of Stable-Baselines3 with its defaults", fontsize=10)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
     return figure

@@ -17,9 +17,13 @@ import numpy as np
 
 from evidence._learners import NEW, TRIED
 from evidence.returns import fly
-from qrsim.envs import gymnasium_id
+from qrsim.envs import gymnasium_id, learner_id
 from qrsim.envs.batch import Batch
+from qrsim.envs.learner import LearnerTask
+from qrsim.envs.objective import objective_of
 from qrsim.envs.spaces import action_space
+from qrsim.envs.viewing import batch_of
+from qrsim.studies.learn.flights import Flights
 
 # Seeds of the episodes to learn from where agents share a policy, far from those of the scores.
 LEARNED = 10**7
@@ -94,26 +98,29 @@ def learn(settings: dict[str, Any]) -> dict[str, Any]:
     from stable_baselines3 import PPO
 
     name, episodes, seed, scale = (settings[each] for each in ("task", "episodes", "seed", "scale"))
+    world: Any
     if episodes:
         world = shared(name, episodes, seed, scale)
+    elif settings["learner"]:
+        world = gymnasium.make(learner_id(name))
     else:
         world = gymnasium.wrappers.TransformReward(gymnasium.make(gymnasium_id(name)), lambda reward: scale * reward)
     model = PPO("MlpPolicy", world, seed=seed, device="cpu")
 
-    def act(_: int, seen: Any) -> Any:
-        flat = seen.reshape(-1, seen.shape[-1])
-        return model.predict(flat, deterministic=True)[0].reshape(*seen.shape[:2], -1)
+    def act(seen: Any) -> Any:
+        return model.predict(seen, deterministic=True)[0]
 
-    tried, curve, begun = Batch(name, settings["tries"]), {}, time.perf_counter()
+    flown = of_learner if settings["learner"] else of_task
+    tried, curve, begun = flown(world, name, settings["tries"]), {}, time.perf_counter()
     while model.num_timesteps < settings["most"]:
         model.learn(settings["between"], reset_num_timesteps=False)
-        total, alive = fly(tried, act, TRIED)
+        total, alive = tried(act, TRIED)
         curve[f"step_{model.num_timesteps}"] = {"mean": round(total.mean(), 2), "flown_to_the_end": alive.mean()}
         say({"step": model.num_timesteps, **curve[f"step_{model.num_timesteps}"]})
         if settings["until_whole"] and alive.all():
             break
     took = round(time.perf_counter() - begun, 1)
-    total, alive = fly(Batch(name, settings["trials"]), act, NEW)
+    total, alive = flown(world, name, settings["trials"])(act, NEW)
     return {
         "steps": model.num_timesteps,
         "seconds": took,
@@ -121,6 +128,33 @@ def learn(settings: dict[str, Any]) -> dict[str, Any]:
         "returns": total.tolist(),
         "alive": alive.tolist(),
     }
+
+
+def of_task(_: Any, name: str, episodes: int) -> Any:
+    """Return a function that flies the seeds from one on by actions, and returns what ``fly`` does."""
+    batch = Batch(name, episodes)
+
+    def flown(act: Any, seed: int) -> Any:
+        def flat(_: int, seen: Any) -> Any:
+            return act(seen.reshape(-1, seen.shape[-1])).reshape(*seen.shape[:2], -1)
+
+        return fly(batch, flat, seed)
+
+    return flown
+
+
+def of_learner(world: Any, name: str, episodes: int) -> Any:
+    """Return the same for a policy that sees and acts as in the form for learners."""
+    form: LearnerTask = world
+    while not isinstance(form, LearnerTask):
+        form = form.env
+    batch = batch_of(name, episodes, [], form.view)
+    flights = Flights(batch, form.view, objective_of(batch, 0.99))
+
+    def flown(act: Any, seed: int) -> Any:
+        return flights.fly(lambda features: act(form.scaled(features)).clip(-1.0, 1.0), seed + np.arange(episodes))
+
+    return flown
 
 
 def say(line: dict[str, Any]) -> None:

@@ -103,5 +103,9 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     def _inputs(self, seen: Any) -> NumpyArray:
         """Return the scaled, clipped inputs (F,) of an observation and the last action."""
-        inputs: NumpyArray = (self.view.features(np.asarray(seen)[None], self._last) / self._units).clip(-LIMIT, LIMIT)
-        return inputs[0].astype(np.float32)
+        return self.scaled(self.view.features(np.asarray(seen)[None], self._last))[0]
+
+    def scaled(self, features: NumpyArray) -> NumpyArray:
+        """Return the observations (N, F) of a policy for the inputs (N, F) of the view."""
+        found: NumpyArray = (features / self._units).clip(-LIMIT, LIMIT).astype(np.float32)
+        return found

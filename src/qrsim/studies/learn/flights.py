@@ -16,13 +16,11 @@ class Decided(NamedTuple):
     """Results of a decision.
 
     Attributes:
-        features: (N, F) what each row sees next, in the same episode.
         reward: (N,) of the learner.
         terminated: (N,) whether the episode has ended in a crash.
         ended: (N,) whether the episode has ended.
     """
 
-    features: Floats
     reward: Floats
     terminated: Floats
     ended: Floats
@@ -35,42 +33,51 @@ class Flights:
         batch: the episodes; its task makes a step for each decision.
         view: of the learner.
         objective: of the learner.
+
+    Attributes:
+        last: (N, K) the last outputs of the network, within its limits.
     """
 
     def __init__(self, batch: Batch, view: View, objective: Objective):
         self.batch, self.view, self.objective = batch, view, objective
         self.agents = len(batch.functional.agents)
         self.rows = batch.size * self.agents
-        self._last = np.zeros((self.rows, len(view.flown)), np.float32)
+        self.last = np.zeros((self.rows, len(view.flown)), np.float32)
 
     def begin(self, seeds: Floats) -> None:
         """Start all episodes with new seeds (B,)."""
         self.batch.reset(seeds)
-        self._last[:] = 0.0
+        self.last[:] = 0.0
         self.objective.begin(self.batch)
 
-    def features(self) -> Floats:
-        """Return the unscaled inputs (N, F) for the next decision."""
-        return self.view.features(self.batch.seen.reshape(self.rows, -1), self._last)
+    @property
+    def seen(self) -> Floats:
+        """Observations (N, O) now."""
+        found: Floats = self.batch.seen.reshape(self.rows, -1)
+        return found
 
-    def decide(self, outputs: Floats) -> Decided:
-        """Apply the network's outputs (N, K) for one decision; call ``follow`` for episodes that ended.
+    def features(self) -> Floats:
+        """Return the unscaled inputs (N, F) of the present state, for the next decision."""
+        found: Floats = self.view.features(self.seen, self.last)
+        return found
+
+    def decide(self, outputs: Floats, action: Floats) -> Decided:
+        """Apply the network's outputs (N, K) and their actions (N, A); call ``follow`` for episodes that ended.
 
         Raises:
             RunError: a reward of the task is not finite.
         """
-        self._last = outputs.clip(-LIMIT, LIMIT)
-        action = self.view.action(self._last).reshape(self.batch.size, self.agents, -1)
-        reward, terminated, truncated = self.batch.step(action)
-        own = self.objective.reward(self.batch, reward, terminated, self._last)
+        self.last = outputs.clip(-LIMIT, LIMIT)
+        reward, terminated, truncated = self.batch.step(action.reshape(self.batch.size, self.agents, -1))
+        own = self.objective.reward(self.batch, reward, terminated, self.last)
         crashed, ended = (np.repeat(each, self.agents) for each in (terminated, terminated | truncated))
-        return Decided(self.features(), own, crashed, ended)
+        return Decided(own, crashed, ended)
 
     def follow(self, ended: Floats) -> None:
         """Start the next episodes where rows (N,) have ended."""
         if not ended.any():
             return
-        self._last[ended] = 0.0
+        self.last[ended] = 0.0
         self.batch.again(np.flatnonzero(ended.reshape(self.batch.size, self.agents).any(axis=1)))
         self.objective.begin(self.batch)
 
@@ -83,8 +90,8 @@ class Flights:
         self.begin(seeds)
         total, alive = np.zeros(self.batch.size), np.ones(self.batch.size, bool)
         for _ in range(self.batch.functional.play.steps):
-            self._last = act(self.features()).clip(-LIMIT, LIMIT)
-            action = self.view.action(self._last).reshape(self.batch.size, self.agents, -1)
+            self.last = act(self.features()).clip(-LIMIT, LIMIT)
+            action = self.view.action(self.last).reshape(self.batch.size, self.agents, -1)
             reward, terminated, _ = self.batch.step(action)
             total += np.where(alive, reward.mean(axis=1, dtype=np.float64), 0.0)
             alive &= ~terminated

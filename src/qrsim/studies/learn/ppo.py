@@ -16,6 +16,10 @@ from jax import Array
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.extras import load
+from qrsim.tasks.learned import LIMIT, Scaling, View
+
+# Mean and standard deviation of the inputs, (F,) each.
+Pair = tuple[Any, Any]
 
 
 @dataclass(frozen=True)
@@ -40,8 +44,8 @@ class Settings:
     trace: float = 0.95
     clip: float = 0.2
     rate: float = 1e-3
-    epochs: int = 4
-    minibatches: int = 8
+    epochs: int = 1
+    minibatches: int = 32
     value_weight: float = 0.5
     entropy_weight: float = 0.0
     most_gradient: float = 0.5
@@ -60,7 +64,7 @@ class Samples(NamedTuple):
     """Decisions of an iteration.
 
     Attributes:
-        inputs: (T + 1, N, F) before each decision, and after the last.
+        inputs: (T + 1, N, F) before each decision, and after the last; unscaled as they are recorded.
         outputs: (T, N, K) of the decisions.
         reward: (T, N).
         ended: (T, N) bool: the episode has ended.
@@ -72,6 +76,14 @@ class Samples(NamedTuple):
     reward: Any
     ended: Any
     beyond: Any
+
+
+class Decision(NamedTuple):
+    """A decision of all rows: unscaled inputs (N, F), outputs (N, K) of the network, and actions (N, A)."""
+
+    features: Any
+    outputs: Any
+    action: Any
 
 
 class Rows(NamedTuple):
@@ -106,31 +118,30 @@ class Algorithm:
     """The compiled functions of a learner.
 
     Args:
-        inputs: size of an input (F).
-        outputs: size of an output (K).
+        view: of the task.
         settings: numbers of the algorithm.
 
     Raises:
         MissingExtraError: optax is not installed.
     """
 
-    def __init__(self, inputs: int, outputs: int, settings: Settings):
+    def __init__(self, view: View, settings: Settings):
         optax = load("learn", "qrsim train", "optax")
-        self.settings, self._inputs, self._outputs = settings, inputs, outputs
+        self.settings, self.view = settings, view
         self._adam = optax.chain(optax.clip_by_global_norm(settings.most_gradient), optax.adam(settings.rate, eps=1e-5))
         self._apply = optax.apply_updates
-        self.mean = jax.jit(lambda weights, inputs: network(weights["policy"], inputs))
-        self.value = jax.jit(_value)
+        self.decide = jax.jit(self._decide)
+        self.value = jax.jit(lambda weights, scaling, features: _value(weights, _scaled(scaling, features)))
         self.improve = jax.jit(self._improve)
 
     def begin(self, seed: int) -> Learner:
         """Return a learner whose network's outputs are near zero."""
         policy, value = jax.random.split(jax.random.key(seed))
-        hidden = (self.settings.width, self.settings.width)
+        hidden, outputs = (self.settings.width, self.settings.width), len(self.view.flown)
         weights = {
-            "policy": _layers(policy, (self._inputs, *hidden, self._outputs), 0.01),
-            "value": _layers(value, (self._inputs, *hidden, 1), 1.0),
-            "log_spread": jnp.full(self._outputs, jnp.log(self.settings.spread), jnp.float32),
+            "policy": _layers(policy, (self.view.inputs, *hidden, outputs), 0.01),
+            "value": _layers(value, (self.view.inputs, *hidden, 1), 1.0),
+            "log_spread": jnp.full(outputs, jnp.log(self.settings.spread), jnp.float32),
         }
         with _usual_promotion():
             return Learner(weights, self._adam.init(weights))
@@ -142,8 +153,16 @@ class Algorithm:
         each = [rng.permutation(size)[: count * settings.minibatches] for _ in range(settings.epochs)]
         return np.array(each, np.int32).reshape(settings.epochs, settings.minibatches, count)
 
-    def _improve(self, learner: Learner, samples: Samples, orders: Array) -> tuple[Learner, Array]:
+    def _decide(self, weights: Any, scaling: Pair, seen: Array, last: Array, noise: Array) -> Decision:
+        """Return the decision for observations (N, O), last outputs (N, K) and normals (N, K)."""
+        features = self.view.features(seen, last)
+        mean = network(weights["policy"], _scaled(scaling, features))
+        outputs = mean + jnp.exp(weights["log_spread"])[None] * noise
+        return Decision(features, outputs, self.view.action(outputs.clip(-LIMIT, LIMIT)))
+
+    def _improve(self, learner: Learner, scaling: Pair, samples: Samples, orders: Array) -> tuple[Learner, Array]:
         """Return the learner after all passes over an iteration's samples, and the last pass's divergence ()."""
+        samples = samples._replace(inputs=_scaled(scaling, samples.inputs))
         settings, rows = self.settings, _rows_of(learner.weights, samples, self.settings)
 
         def minibatch(learner: Learner, chosen: Array) -> tuple[Learner, Array]:
@@ -163,6 +182,12 @@ def _usual_promotion() -> Iterator[None]:
     """Context in which optax may mix types and ranks, even if the user has configured JAX otherwise."""
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         yield
+
+
+def _scaled(scaling: Pair, features: Array) -> Array:
+    """Return inputs (..., F) with mean 0 and standard deviation 1."""
+    found: Array = Scaling(*scaling).scaled(features.reshape(-1, features.shape[-1])).reshape(features.shape)
+    return found
 
 
 def _value(weights: Any, inputs: Array) -> Array:

@@ -20,11 +20,13 @@ from qrsim.envs.objective import objective_of
 from qrsim.envs.viewing import batch_of, view_of
 from qrsim.errors import RunError
 from qrsim.studies.learn.flights import Flights
-from qrsim.studies.learn.ppo import Algorithm, Learner, Samples, Settings
+from qrsim.studies.learn.ppo import Algorithm, Learner, Pair, Samples, Settings
 from qrsim.tasks.learned import PolicyFile, Scaling, forward
 
 # Decisions of each row in an iteration, and of all rows at least.
 HORIZON, FEWEST = 32, 2048
+# The moments of inputs are those of every so many decisions; the ones between hardly differ.
+THINNED = 4
 # Seeds of the episodes that are learned from, of those that policies are tried in, and how many these are.
 LEARNED, TRIED, TRIES = 10**9, 5 * 10**8, 64
 # Episodes of one seed of a training; more than anybody has memory for.
@@ -121,7 +123,7 @@ class Training:
     def __init__(self, plan: Plan):
         self.plan = plan
         self.view = view_of(Functional.of(plan.task, plan.overrides))
-        self.algorithm = Algorithm(self.view.inputs, len(self.view.flown), plan.settings)
+        self.algorithm = Algorithm(self.view, plan.settings)
         use_compilation_cache()
         self.flights, self.trials = self.flights_of(plan.envs), self.flights_of(plan.tries)
         self.horizon = max(HORIZON, -(-FEWEST // self.flights.rows))
@@ -161,7 +163,7 @@ class Training:
             for _ in range(self.iterations):
                 samples = self._fly(rng)
                 orders = self.algorithm.orders(rng, samples.reward.size)
-                self.learner, divergence = self.algorithm.improve(self.learner, samples, orders)
+                self.learner, divergence = self.algorithm.improve(self.learner, self._pair, samples, orders)
                 rewards.append(float(samples.reward.mean()))
                 divergences.append(self._finite(float(divergence)))
                 self.steps += samples.reward.size
@@ -208,30 +210,35 @@ class Training:
         return True
 
     def _fly(self, rng: np.random.Generator) -> Samples:
-        """Fly an iteration and return its samples, all with inputs scaled alike; the moments then include them."""
+        """Fly an iteration and return its samples; ``scaling`` is then theirs, and the moments include them."""
         flights, weights = self.flights, self.learner.weights
-        self.scaling = scaling = self.moments.scaling()
-        spread = np.exp(np.asarray(weights["log_spread"]))
-        seen, found = [flights.features()], []
-        for _ in range(self.horizon):
-            mean = np.asarray(self.algorithm.mean(weights, scaling.scaled(seen[-1])))
-            outputs = mean + spread * rng.standard_normal(mean.shape, np.float32)
-            decided = flights.decide(outputs)
-            beyond = np.zeros_like(decided.reward)
-            cut = decided.ended & ~decided.terminated
+        self.scaling = self.moments.scaling()
+        noise = rng.standard_normal((self.horizon, flights.rows, len(self.view.flown)), np.float32)
+        found = []
+        for normals in noise:
+            decision = self.algorithm.decide(weights, self._pair, flights.seen, flights.last, normals)
+            features, outputs, action = map(np.asarray, decision)
+            reward, terminated, ended = flights.decide(outputs, action)
+            beyond = np.zeros_like(reward)
+            cut = ended & ~terminated
             if cut.any():
-                last = np.asarray(self.algorithm.value(weights, scaling.scaled(decided.features)))
+                last = np.asarray(self.algorithm.value(weights, self._pair, flights.features()))
                 beyond = np.where(cut, last, beyond)
-            found.append((outputs, decided.reward, decided.ended, beyond))
-            flights.follow(decided.ended)
-            seen.append(flights.features() if decided.ended.any() else decided.features)
-        rows = np.stack(seen)
+            found.append((features, outputs, reward, ended, beyond))
+            flights.follow(ended)
+        inputs, *others = zip(*found, strict=True)
+        rows = np.stack([*inputs, flights.features()])
         first = not self.moments.count
-        self.moments.add(rows[:-1].reshape(-1, rows.shape[-1]))
+        self.moments.add(rows[:-1:THINNED].reshape(-1, rows.shape[-1]))
         if first:
             # Nothing was known yet; the new policy returns zeros by any scaling.
             self.scaling = self.moments.scaling()
-        return Samples(self.scaling.scaled(rows), *(np.stack(parts) for parts in zip(*found, strict=True)))
+        return Samples(rows, *map(np.stack, others))
+
+    @property
+    def _pair(self) -> Pair:
+        """Mean and standard deviation of the inputs, for compiled functions."""
+        return self.scaling.mean, self.scaling.deviation
 
     def _policy(self) -> PolicyFile:
         """Return the present policy as a ``PolicyFile``."""
