@@ -20,6 +20,8 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "view": ("viser",),
     "envs": ("gymnasium", "pettingzoo"),
     "learn": ("optax",),
+    "tensorboard": ("tensorboardX",),
+    "onnx": ("onnx",),
     "datasets": ("minari", "h5py"),
     "sweep": ("distributed", "xarray", "zarr", "SALib"),
     "brief": ("distributed", "xarray", "zarr", "jinja2", "rasterio", "netCDF4", "eccodes", "shapely"),

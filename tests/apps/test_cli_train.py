@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -64,14 +65,28 @@ def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
     assert capsys.readouterr().err == "error: learn qrsim train\n"
 
 
+def test_tensorboard_needs_a_package(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setitem(sys.modules, "tensorboardX", None)
+    assert cli.main(["train", "keep_spot", "--tensorboard", "--out", "none"]) == 2
+    said = "error: --tensorboard needs tensorboardX: python -m pip install 'qrsim[tensorboard]'\n"
+    assert capsys.readouterr().err == said
+    assert not Path("none").exists()
+
+
 @pytest.mark.long
 def test_a_policy_is_trained_scored_and_flown(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["train", "keep_spot", *TINY, "--out", "kept", "--json"]) == 0
+    board = ["--tensorboard"] if find_spec("tensorboardX") else []
+    assert cli.main(["train", "keep_spot", *TINY, "--out", "kept", "--json", *board]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["task"], found["seed"], found["steps"], found["policy"]) == ("keep_spot", 0, 2048, "kept/policy.npz")
     assert found["curve"] == [found["best"]]
     names = "cycle,steps,seconds,mean_return,flown_to_the_end,reward,divergence"
     assert Path("kept/curve.csv").read_text().splitlines()[0] == names
+
+    for events in Path("kept").glob("events.*") if board else ():
+        # Names of the numbers are text in TensorBoard's records.
+        assert b"training/mean_return" in events.read_bytes()
+    assert len(list(Path("kept").glob("events.*"))) == len(board)
 
     policy = ["--policy", "kept/policy.npz"]
     assert cli.main(["score", "keep_spot", *policy, "--seeds", "1", "--set", "duration=2", "--json"]) == 0

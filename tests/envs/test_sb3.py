@@ -57,7 +57,7 @@ def test_it_is_what_its_own_vector_of_single_environments_is() -> None:
 
 
 @pytest.mark.long
-def test_learners_take_it() -> None:
+def test_learners_take_it(capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("stable_baselines3", reason=INSTALL)
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
@@ -68,6 +68,11 @@ def test_learners_take_it() -> None:
         warnings.simplefilter("ignore")
         learner = PPO("MlpPolicy", VecNormalize(VecMonitor(VecTask(SHORT, 8))), n_steps=16, batch_size=64, seed=1)
         learner.learn(256)
+        # Without a monitor: returns come from the environment itself.
+        PPO("MlpPolicy", VecTask(SHORT, 8), n_steps=16, batch_size=64, seed=1, verbose=1).learn(128)
     assert learner.num_timesteps == 256
+    shown = capsys.readouterr().out
+    assert "ep_rew_mean" in shown
+    assert "ep_len_mean" in shown
     # 256 steps of episodes of three.
     assert {episode["l"] for episode in learner.ep_info_buffer} == {3}

@@ -76,11 +76,12 @@ def test_what_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], mon
     Path("policy.c").write_text("mine")
     Path("cut.npz").write_bytes(policy(VIEW).content()[:-40])
     for words, said in (
-        (["policy.npz", "--format", "csv"], "policy.npz is a policy, not a run; allowed: --format c"),
+        (["policy.npz", "--format", "csv"], "policy.npz is a policy, not a run; allowed: --format c or onnx"),
         (["policy.npz", "--format", "c"], "policy.c exists; choose another --out, or --force to overwrite it"),
         (["policy.npz", "--format", "c", "--every", "2"], "--every: a policy has no ticks and no streams"),
         (["cut.npz", "--format", "c"], "policy cut.npz: is no NumPy archive of numbers, or it is damaged"),
         ([".", "--format", "c"], ". is a folder; --format c needs a policy file, such as policy.npz"),
+        ([".", "--format", "onnx"], ". is a folder; --format onnx needs a policy file, such as policy.npz"),
         (["none.npz", "--format", "c"], "none.npz: cannot be read: No such file or directory"),
     ):
         assert cli.main(["export", *words]) == 2

@@ -19,11 +19,13 @@ if TYPE_CHECKING:
 TRACK_PERIOD_S = 0.2
 # Ends of names that are not those of the format.
 ENDINGS = {"rerun": "rrd"}
+# Formats of learned policies; all others are of runs.
+OF_POLICIES = ("c", "onnx")
 
 
 @dataclass(frozen=True)
 class Export:
-    """Write a recorded run as csv, geojson, gpx, kml, mcap, rerun or rosbag2; or a learned policy as C.
+    """Write a recorded run as csv, geojson, gpx, kml, mcap, rerun or rosbag2; or a learned policy as C or ONNX.
 
     Format csv has one table per stream, every column with its unit, in full precision. Formats geojson, gpx and kml
     have the true and the GNSS-reported track of every vehicle and the events, on WGS-84. Format mcap has poses, fixes,
@@ -31,7 +33,8 @@ class Export:
     Format rerun has the same for the viewer of rerun (.rrd), and every number of the log as a series.
     Format rosbag2 has the topics of 'qrsim ros2', as ROS 2 records them.
 
-    Format c is for a policy of 'qrsim train': a function without dependencies, from an observation to an action.
+    Formats c and onnx are for a policy of 'qrsim train': a function without dependencies, or a model for any runtime of
+    ONNX, from an observation to an action.
 
     Heights are above the WGS-84 ellipsoid. Those of gpx are above mean sea level (EGM96), and those of kml above the
     ground unless --heights is given. A run that is in progress, was interrupted or was killed is exported up to its
@@ -45,13 +48,14 @@ class Export:
     """
 
     run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
-    """Run folder; for c a policy.npz."""
-    format: Literal["csv", "geojson", "gpx", "kml", "mcap", "rerun", "rosbag2", "c"]
+    """Run folder; for c and onnx a policy.npz."""
+    format: Literal["csv", "geojson", "gpx", "kml", "mcap", "rerun", "rosbag2", "c", "onnx"]
     """File format."""
     out: Annotated[
         Path | None,
         tyro.conf.arg(
-            metavar="PATH", help_behavior_hint="(default: RUN/export/NAME.FORMAT, csv: RUN/export, c: NAME.c)"
+            metavar="PATH",
+            help_behavior_hint="(default: RUN/export/NAME.FORMAT, csv: RUN/export, c and onnx: next to POLICY)",
         ),
     ] = None
     """File to write; for csv of all streams, the folder of its files; for rosbag2 the folder of the bag."""
@@ -90,7 +94,7 @@ class Export:
             raise UsageError(f"--stream chooses among the tables of csv; {self.format} has no such choice")
         if self.distro != "jazzy" and self.format != "rosbag2":
             raise UsageError(f"--distro {self.distro}: only rosbag2 is of a distribution of ROS 2, not {self.format}")
-        if is_policy_file(self.run_folder) or self.format == "c":
+        if is_policy_file(self.run_folder) or self.format in OF_POLICIES:
             self._write_policy()
             return
         recorded = open_run(self.run_folder, skip_damaged=True, code=self.code)
@@ -104,26 +108,30 @@ class Export:
         self._report(written, every)
 
     def _write_policy(self) -> None:
-        """Write a learned policy as a C file.
+        """Write a learned policy as a C file or an ONNX model.
 
         Raises:
             UsageError: another format, options of runs, or no policy.
+            MissingExtraError: the format needs a package that is not installed.
         """
         from qrsim.runs.export.output import Written, check_target, replacing
         from qrsim.tasks.learned import read_policy
         from qrsim.tasks.learned_c import c_source
+        from qrsim.tasks.learned_onnx import onnx_model
 
-        if self.format != "c":
-            raise UsageError(f"{self.run_folder} is a policy, not a run; allowed: --format c")
+        if self.format not in OF_POLICIES:
+            raise UsageError(f"{self.run_folder} is a policy, not a run; allowed: --format {' or '.join(OF_POLICIES)}")
         if self.run_folder.is_dir():
-            raise UsageError(f"{self.run_folder} is a folder; --format c needs a policy file, such as policy.npz")
+            wanted = f"--format {self.format} needs a policy file, such as policy.npz"
+            raise UsageError(f"{self.run_folder} is a folder; {wanted}")
         if self.every is not None or self.stream is not None:
             raise UsageError(f"{'--stream' if self.every is None else '--every'}: a policy has no ticks and no streams")
         policy = read_policy(self.run_folder)
-        target = self.out or self.run_folder.with_suffix(".c")
+        target = self.out or self.run_folder.with_suffix(f".{self.format}")
         check_target(target, self.force)
+        content = c_source(policy).encode() if self.format == "c" else onnx_model(policy)
         with replacing(target) as file:
-            file.write(c_source(policy).encode())
+            file.write(content)
         self._report([Written(target, {"inputs": policy.view.inputs, "layers": len(policy.layers)})], 1)
 
     def _usual_every(self, recorded: Run) -> int:

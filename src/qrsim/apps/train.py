@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from qrsim.apps import progress_bar
+from qrsim.apps import Repeated, progress_bar
 from qrsim.errors import UsageError
 from qrsim.extras import require
 
 if TYPE_CHECKING:
+    from qrsim.studies.learn.board import Board
     from qrsim.studies.learn.training import Plan, Training, Tried
 
 MOST_ENVS, MOST_STEPS = 65_536, 10**12
@@ -47,9 +48,9 @@ class Train:
     """Wall time, after which the training ends earlier."""
     envs: int = 512
     """Number of episodes side by side, 1 to 65536."""
-    set: Annotated[
-        tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE", help_behavior_hint="(default: none)")
-    ] = field(default_factory=list)
+    set: Annotated[Repeated, tyro.conf.arg(metavar="PATH=VALUE", help_behavior_hint="(default: none)")] = field(
+        default_factory=list
+    )
     """Change one value of the scenario; can be given several times."""
     out: Annotated[
         Path | None,
@@ -58,6 +59,8 @@ class Train:
     """Folder to write; must be empty or not exist without --resume."""
     resume: bool = False
     """Continue the training in --out, from its last checkpoint."""
+    tensorboard: bool = False
+    """Write the curve for TensorBoard too: event files in the folder."""
     json: bool = False
     """Print the result as JSON."""
 
@@ -65,6 +68,8 @@ class Train:
         """Check, train, print."""
         self._check()
         require("learn", "qrsim train")
+        if self.tensorboard:
+            require("tensorboard", "--tensorboard")
         from qrsim.studies.learn.folder import make_folder, restore, save, save_policy
         from qrsim.studies.learn.training import Plan, Training
 
@@ -78,10 +83,13 @@ class Train:
             make_folder(folder)
         elif warning := restore(training, folder):
             print(f"warning: {warning}", file=sys.stderr)
+        board = self._board(folder, training.steps)
         try:
             with progress_bar("training", self.steps, "{task.fields[best]}", best="") as update:
                 for row in training.cycles(lambda steps: update(completed=steps)):
                     save(training, folder)
+                    if board is not None:
+                        board.add(row)
                     update(best=f"best: {_shown(training.best)}")
                     self._tell_row(row)
         except KeyboardInterrupt:
@@ -90,7 +98,16 @@ class Train:
             if training.best is not None:
                 print(f"the best policy so far is in {folder / 'policy.npz'}", file=sys.stderr)
             raise
+        finally:
+            if board is not None:
+                board.close()
         self._tell(training, folder)
+
+    def _board(self, folder: Path, steps: int) -> Board | None:
+        """Return the event files of --tensorboard, None without it."""
+        from qrsim.studies.learn.board import Board
+
+        return Board(folder, steps) if self.tensorboard else None
 
     def _check(self) -> None:
         """Raise UsageError for options out of range.
@@ -119,7 +136,7 @@ class Train:
         policy = folder / "policy.npz"
         if self.json:
             best = None if training.best is None else asdict(training.best[1])
-            found: dict[str, Any] = {
+            found = {
                 "task": training.view.task,
                 "seed": self.seed,
                 "steps": training.steps,

@@ -6,7 +6,6 @@ and are drawn again; who was found when, the events say.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,6 +13,7 @@ import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.errors import QrsimError
+from qrsim.files import Content
 from qrsim.models.scene.zone import Zone
 from qrsim.runs.interferers import Interferer, of_scenario
 from qrsim.runs.layout import EVENTS, PERSON_FOUND
@@ -66,7 +66,7 @@ class Surroundings:
     outline: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     zones: tuple[Zone, ...] = ()
     down: tuple[float, float] = (np.nan, np.nan)
-    obstacles: tuple[Mapping[str, Any], ...] = ()
+    obstacles: tuple[Content, ...] = ()
     interference: tuple[Interferer, ...] = ()
     persons: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     found: Floats = field(default_factory=lambda: np.zeros(0))
@@ -119,7 +119,7 @@ def surroundings_of(run: Run) -> Surroundings:
         return Surroundings(**known, unknown=f"the recorded scenario cannot be built: {error}")
 
 
-def fixed_parts(world: Mapping[str, Any]) -> dict[str, Any]:
+def fixed_parts(world: Content) -> Content:
     """Return the attributes of ``Surroundings`` that follow from a scenario's world alone, in NED.
 
     Raises:
@@ -177,7 +177,7 @@ def _goals(run: Run) -> dict[str, Floats]:
     return {"goals": goals_of(task, world, Vec3(*own.T))} if len(own) else {}
 
 
-def _drawn_again(run: Run) -> dict[str, Any]:
+def _drawn_again(run: Run) -> Content:
     """Return persons, sources, locations and the mean plume, drawn again from the seed."""
     import jax
 
