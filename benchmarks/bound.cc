@@ -1,4 +1,4 @@
-// The practical limit of one step on a CPU, for bound.py: by hand, for vectors of 16 floats; no part of the package.
+// The practical limit of one step on a CPU, for bound.py: by hand, in vectors; no part of the package.
 //
 // The step is that of the default scenario with the full Dryden turbulence and without GNSS (the horizontal position
 // and velocity are the truth at 5 Hz): route, waypoint controller fed with the sensors, log shear, gusts along and
@@ -21,70 +21,10 @@
 #include <string>
 #include <thread>
 #include <vector>
-#ifdef __AVX512DQ__
-#include <immintrin.h>
-#endif
+
+#include "vectors.h"
 
 namespace {
-
-constexpr int LANES = 16;
-typedef float F __attribute__((vector_size(64)));
-typedef int32_t I __attribute__((vector_size(64)));
-typedef uint32_t U __attribute__((vector_size(64)));
-#define INLINE inline __attribute__((always_inline))
-
-INLINE F all(float x) { return F{} + x; }
-INLINE F as_float(I x) { return (F)x; }
-
-#ifdef __AVX512DQ__
-INLINE F smaller(F a, F b) { return (F)_mm512_min_ps((__m512)a, (__m512)b); }
-INLINE F larger(F a, F b) { return (F)_mm512_max_ps((__m512)a, (__m512)b); }
-INLINE F root(F x) { return (F)_mm512_sqrt_ps((__m512)x); }
-INLINE F nearest(F x) { return (F)_mm512_roundscale_ps((__m512)x, 8); }
-INLINE bool any(I mask) { return _mm512_movepi32_mask((__m512i)mask) != 0; }
-template <int N>
-INLINE U turned(U x) { return (U)_mm512_rol_epi32((__m512i)x, N); }
-// One Newton step on the 14-bit estimate: relative error below 2e-7, for normal x > 0.
-INLINE F inverse_root(F x) {
-  F y = (F)_mm512_rsqrt14_ps((__m512)x);
-  return y * (1.5f - 0.5f * x * y * y);
-}
-INLINE F inverse(F x) {
-  F y = (F)_mm512_rcp14_ps((__m512)x);
-  return y * (2.0f - x * y);
-}
-#else
-INLINE F smaller(F a, F b) { return a < b ? a : b; }
-INLINE F larger(F a, F b) { return a > b ? a : b; }
-INLINE F root(F x) {
-  for (int i = 0; i < LANES; i++) x[i] = __builtin_sqrtf(x[i]);
-  return x;
-}
-INLINE F nearest(F x) {
-  F magic = all(12582912.0f);
-  return (x + magic) - magic;
-}
-INLINE bool any(I mask) {
-  int found = 0;
-  for (int i = 0; i < LANES; i++) found |= mask[i];
-  return found != 0;
-}
-template <int N>
-INLINE U turned(U x) { return (x << N) | (x >> (32 - N)); }
-INLINE F inverse_root(F x) { return 1.0f / root(x); }
-INLINE F inverse(F x) { return 1.0f / x; }
-#endif
-
-INLINE F clip(F x, float low, float high) { return smaller(larger(x, all(low)), all(high)); }
-INLINE F magnitude(F x) { return as_float((I)x & 0x7fffffff); }
-INLINE F flipped(F x, I sign) { return as_float((I)x ^ (sign << 31)); }
-
-template <typename... C>
-INLINE F horner(F x, double first, C... rest) {
-  F result = all(float(first));
-  ((result = result * x + float(rest)), ...);
-  return result;
-}
 
 // ---- elementary functions, errors below 2e-7 (polynomials of Cephes, S. L. Moshier)
 
@@ -191,7 +131,7 @@ INLINE Normals box_muller(Words words) {
   X(roll_read) X(pitch_read) X(yaw_read) X(gyro_x) X(gyro_y) X(gyro_z) X(acc_x) X(acc_y) X(acc_z) X(code) X(value)  \
   X(w0) X(w1) X(w2) X(w3) X(w4) X(w5) X(w6) X(w7) X(w8) X(w9) X(w10) X(w11) X(w12) X(w13) X(w14) X(w15)
 
-struct alignas(64) Block {
+struct alignas(BYTES) Block {
 #define X(name) F name;
   FIELDS(X)
 #undef X
@@ -478,7 +418,7 @@ __attribute__((noinline, cold)) void silence(Block& s) {
     *reading = stopped ? all(std::numeric_limits<float>::quiet_NaN()) : *reading;
 }
 
-// ---- one step of 16 vehicles, from tick to tick + 1
+// ---- one step of a vector of vehicles, from tick to tick + 1
 
 constexpr int PAIRS = 14, TOGETHER = 7;
 constexpr Stream PAIR_STREAM[PAIRS] = {TURBULENCE, TURBULENCE, TURBULENCE, TURBULENCE, PROCESS, PROCESS, PROCESS,
@@ -607,28 +547,28 @@ int check(uint32_t first, int ticks, float speed) {
   World world(speed, 1e5f);
   for (Key& key : world.keys)
     if (std::scanf("%u %u", &key.high, &key.low) != 2) return 1;
-  Block s{};
+  constexpr int VEHICLES = 16;
+  Block blocks[VEHICLES / LANES] = {};
   const char* names[] = {
 #define X(name) #name,
       FIELDS(X)
 #undef X
   };
-  F* fields = &s.north;
   const int count = int(sizeof(Block) / sizeof(F));
   char name[64];
   while (std::scanf("%63s", name) == 1) {
     int k = 0;
     while (k < count && std::strcmp(names[k], name) != 0) k++;
-    for (int i = 0; i < LANES; i++) {
+    for (int i = 0; i < VEHICLES; i++) {
       float value;
       if (k == count || std::scanf("%f", &value) != 1) return 1;
-      fields[k][i] = value;
+      (&blocks[i / LANES].north)[k][i % LANES] = value;
     }
   }
-  fly(&s, 0, 1, world, first, ticks);
+  fly(blocks, 0, VEHICLES / LANES, world, first, ticks);
   for (int k = 0; k < count; k++) {
     std::printf("%s", names[k]);
-    for (int i = 0; i < LANES; i++) std::printf(" %.9g", fields[k][i]);
+    for (int i = 0; i < VEHICLES; i++) std::printf(" %.9g", (&blocks[i / LANES].north)[k][i % LANES]);
     std::printf("\n");
   }
   return 0;

@@ -1,7 +1,8 @@
-"""The practical limit: the same full-noise step without GNSS, written by hand in C++ with vectors of 16 floats.
+"""The practical limits: the full-noise step without GNSS and the Kalman filter, each written by hand in C++ in vectors.
 
 ``bound.cc`` is compiled here, checked against this package (random words, normals, and whole ticks of 16 vehicles), and
-then timed beside it: its 4096 vehicles do not see each other; the package flies 512 worlds of 8, collisions included.
+then timed in the same run: its 4096 vehicles do not see each other; the package flies 512 worlds of 8, collisions
+included. ``filter_bound.cc`` is the filter of the default scenario alone, checked and timed on the same readings.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import Any
 import numpy as np
 
 import _common
+import _filter_bound
 
 SOURCE = Path(__file__).with_name("bound.cc")
 COMPILER = "g++"
@@ -63,16 +65,17 @@ def scenario(count: int) -> dict[str, Any]:
     return content
 
 
-def compiled(folder: Path) -> Path:
-    """Compile bound.cc and return the program.
+def compiled(folder: Path, source: Path | None = None) -> Path:
+    """Compile bound.cc, or another source, and return the program.
 
     Raises:
         SystemExit: there is no compiler, or it failed.
     """
     if shutil.which(COMPILER) is None:
         sys.exit(f"bound: the C++ compiler {COMPILER} is not installed: {INSTALL}")
-    program = folder / "bound"
-    done = subprocess.run([COMPILER, *FLAGS, "-o", program, SOURCE], capture_output=True, text=True, check=False)
+    source = source or SOURCE
+    program = folder / source.stem
+    done = subprocess.run([COMPILER, *FLAGS, "-o", program, source], capture_output=True, text=True, check=False)
     if done.returncode:
         sys.exit(f"bound: {COMPILER} failed:\n{done.stderr}")
     return program
@@ -185,27 +188,56 @@ def check_ticks(program: Path, speed_20ft: float, first: int, ticks: int, tolera
     return off[worst]
 
 
-def time_bound(program: Path, threads: int, ticks: int, repeats: int) -> dict[str, Any]:
-    """Return the row of the hand-written kernel."""
-    count = WORLDS * VEHICLES
-    found = np.array(asked(program, "run", count, ticks, repeats, threads), np.float64)
-    return row("bound.cc", threads, ticks, found[:, 0], found[:, 1], int(found[-1, 2]))
+def published_rows(program: Path, counts: Sequence[int], quick: bool) -> list[dict[str, Any]]:
+    """Return the rows of the published set, those by hand with each number of threads and last that of this package.
 
-
-def time_package(worlds: int, ticks: int, repeats: int) -> dict[str, Any]:
-    """Return the row of this package; a rollout is timed whole, from its start to its metrics."""
+    All are measured in turns. A rollout is timed whole, from its start to its metrics.
+    """
     import qrsim
 
+    worlds, ticks, repeats = (2, 10, 1) if quick else (WORLDS, 500, 7)
+    by_hand_ticks = 2 if quick else ticks
     world = qrsim.load_scenario(scenario(VEHICLES), quiet=True).world()
-    metrics = Nothing()
-    walls, cpus = [], []
-    for _ in range(1 + repeats):  # the first one compiles
+    by_hand: dict[int, list[list[float]]] = {count: [] for count in counts}
+    own = []
+    for repeat in range(repeats + 1):  # the first one compiles
+        for count, rows in by_hand.items():
+            printed = asked(program, "run", WORLDS * VEHICLES, by_hand_ticks, 2, count)
+            rows += [list(map(float, line)) for line in printed] if repeat else []
         wall, cpu = time.perf_counter(), time.process_time()
-        result = qrsim.rollout(world, ticks=ticks, worlds=worlds, metrics=metrics)
-        walls.append(time.perf_counter() - wall)
-        cpus.append(time.process_time() - cpu)
+        result = qrsim.rollout(world, ticks=ticks, worlds=worlds, metrics=Nothing())
+        own += [[time.perf_counter() - wall, time.process_time() - cpu]] if repeat else []
+    kernels = [
+        row(SOURCE.name, count, by_hand_ticks, *np.array(rows).T[:2], int(rows[-1][2]))
+        for count, rows in by_hand.items()
+    ]
     flying = int(result["flying"].sum())
-    return row("qrsim", os.cpu_count() or 1, ticks, np.array(walls[1:]), np.array(cpus[1:]), flying, worlds * VEHICLES)
+    return [*kernels, row("qrsim", counts[-1], ticks, *np.array(own).T, flying, worlds * VEHICLES)]
+
+
+def filter_rows(program: Path, threads: int, quick: bool) -> list[dict[str, Any]]:
+    """Return the rows of the Kalman filter alone, by hand and of this package."""
+    worlds, ticks, repeats = (2, 10, 1) if quick else (WORLDS, 100, 7)
+    timed = _filter_bound.timed(asked, program, threads, worlds, VEHICLES, ticks, repeats)
+    names = _filter_bound.SOURCE.name, "qrsim, filter alone"
+    return [
+        row(name, threads, ticks, np.array(each.walls), np.array(each.cpus), each.finite, worlds * VEHICLES)
+        for name, each in zip(names, timed, strict=True)
+    ]
+
+
+def with_ratios(results: list[dict[str, Any]], by_hand: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return rows with their speed over that of a row by hand."""
+    return [
+        {
+            **result,
+            **{
+                f"of_bound_{clock}": result[f"per_{clock}_second"] / by_hand[f"per_{clock}_second"]
+                for clock in ("wall", "cpu")
+            },
+        }
+        for result in results
+    ]
 
 
 def row(
@@ -230,26 +262,25 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--check", action="store_true")
     only_check, rest = parser.parse_known_args(arguments)
     chosen = _common.options(__doc__.splitlines()[0] + " --check: compare with the package, and nothing else.", rest)
+    _common.without_cache()
     on = _common.machine()
     with tempfile.TemporaryDirectory() as folder:
         program = compiled(Path(folder))
+        filtering = compiled(Path(folder), _filter_bound.SOURCE)
         check_noise(program)
         cases = [(5.0, 40, 1, 1e-4)] if chosen.quick else [(5.0, 40, 1, 1e-4), (5.0, 40, 400, 1e-2), (40.0, 1, 1, 1e-4)]
         worst = [check_ticks(program, *case) for case in cases]
+        of_filter = _filter_bound.check(asked, filtering, 100)
         if only_check.check:
             print(f"bound: words equal, normals to 1e-5, ticks to {', '.join(f'{off:.1g}' for off in worst)}")
+            print(f"filter: states after 100 ticks to {of_filter:.1g}")
             return
         cores = os.cpu_count() or 1
-        ticks, repeats = (2, 1) if chosen.quick else (500, 7)
         counts = (1,) if chosen.quick or cores == 1 else (1, cores)
-        results = [time_bound(program, threads, ticks, repeats) for threads in counts]
-    results.append(time_package(2 if chosen.quick else WORLDS, 10 if chosen.quick else 500, repeats))
-    for result in results:
-        for clock in ("wall", "cpu"):
-            result[f"of_bound_{clock}"] = (
-                result[f"per_{clock}_second"] / results[len(counts) - 1][f"per_{clock}_second"]
-            )
-    title = "Bound: vehicle-steps per second without GNSS, by hand in C++ and of this package; single precision"
+        published = published_rows(program, counts, chosen.quick)
+        filters = filter_rows(filtering, counts[-1], chosen.quick)
+    results = [*with_ratios(published, published[-2]), *with_ratios(filters, filters[0])]
+    title = "Bound: vehicle-steps per second without GNSS, and of the filter alone; single precision"
     _common.publish("bound", title, on, results, HEADINGS, chosen.json)
 
 

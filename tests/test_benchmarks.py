@@ -292,10 +292,13 @@ def without_a_compiler() -> bool:
 
 @pytest.mark.skipif(without_a_compiler(), reason="needs a C++ compiler: sudo apt-get install g++")
 def test_bound_agrees_with_the_package_and_is_timed_beside_it():
-    kernel, package = rows("bound")
+    kernel, package, by_hand, own = rows("bound")
     assert (kernel["program"], package["program"]) == ("bound.cc", "qrsim")
-    assert (kernel["of_bound_wall"], kernel["of_bound_cpu"]) == (1.0, 1.0)
-    assert (kernel["flying"], package["flying"]) == (kernel["vehicles"], package["vehicles"])
+    assert (by_hand["program"], own["program"]) == ("filter_bound.cc", "qrsim, filter alone")
+    for row in (kernel, by_hand):
+        assert (row["of_bound_wall"], row["of_bound_cpu"]) == (1.0, 1.0)
+    for row in (kernel, package, by_hand, own):
+        assert row["flying"] == row["vehicles"]
 
 
 @pytest.mark.skipif(without_a_compiler(), reason="needs a C++ compiler: sudo apt-get install g++")
@@ -305,10 +308,26 @@ def test_bound_notices_a_kernel_that_computes_something_else(common, tmp_path, m
     assert text.count("KW = -1.35341f") == 1
     source = tmp_path / "bound.cc"
     source.write_text(text.replace("KW = -1.35341f", "KW = -1.36341f"), encoding="utf-8")
+    shutil.copy(FOLDER / "vectors.h", tmp_path)
     monkeypatch.setattr(bound, "SOURCE", source)
     monkeypatch.setattr(bound, "FLAGS", ("-O1", "-march=native", "-std=c++17", "-pthread"))
     with pytest.raises(SystemExit, match="differ from qrsim's"):
         bound.check_ticks(bound.compiled(tmp_path), 5.0, 40, 1, 1e-4)
+
+
+@pytest.mark.skipif(without_a_compiler(), reason="needs a C++ compiler: sudo apt-get install g++")
+def test_bound_of_the_filter_computes_what_the_filter_does(common, tmp_path, monkeypatch):
+    """As it is, and not with a wrong sensitivity to the magnetic field."""
+    bound, filter_bound = (importlib.import_module(name) for name in ("bound", "_filter_bound"))
+    monkeypatch.setattr(bound, "FLAGS", ("-O1", "-march=native", "-std=c++17", "-pthread"))
+    assert 0.0 < filter_bound.check(bound.asked, bound.compiled(tmp_path, filter_bound.SOURCE), 20) < 1e-4
+    text = filter_bound.SOURCE.read_text(encoding="utf-8")
+    assert text.count("BIAS + AXIS, TURN, TURN + 1") == 1
+    source = tmp_path / "filter_bound.cc"
+    source.write_text(text.replace("BIAS + AXIS, TURN, TURN + 1", "BIAS + AXIS, TURN + 1, TURN"), encoding="utf-8")
+    shutil.copy(FOLDER / "vectors.h", tmp_path)
+    with pytest.raises(SystemExit, match="differs from qrsim's"):
+        filter_bound.check(bound.asked, bound.compiled(tmp_path, source), 20)
 
 
 def test_bound_without_a_compiler_says_how_to_get_one():

@@ -184,6 +184,11 @@ def test_faults_end_as_the_reactions_ask(tmp_path: Path, capsys: pytest.CaptureF
     assert [each["home"] for each in by_fault["link"]] == [1.0] * 3
     assert [each["home"] for each in by_fault["low_battery"]] == [1.0] * 3
     assert rows(found)["fault motor"]["decides"] is False
+    # A stage by itself adds to what the folder has, and neither changes the other.
+    code, both = brief(file, "--stage", "nominal")
+    assert (code, both["faults"], both["runs"]) == (0, found["faults"], 72)
+    assert {"loss", "finished", "fault link"} <= {row["name"] for row in both["criteria"]}
+    assert brief(file, "--stage", "faults") == (0, both)
 
 
 @pytest.mark.nightly

@@ -61,9 +61,14 @@ def test_all_vehicles_are_in_one_frame(both: Several, flown: Flight, other: Path
     assert frame.time == pytest.approx(2.0)
     np.testing.assert_array_equal(frame.position_ned[:5, 0], first["position_ned.x"][100].astype(np.float32))
     np.testing.assert_array_equal(frame.position_ned[5:, 0], second["position_ned.x"][100].astype(np.float32))
-    # Estimates, wind and GNSS are those of the first run alone.
-    assert np.isfinite(frame.estimate_ned[:5]).all()
-    assert np.isnan(frame.estimate_ned[5:]).all()
+    # Each run has its own estimates; wind is that of the first run alone.
+    fix = open_run(other)["measurements"]["gnss.position_ned.x"][100].astype(np.float32)
+    np.testing.assert_array_equal(frame.ghost_ned[5:, 0], fix)
+    np.testing.assert_array_equal(frame.estimate_ned[5:, 0], fix)
+    assert np.isnan(frame.wind_ned[5:]).all()
+    assert frame.details is not None
+    believed = open_run(other)["commands"]["estimate.position_ned.x"][100].astype(np.float32)
+    np.testing.assert_array_equal(frame.details().believed_ned[5:, 0], believed)
     # The shorter one stays where it ended.
     last = second["position_ned.x"][-1].astype(np.float32)
     np.testing.assert_array_equal(both.frame(9.5).position_ned[5:, 0], last)

@@ -8,6 +8,7 @@ from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
 import numpy as np
+import pymap3d
 import pytest
 
 from qrsim.errors import UsageError
@@ -215,3 +216,16 @@ def test_times_outside_gps_time_are_refused() -> None:
             utc_from_gps_seconds(seconds)
     with pytest.raises(UsageError, match="after the year 9999"):
         utc_from_gps_seconds(1e15)
+
+
+def test_positions_are_those_of_pymap3d_to_the_bit():
+    """Among them the Earth's axis and its centre, and places that are not known."""
+    random = np.random.default_rng(2)
+    for latitude, longitude in ((51.7, -0.2), (0.0, 180.0), (90.0, 0.0)):
+        site = Site.from_degrees(latitude, longitude, 40.0)
+        for scale in (10.0, 1e6):
+            ned = random.normal(size=(40, 3)) * scale
+            ned[0], ned[1], ned[2] = math.nan, 0.0, (0.0, 0.0, 6356792.31424518)
+            expected = pymap3d.ned2geodetic(*ned.T, site.latitude_rad, site.longitude_rad, 40.0, deg=False)
+            for found, known in zip(site.ned_to_geodetic(ned), expected, strict=True):
+                assert found.tobytes() == known.tobytes()

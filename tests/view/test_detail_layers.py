@@ -104,13 +104,19 @@ def test_rays_are_dashed_by_what_the_receiver_reports(scene: Scene) -> None:
 def test_labels_state_what_is_known(scene: Scene) -> None:
     told: list[Any] = []
     scene.layers[STATES].tell = told.append  # type: ignore[attr-defined]
-    drawn(scene, STATES)
-    assert told == [
-        {
-            0: ["0.0 m/s, 50.0 m high", "battery 50 %", "estimate 1 m off (\u03c3 3.5 m)"],
-            1: ["0.0 m/s, 8.0 m high", "failsafe: return", "estimate 1 m off (\u03c3 3.5 m)"],
-        }
-    ]
+    scene.frame = FRAME
+    scene.show(STATES, True)
+    assert told[-1] == {
+        0: ["0.0 m/s, 50.0 m high", "battery 50 %", "estimate 1 m off (\u03c3 3.5 m)"],
+        1: ["0.0 m/s, 8.0 m high", "failsafe: return", "estimate 1 m off (\u03c3 3.5 m)"],
+    }
+    # Hidden, only the selected vehicle has them.
+    scene.show(STATES, False)
+    assert told[-1] == {}
+    scene.choose(1)
+    assert list(told[-1]) == [1]
+    scene.choose()
+    scene.frame = None
     nothing = Details(NOTHING, np.full(2, np.nan), NOTHING, NOTHING, np.full(2, np.nan), np.full(2, np.nan), {})
     assert lines_of(FRAME, nothing, 0, 0) == []
     assert lines_of(FRAME, replace(HOVER, waypoint=np.array([2, 0])), 0, 4)[1] == "waypoint 3 of 4, battery 50 %"

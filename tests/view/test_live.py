@@ -243,6 +243,26 @@ def test_states_that_come_together_are_drawn_one_after_the_other(view: LiveView,
 
 
 @pytest.mark.long
+def test_paths_are_coloured_by_a_quantity_that_is_kept_from_then_on(view: LiveView, scenario: Scenario):
+    simulation = Simulation(scenario.world(), seed=1)
+    simulation.reset()
+    view.begin(simulation, "test")
+    page = view._page
+    assert page is not None
+    page._colour.value = "height"
+    view.offer(simulation.record(50))
+    eventually(lambda: page.scene.stage.paint is not None and page.scene.stage.paint.title == "height")
+    eventually(lambda: bool(np.isfinite(page.scene.stage.paint.values(np.array([1.0]))).all()))  # type: ignore[union-attr]
+    assert page.scene.stage.paint is not None
+    height = -simulation.truth.position_ned[:, 2]
+    np.testing.assert_allclose(page.scene.stage.paint.values(np.array([1.0]))[0], height, atol=0.2)
+    page._colour.value = "(vehicle)"
+    view.offer(simulation.record(50))
+    eventually(lambda: shown(view) == pytest.approx(2.0))
+    assert page.scene.stage.paint is None
+
+
+@pytest.mark.long
 def test_readings_are_plotted_against_the_truth(view: LiveView):
     from tests.small_worlds import noisy_pair
 

@@ -14,8 +14,10 @@ import pytest
 from qrsim.models.scene.area import BoxArea
 from qrsim.runs import Column, RunInfo, RunWriter, open_run
 from qrsim.view.derived import nearest, to_fence
+from qrsim.view.highlights import highlights_of
 from qrsim.view.plots import Plots, binned, extremes
-from qrsim.view.recording import Recording
+from qrsim.view.recording import Member, Recording
+from qrsim.view.series import Series
 
 STEP, TICKS, NAMES = 0.1, 200, ("a_0", "<b>")
 AXES = ("x", "y", "z")
@@ -81,6 +83,30 @@ def test_what_is_derived(plots: Plots):
     np.testing.assert_array_equal(height, 0.0)
     # The scenario cannot be built, so its area is not known; no speed was logged.
     assert {"derived.fence_distance", "derived.speed"}.isdisjoint(plots.quantities)
+
+
+def test_highlights_say_who_and_when(plots: Plots):
+    # The first vehicle begins 5 m from the second, whose estimate is 5 m = 2.5 standard deviations off.
+    assert plots.highlights() == [
+        (0.0, "closest to another vehicle: a_0, 5.00 m"),
+        (0.0, "largest error of the estimate: <b>, 5.00 m"),
+        (0.0, "estimate first outside its 95 % band: <b>"),
+    ]
+    data = plots.answer({"number": 3, "lines": [], "highlights": True})
+    assert data is not None
+    assert json.loads(data[4:])["highlights"][0] == [0.0, "closest to another vehicle: a_0, 5.00 m"]
+
+
+@pytest.mark.filterwarnings("ignore:.*cannot be built:UserWarning")
+def test_where_two_runs_part(plots: Plots):
+    recording = plots._recording.members[0].recording
+    # Run B is 2 s late, so that its first vehicle is 2 m behind that of A once B has begun.
+    both = [Member("A", recording), Member("B", recording, shift=2.0, first=2)]
+    found = highlights_of([Series(own, both[0]) for own in both])
+    assert (2.0, "first 1 m from run A: B a_0") in found
+    assert "farthest from run A: B a_0, 2.00 m" in [text for _, text in found]
+    # The earliest of B's times that are shown.
+    assert (2.0, "closest to another vehicle: B a_0, 5.00 m") in found
 
 
 def test_one_value_is_exact(plots: Plots):

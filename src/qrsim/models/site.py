@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,10 @@ from qrsim.errors import UsageError
 
 Float64 = npt.NDArray[np.float64]
 
+# Semi-axes of WGS-84 and its linear eccentricity [m], and the distance from axis and centre below which pymap3d's
+# special cases may hold [m].
+_MAJOR, _MINOR, _NEAR_AXIS = 6378137.0, 6356752.31424518, 1.0
+_FOCUS = math.sqrt(_MAJOR**2 - _MINOR**2)
 GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
 # First day on which GPS - UTC, 0 at the GPS epoch, was one second more (IERS Bulletin C).
 LEAP_SECOND_DAYS = (
@@ -78,9 +83,7 @@ class Site:
 
     def ned_to_geodetic(self, position_ned: npt.ArrayLike) -> tuple[Float64, Float64, Float64]:
         """Return (latitude [rad], longitude [rad], height [m]), each (...), of positions (..., 3) in NED [m]."""
-        from pymap3d import ned2geodetic
-
-        return _apply(ned2geodetic, "position_ned", position_ned, *self._origin)
+        return _apply(_ned_to_geodetic, "position_ned", position_ned, *self._origin)
 
     def geodetic_to_ned(
         self, latitude_rad: npt.ArrayLike, longitude_rad: npt.ArrayLike, height: npt.ArrayLike
@@ -127,6 +130,44 @@ def _apply(
     # pymap3d drops axes of length one from some results.
     first, second, third = (np.reshape(np.asarray(result, np.float64), array.shape[:-1]) for result in results)
     return first, second, third
+
+
+@lru_cache(maxsize=16)
+def _frame(latitude: float, longitude: float, height: float) -> tuple[float, ...]:
+    """Return cosine and sine of latitude and longitude [rad] of a place, and its Earth-fixed coordinates (3) [m]."""
+    from pymap3d import geodetic2ecef
+
+    origin = map(float, geodetic2ecef(latitude, longitude, height, deg=False))
+    return (*(float(f(angle)) for angle in (latitude, longitude) for f in (np.cos, np.sin)), *origin)
+
+
+def _ned_to_geodetic(
+    north: Float64, east: Float64, down: Float64, latitude: float, longitude: float, height: float, deg: bool
+) -> Sequence[npt.ArrayLike]:
+    """Return what pymap3d.ned2geodetic returns, to the bit, in less than half of its time for a few points.
+
+    Method of You (2000), doi: 10.1061/(ASCE)0733-9453(2000)126:1(1). Points near the Earth's axis or centre are left to
+    pymap3d.
+    """
+    cos_lat, sin_lat, cos_lon, sin_lon, x0, y0, z0 = _frame(latitude, longitude, height)
+    up = -down
+    t = cos_lat * up - sin_lat * north
+    x, y = x0 + (cos_lon * t - sin_lon * east), y0 + (sin_lon * t + cos_lon * east)
+    z = z0 + (sin_lat * up + cos_lat * north)
+    r2 = np.sqrt(x * x + y * y + z * z) ** 2 - _FOCUS**2
+    u, level = np.sqrt(0.5 * r2 + 0.5 * np.hypot(r2, 2 * _FOCUS * z)), np.hypot(x, y)
+    if np.fmin.reduce(np.fmin(u, level), axis=None, initial=math.inf) < _NEAR_AXIS:
+        from pymap3d import ned2geodetic
+
+        return ned2geodetic(north, east, down, latitude, longitude, height, deg=deg)
+    focal = np.hypot(u, _FOCUS)
+    beta = np.arctan(focal / u * z / level)
+    beta += ((_MINOR * u - _MAJOR * focal + _FOCUS**2) * np.sin(beta)) / (
+        _MAJOR * focal * 1 / np.cos(beta) - _FOCUS**2 * np.cos(beta)
+    )
+    above = np.hypot(z - _MINOR * np.sin(beta), level - _MAJOR * np.cos(beta))
+    inside = x**2 / _MAJOR**2 + y**2 / _MAJOR**2 + z**2 / _MINOR**2 < 1
+    return np.arctan(_MAJOR / _MINOR * np.tan(beta)), np.arctan2(y, x), np.where(inside, -above, above)
 
 
 def gps_minus_utc(when: datetime) -> int:

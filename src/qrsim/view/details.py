@@ -106,7 +106,7 @@ class RecordedDetails:
         return Columns(self._run, "commands", found | {"waypoint": ("waypoint",) if "waypoint" in columns else None})
 
     @cached_property
-    def _modes(self) -> list[tuple[float, int, str]]:
+    def modes(self) -> list[tuple[float, int, str]]:
         """Return times [s], vehicles and words of changes of failsafes, in order."""
         numbers = {name: i for i, name in enumerate(self._run.vehicles)}
         try:
@@ -122,7 +122,7 @@ class RecordedDetails:
     def at(self, time: float) -> Details:
         """Return the details at a time [s]."""
         modes: dict[int, str] = {}
-        for since, vehicle, words in self._modes:
+        for since, vehicle, words in self.modes:
             if since <= time + 1e-6:
                 modes[vehicle] = words
 

@@ -197,10 +197,15 @@
   for (const layer of about.layers) tick_box(layers, layer.title, layer.shown, (on) => visible(layer, on));
   const visible = (layer, on) => send([{type: "SetSceneNodeVisibilityMessage", name: layer.path, visible: on, owner: ""}]);
 
+  const details = detailsIn({
+    about, send, lastUpTo, made: (path) => nodes[there.get(path)?.made],
+    place: (vehicle) => state.position?.subarray(3 * vehicle, 3 * vehicle + 3),
+  });
   let sky = null;
   const choose = async (vehicle) => {
     state.chosen = vehicle;
     sky = about.sky.times.length && element("sky-" + vehicle) ? await unpacked("sky-" + vehicle) : null;
+    details.choose(vehicle < 0 ? null : await valuesOf(vehicle));
     mark();
     drawSky();
   };
@@ -208,13 +213,14 @@
   let shownSky = "";
   const drawSky = () => {
     const times = about.sky.times, row = sky ? lastUpTo(times, state.time) : -1, key = state.chosen + " " + row;
-    if (key === shownSky) return;
-    shownSky = key;
     const satellites = [];
     for (let at = row; sky && at < sky.satellite.length; at += times.length) {
       if (sky.satellite[at] < 0 || sky.elevation[at] < 0) continue;
       satellites.push([about.sky.names[sky.satellite[at]], sky.azimuth[at], sky.elevation[at], sky.cn0[at], sky.satellite_state[at]]);
     }
+    details.show(state.chosen, state.time, satellites);
+    if (key === shownSky) return;
+    shownSky = key;
     window.qrsim?.sky(satellites.length ? {vehicle: about.vehicles[state.chosen], satellites} : null);
   };
   // ---- lines of plots (plots.js) ----

@@ -19,6 +19,7 @@ from qrsim.errors import RunError, UsageError, os_error_as
 from qrsim.models.gnss.constellations import satellite_name
 from qrsim.runs.export.output import replacing
 from qrsim.view.plots import BAND, Plots
+from qrsim.view.rays import RAYS, Rays, rays_of_film
 from qrsim.view.readings import Skies
 from qrsim.view.recording import Recording
 from qrsim.view.replay import remember_paths
@@ -187,9 +188,11 @@ def _write_skies(file: BinaryIO, recording: Recording | Several) -> dict[str, ob
 
 def _script(recording: Recording | Several, plots: Plots) -> str:
     """Return the script element that plays the page, with player, timeline, event marks and plots."""
-    player, timeline = (files("qrsim.view").joinpath(name).read_text("utf-8") for name in ("film.js", "timeline.js"))
+    scripts = ("film_details.js", "film.js", "timeline.js")
+    details, player, timeline = (files("qrsim.view").joinpath(name).read_text("utf-8") for name in scripts)
     data = json.dumps({"end": recording.end, "marks": _marks(recording)}).replace("<", "\\u003c")
-    text = f"{player}\n{{const data = {data};\n{timeline}}}\n{{{plots_script(plots)}}}"
+    drawing = plots_script(plots, highlights=plots.highlights())
+    text = f"{{{details}\n{player}}}\n{{const data = {data};\n{timeline}}}\n{{{drawing}}}"
     return f"<script>{text.replace('</', '<' + chr(92) + '/')}</script>\n"
 
 
@@ -266,6 +269,9 @@ class _Film:
             "flying": self._flying,
             "others": recording.cast.others,
             "fliers": int(recording.cast.fliers.sum()),
+            "modes": recording.modes,
+            "waypoints": [max(0, len(route) - 1) for route in recording.cast.routes] or [0] * recording.cast.size,
+            "rays": rays_of_film(rays) if isinstance(rays := layers.get(RAYS), Rays) else None,
             "stops": [(event.time, i, recording.why(event)) for event, i in recording.stops],
             "quantities": list(plots.quantities),
             "band": BAND,

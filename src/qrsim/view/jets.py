@@ -31,7 +31,9 @@ class Wakes(Layer):
     most = -1
 
     def __init__(self, stage: Stage, world: World):
-        self._wakes = _parameters(world)
+        # Of further runs no wind is known, so they have none.
+        known = _parameters(world)
+        self._wakes = tuple(np.pad(own, (0, stage.cast.size - len(own)), constant_values=np.nan) for own in known)
         self._flow = on_host(_flow)
         super().__init__(stage)
 

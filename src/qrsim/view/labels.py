@@ -14,13 +14,16 @@ STATES = "states in labels"
 
 
 class LabelStates(Layer):
-    """Two or three lines in the label of each vehicle, of up to 20, or of the selected ones; browsers draw them."""
+    """Two or three lines in the labels of vehicles; browsers draw them.
+
+    Selected vehicles always have them; shown, all vehicles have them, of up to 20.
+    """
 
     title = STATES
     every = 6
     most = -1
     in_film = False
-    of_chosen = True
+    of_chosen = always = True
 
     def begin(self) -> None:
         """Start without lines."""
@@ -28,12 +31,14 @@ class LabelStates(Layer):
 
     def draw(self, frame: Frame) -> None:
         """Send the overlay the lines of the vehicles that have labels."""
-        if frame.details is None:
-            return
         size = self.stage.cast.size
-        shown = range(size) if size <= MOST_LABELS else sorted(self.stage.chosen)
-        found = frame.details()
-        self.tell({vehicle: self._lines(frame, found, vehicle) for vehicle in shown if frame.valid[vehicle]})
+        every = self.root.visible and size <= MOST_LABELS
+        shown = range(size) if every else sorted(self.stage.chosen)
+        lines: dict[int, list[str]] = {}
+        if frame.details is not None and len(shown):
+            found = frame.details()
+            lines = {vehicle: self._lines(frame, found, vehicle) for vehicle in shown if frame.valid[vehicle]}
+        self.tell(lines)
 
     def _lines(self, frame: Frame, found: Details, vehicle: int) -> list[str]:
         """Return the lines of a vehicle."""

@@ -98,6 +98,7 @@ class Layer:
         most_in_film: a page without a server has it at so many times at most, None: at all that it has.
         in_film: whether a page without a server has it.
         of_chosen: whether it shows something else once other vehicles are chosen.
+        always: whether it is drawn while it is hidden too, because it then shows something else.
     """
 
     title = ""
@@ -106,7 +107,7 @@ class Layer:
     beside = False
     most_in_film: int | None = None
     in_film = True
-    of_chosen = False
+    of_chosen = always = False
 
     def __init__(self, stage: Stage):
         self.stage = stage
@@ -178,7 +179,7 @@ class Bodies:
         every, each = layer.stage.cast.kinds, np.ndim(colours) == 2
         self._start = layer.stage.cast.start_ned
         runs = layer.stage.cast.run_of
-        if runs is not None and each:
+        if runs is not None and each and "opacity" not in options:
             options["batched_opacities"] = np.where(runs > 0, GHOSTLY, 1.0).astype(np.float32)
         self.batches = [
             (
@@ -272,7 +273,8 @@ class Ghosts(Layer):
 
     def begin(self) -> None:
         """Make one pale body for each vehicle, at its estimated position."""
-        self._bodies = Bodies(self, GHOST_COLOUR, opacity=0.4)
+        several = self.stage.cast.run_of is not None
+        self._bodies = Bodies(self, self.stage.colours if several else GHOST_COLOUR, opacity=0.4)
 
     def draw(self, frame: Frame) -> None:
         """Move the ghosts to the estimates; a vehicle without a fix has none."""

@@ -23,6 +23,7 @@ from qrsim.tasks.places import Places
 from qrsim.view.clock import FRAME_S, SPEEDS, Clock
 from qrsim.view.failing import FailingControls, targets_of_all
 from qrsim.view.frame import Frame, cast_of, frame_of
+from qrsim.view.live_paint import LivePaints
 from qrsim.view.page import PLOT_FRAMES, WIND, Page
 from qrsim.view.recording import Recording
 from qrsim.view.replay import Replay
@@ -121,6 +122,8 @@ class LiveView:
         if any(targets):
             page.failing = lambda gui: FailingControls(gui, targets, page.scene.cast.names, self.ask, self.note)
         page.add_plots(list(_measured(simulation.state, world, 0)))
+        self._paints = LivePaints(cast.size)
+        page.add_colours(self._paints.names, self._paints.of)
         self._add_wind(page, world)
         self._page, self._world, self._step_s = page, world, world.time_step
         self._values, self._skies = {}, {}
@@ -252,6 +255,9 @@ class LiveView:
         state, tick = offered.look(now)
         frame = frame_of(state, tick * self._step_s, self._world)
         self._keep(state, frame)
+        paint = self._paints.note(frame, self._page.scene.stage.paint)
+        if paint is not None:
+            self._page.scene.colour(paint)
         self._page.draw(frame, everything=self.clock is not None and not self.clock.playing)
         return now
 

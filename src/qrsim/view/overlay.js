@@ -235,17 +235,6 @@
     return found;
   };
   const differences = differencesIn(svg, data.differences);
-  const hits = (a, b) => a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
-  // Where a label of a size may be, about a vehicle: above, beside, below, and farther off.
-  const around = (spot, [w, h]) => {
-    const off = Math.max(8, 0.7 * spot.radius) + 4, found = [];
-    for (const far of [off, off + 26, off + 56]) {
-      found.push([spot.x - w / 2, spot.y - far - h], [spot.x + far, spot.y - h / 2], [spot.x - far - w, spot.y - h / 2]);
-      found.push([spot.x - w / 2, spot.y + far], [spot.x + far, spot.y - far - h], [spot.x - far - w, spot.y - far - h]);
-      found.push([spot.x + far, spot.y + far], [spot.x - far - w, spot.y + far]);
-    }
-    return found;
-  };
   const layLabels = (tree, box) => {
     const room = free(box), few = data.names.length <= data.mostLabels;
     const wanted = few ? data.names.map((_, i) => i) : Object.keys(reasons).map(Number).slice(-data.mostLabels);
@@ -294,9 +283,15 @@
   };
   const sized = (value) => (value >= 10 ? value.toFixed(0) : value.toPrecision(2).replace(/\.0$/, ""));
   const layLegend = (tree, box) => {
-    legend.style.display = legendOpen ? "" : "none";
-    legend.style.bottom = extra.scale.style.bottom = box.height - free(box).bottom + 10 + "px";
-    bar.style.bottom = box.height - free(box).bottom + 48 + "px";
+    const under = box.height - free(box).bottom, narrow = box.width <= 700;
+    legend.style.display = legendOpen && !(narrow && document.getElementById("qrsim-plots")?.offsetHeight) ? "" : "none";
+    extra.scale.style.bottom = under + 10 + "px";
+    // On a small screen it is over the scale, and not there while plots are open.
+    legend.style.bottom = under + (narrow ? 50 : 10) + "px";
+    // Under the tools, and under the sky where it is shown.
+    const sky = root.querySelector(".qrsim-sky"), top = sky?.offsetHeight ? sky.offsetTop + sky.offsetHeight : narrow ? 72 : 40;
+    legend.style.maxHeight = Math.max(60, box.height - under - top - (narrow ? 80 : 40)) + "px";
+    bar.style.bottom = under + 48 + "px";
     const some = Object.keys(reasons).length > 0;
     for (const row of rows) {
       const wanted = (!row.layer || shown(tree, row.layer)) && (some || !row.ifStopped);
@@ -313,6 +308,7 @@
     const found = window.__viserMutable;
     return found?.camera && found.cameraControl && found.canvas && found.nodeRefFromName["/world"] ? found : null;
   };
+  const touch = () => { touched = true; };
   const begin = () => {
     theme(state.theme, false);
     extra.listen(m.canvas);
@@ -322,7 +318,6 @@
     // On a small screen the panel would hide the scene.
     if (!same && innerWidth < 600) handle?.click();
   };
-  const touch = () => { touched = true; };
   const step = () => {
     if (ended) return;
     requestAnimationFrame(step);

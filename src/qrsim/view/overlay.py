@@ -30,7 +30,7 @@ from qrsim.view.thermals import THERMALS
 # Where pages look from at first, seen from what is looked at, NED.
 SOUTH = (-0.85, -0.3, -0.45)
 # Parts of the overlay; the last one calls the others.
-SCRIPTS = ("sky.js", "differences.js", "colourbar.js", "tools.js", "overlay.js")
+SCRIPTS = ("sky.js", "differences.js", "colourbar.js", "tools.js", "labels.js", "overlay.js")
 # Of the ground and the sky.
 GROUNDS = {
     "light": {"plane_color": (226, 232, 214), "cell_color": (196, 205, 186), "section_color": (168, 178, 160)},
@@ -41,6 +41,8 @@ SKIES = {
     "light": "linear-gradient(#cfdfec, #f4f7f8 55%)",
     "dark": "linear-gradient(#0f1418, #22292e 55%)",
 }
+# Layers that have the colours of the runs, where there are several.
+ESTIMATES = ("estimated paths", "GNSS positions")
 # The row of the legend that is only there once a vehicle has stopped.
 STOPPED = "stopped"
 # Of each layer: how its row of the legend is marked, the colours, the words.
@@ -197,6 +199,8 @@ def _legend(stage: Stage, layers: dict[str, Layer], cell: float) -> list[dict[st
         if title not in layers:
             continue
         layer = layers[title]
+        if stage.cast.run_of is not None and title in ESTIMATES:
+            found = [(kind, [stage.palette[0]], words) for kind, _, words in found]
         # Of many vehicles all paths have one colour.
         if title == "true paths" and not stage.few:
             found = [("line", [stage.colours[0]], found[0][2])]

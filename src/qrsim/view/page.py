@@ -88,6 +88,7 @@ class Page:
         self._choices: dict[int, Choice] = {}
         self._lock = threading.RLock()
         self._open = True
+        self._colour: Any = None
         self._delivery = Delivery(server)
         self.scene.lag_s = lambda: self._delivery.lag_s
         self._status = server.gui.add_markdown("", order=STATUS)
@@ -172,6 +173,9 @@ class Page:
             if title in self.scene.layers and layer.root.visible != self.scene.layers[title].root.visible:
                 self._shown[title].value = layer.root.visible
                 self.scene.show(title, layer.root.visible)
+        colours = (self._colour, other._colour)
+        if all(colours) and other._colour.value in self._colour.options:
+            self._colour.value = other._colour.value
         if self._air is not None and other._air is not None:
             for mine, theirs in zip(self._air, other._air, strict=True):
                 mine.value = theirs.value
@@ -288,6 +292,7 @@ class Page:
                 self.say(str(error))
 
         by.on_update(change)
+        self._colour = by
         if chosen is not None:
             self.scene.colour(paint(chosen))
 

@@ -171,5 +171,5 @@ class EstimatedPaths(Paths):
         return frame.estimate_ned
 
     def _colours(self, number: int) -> Any:
-        """Return one colour for the segments of all vehicles."""
-        return ESTIMATE_COLOUR
+        """Return one colour for the segments of all vehicles; with several runs, those of the runs."""
+        return ESTIMATE_COLOUR if self.stage.cast.run_of is None else super()._colours(number)

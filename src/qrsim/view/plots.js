@@ -4,7 +4,7 @@
   const before = window.qrsimPlots;
   before?.ends();
   const film = window.qrsimFilm, units = new Map(data.quantities.map(([name, unit]) => [name, unit]));
-  const state = { open: false, panels: [], group: 0, from: 0, to: data.end, time: before?.state.time ?? 0, active: 0, height: 0 };
+  const state = { open: false, panels: [], example: false, group: 0, from: 0, to: data.end, time: before?.state.time ?? 0, active: 0, height: 0 };
   const make = (tag, parent, text, name) => {
     const found = document.createElement(tag);
     if (text !== undefined) found.textContent = text;
@@ -33,10 +33,13 @@
     }
     socket.addEventListener("open", () => socket.send(JSON.stringify(wish)), { once: true });
   };
+  const request = (wish) => {
+    wish.number = ++number;
+    return film ? film.lines(wish) : new Promise((done) => { waiting.set(wish.number, done); say(wish); });
+  };
   // Times and, for each line, its values, the ends of its band, and its extremes; null for a line that there is not.
   const ask = async (lines, from, to, bins) => {
-    const wish = { number: ++number, lines, from, to, bins: Math.round(bins) };
-    const answer = film ? await film.lines(wish) : await new Promise((done) => { waiting.set(wish.number, done); say(wish); });
+    const wish = { lines, from, to, bins: Math.round(bins) }, answer = await request(wish);
     const width = 2 * Math.min(2000, Math.max(10, wish.bins)), take = (i) => answer.floats.subarray(i * width, (i + 1) * width);
     let part = 1;
     return { times: take(0), lines: answer.lines.map((line) => line && {
@@ -48,7 +51,8 @@
   // ---- whose lines ----
   const own = (i) => (data.runs.length ? data.vehicles[i].slice(2) : data.vehicles[i]);
   const groups = [...new Set(data.vehicles.map((_, i) => own(i)))].map((name) => [name, data.vehicles.flatMap((_, i) => own(i) === name ? [i] : [])]);
-  if (groups.length > 1 && data.vehicles.length <= 100) groups.push(["all vehicles", data.vehicles.map((_, i) => i)]);
+  if (groups.length > 1 && data.vehicles.length <= 100) groups.unshift(["all vehicles", data.vehicles.map((_, i) => i)]);
+  state.group = groups.length > 1 && groups[0][0] === "all vehicles" ? 1 : 0;
   const members = () => groups[state.group][1];
   const several = () => members().length > 1;
   const DASHES = [[], [7, 4], [2, 3], [9, 3, 2, 3]];
@@ -70,14 +74,15 @@
   search.type = "search";
   groups.forEach(([name], i) => { make("option", who, name).value = i; });
   who.title = "whose values";
+  who.value = state.group;
   who.onchange = () => { state.group = Number(who.value); who.blur(); build(); };
   const tool = (text, title, act) => { const button = make("button", bar, text); button.title = title; button.onclick = () => { act(); button.blur(); }; };
   tool("New plot", "the next quantity gets a plot of its own", () => { state.active = state.panels.length; search.focus(); });
   tool("Whole time", "undo the zoom (or double-click a plot)", () => zoom(0, data.end));
-  tool("Events", "list of events", () => { events.hidden = !events.hidden; size(); });
+  tool("Events", "highlights and events", () => { events.hidden = !events.hidden; list.load(); size(); });
   tool("\u2715", "close (P)", () => toggle(false));
   const panels = make("div", body, "", "panels"), events = make("div", body, "", "events");
-  events.hidden = innerWidth < 900 || !data.events.length;
+  events.hidden = innerWidth < 900;
 
   const matches = (text) => {
     const words = text.toLowerCase().split(/[\s_.]+/).filter(Boolean);
@@ -110,9 +115,12 @@
   found.hidden = true;
   const unitsOf = (names) => [...new Set(names.map((name) => units.get(name)))];
   const add = (names) => {
+    // The plot that is there at first is an example.
+    if (state.example && state.active < state.panels.length) state.panels = [];
+    state.example = false;
     const panel = state.panels[state.active];
-    // A plot has an axis on each side.
-    if (panel && unitsOf([...panel.names, ...names]).length <= 2) panel.names = [...new Set([...panel.names, ...names])];
+    // A plot has an axis on each side; one with many lines is not mixed with another unit.
+    if (panel && unitsOf([...panel.names, ...names]).length <= (panel.names.length > 2 ? 1 : 2)) panel.names = [...new Set([...panel.names, ...names])];
     else { state.panels.push({ names: [...names] }); state.active = state.panels.length - 1; }
     search.value = "";
     search.blur();
@@ -124,54 +132,12 @@
     build();
   };
 
-  // ---- events ----
-  const COMMON = ["waypoint_reached", "command_clipped", "satellite_lost"], rare = data.events.filter(([, kind]) => !COMMON.includes(kind));
-  const rows = [];
-  if (data.events.length) {
-    const filter = make("input", events);
-    filter.placeholder = `filter ${data.events.length} events`;
-    filter.type = "search";
-    for (const [time, kind, text] of data.events) {
-      const row = make("button", events, `${time.toFixed(2)} s  ${text.replace(/,? at [\d.]+ s$/, "")}`);
-      row.onclick = () => { go(time); row.blur(); };
-      rows.push([time, row, `${kind} ${text}`.toLowerCase(), COMMON.includes(kind)]);
-    }
-    // Without words, only those that are marked in the plots, if there are any.
-    const pick = () => {
-      const words = filter.value.toLowerCase();
-      for (const [, row, text, often] of rows) row.style.display = (words ? text.includes(words) : !often || !rare.length) ? "" : "none";
-    };
-    filter.oninput = pick;
-    pick();
-  }
+  // ---- events (events.js) ----
+  const list = eventsIn({ parent: events, make, go, highlights: async () => (await request({ lines: [], highlights: true })).highlights });
 
   // ---- the plots ----
   const number4 = (value) => value === null || value === undefined || !Number.isFinite(value) ? "\u2013" : Math.abs(value) >= 1e5 || (value !== 0 && Math.abs(value) < 1e-3) ? value.toExponential(2) : String(+value.toPrecision(4)).replace("-", "\u2212");
-  const marks = (plot) => {
-    const pen = plot.ctx, { left, top, width, height } = plot.bbox, ratio = devicePixelRatio;
-    pen.save();
-    pen.strokeStyle = pen.fillStyle = ink();
-    pen.font = `${10 * ratio}px sans-serif`;
-    pen.textAlign = "left";
-    pen.textBaseline = "alphabetic";
-    let free = left;
-    for (const [time, , text] of rare) {
-      if (time < plot.scales.x.min || time > plot.scales.x.max) continue;
-      const x = plot.valToPos(time, "x", true);
-      pen.globalAlpha = 0.45;
-      pen.lineWidth = ratio;
-      pen.setLineDash([3 * ratio, 3 * ratio]);
-      pen.beginPath(); pen.moveTo(x, top); pen.lineTo(x, top + height); pen.stroke();
-      if (plot !== state.panels[0]?.plot || x < free) continue;
-      const words = text.length > 40 ? text.slice(0, 38) + "\u2026" : text, wide = pen.measureText(words).width + 8 * ratio;
-      pen.globalAlpha = 0.9;
-      const start = Math.min(x + 3 * ratio, left + width - wide);
-      if (start < free) continue;
-      pen.fillText(words, start, top + 10 * ratio);
-      free = start + wide;
-    }
-    pen.restore();
-  };
+  const marks = marksIn({ state, ink, unitsOf, units, rare: list.rare });
   const options = (panel, lines, width, height) => {
     const axes = unitsOf(panel.names), grid = { stroke: "rgba(128,128,128,.22)", width: 1 };
     const series = [{ label: "t" }], bands = [];
@@ -271,9 +237,28 @@
   // The lines of a plot in words: value at the time shown, lowest and highest with a way to their times.
   const tell = (panel) => {
     panel.words.replaceChildren();
-    const extreme = (side, better) => panel.lines.reduce((best, line) => (line[side] === null || (best && !better(line[side], best[side])) ? best : line), null);
-    const most = { low: extreme("low", (a, b) => a < b), high: extreme("high", (a, b) => a > b) };
-    const few = panel.lines.length <= 10 ? panel.lines : [...new Set([most.low, most.high])].filter(Boolean);
+    const pick = (lines, side, sign) => lines.reduce((best, line) => (line[side] === null || (best && sign * line[side] <= sign * best[side]) ? best : line), null);
+    const ends = (lines) => ({ low: pick(lines, "low", -1), high: pick(lines, "high", 1) });
+    const most = Object.fromEntries(panel.names.map((name) => [name, ends(panel.lines.filter((line) => line.name === name))]));
+    const few = panel.lines.length <= 10 ? panel.lines : [];
+    const range = (row, line, side, words, when, whose) => {
+      const button = make("button", row, `${words} ${number4(line[side])}`), at = `${line[side + "At"].toFixed(2)} s`;
+      button.title = `at ${at}; click to go there`;
+      button.onclick = () => go(line[side + "At"]);
+      if (when) make("small", row, `${whose}at ${at}`);
+    };
+    const sides = [["min", "low"], ["max", "high"]];
+    // Of many lines, a row for each quantity and run: who has the lowest value, and who the highest.
+    if (!few.length) for (const name of panel.names) for (const run of data.runs.length ? data.runs.keys() : [0]) {
+      const found = ends(panel.lines.filter((line) => line.name === name && data.runOf[line.vehicle] === run));
+      if (!found.low) continue;
+      const row = make("span", panel.words, "", "line");
+      make("span", row, `${data.runs.length ? data.vehicles[found.low.vehicle][0] + " " : ""}${short(panel, name)}`);
+      for (const [words, side] of sides) range(row, found[side], side, words, true, data.vehicles[found[side].vehicle] + " ");
+      const close = make("button", row, "\u2715");
+      close.title = "remove";
+      close.onclick = () => drop(panel, name);
+    }
     for (const line of few) {
       const row = make("span", panel.words, "", "line"), sign = make("i", row);
       sign.style.borderColor = line.hue ?? "currentColor";
@@ -281,19 +266,12 @@
       const whose = several() ? (data.runs.length && groups[state.group][0] !== "all vehicles" ? data.vehicles[line.vehicle][0] : data.vehicles[line.vehicle]) + " " : "";
       make("span", row, whose + short(panel, line.name)).title = data.quantities.find(([name]) => name === line.name)[2];
       line.value = make("b", row, "");
-      for (const [words, side] of [["min", "low"], ["max", "high"]]) {
-        if (line[side] === null) continue;
-        const button = make("button", row, `${words} ${number4(line[side])}`), when = `${line[side + "At"].toFixed(2)} s`;
-        button.title = `at ${when}; click to go there`;
-        button.onclick = () => go(line[side + "At"]);
-        // Of many lines, the times of the lowest and the highest of all.
-        if (few.length <= 4 || most[side] === line) make("small", row, `at ${when}`);
-      }
+      // Of several lines, the times of the lowest and the highest of each quantity.
+      for (const [words, side] of sides) if (line[side] !== null) range(row, line, side, words, few.length <= 4 || most[line.name][side] === line, "");
       const close = make("button", row, "\u2715");
       close.title = "remove";
       close.onclick = () => drop(panel, line.name);
     }
-    if (few.length < panel.lines.length) make("span", panel.words, `and ${panel.lines.length - few.length} more`);
     if (!panel.lines.length) make("span", panel.words, `${panel.names.join(", ")}: not logged for this vehicle`);
     panel.told = few;
   };
@@ -318,9 +296,7 @@
       cursor.style.display = x < 0 || x > plot.over.clientWidth ? "none" : "";
       cursor.style.transform = `translateX(${x}px)`;
     }
-    let last = null;
-    for (const row of rows) { row[1].classList.remove("now"); if (row[0] <= state.time + 1e-3) last = row[1]; }
-    last?.classList.add("now");
+    list.mark(state.time);
   };
   // Values of lines are of bins; those at the time shown are asked for once it stands still.
   let still = 0;
@@ -362,6 +338,7 @@
     const first = data.together[0]?.[1] ?? ["derived.height"];
     state.panels = [{ names: first.filter((name) => units.has(name)) }].filter(({ names }) => names.length);
     if (!state.panels.length && data.quantities.length) state.panels = [{ names: [data.quantities[0][0]] }];
+    state.example = true;
   };
   const toggle = (open = !state.open) => {
     state.open = open;
@@ -369,6 +346,7 @@
     if (!open) return;
     if (!state.panels.length) begin();
     build();
+    list.load();
   };
   let chosen = null;
   const watch = setInterval(() => {
@@ -376,7 +354,7 @@
     if (now === chosen) return;
     chosen = now;
     if (now === null) return;
-    state.group = groups.findIndex(([, vehicles]) => vehicles.includes(now));
+    state.group = groups.findIndex(([name, vehicles]) => name !== "all vehicles" && vehicles.includes(now));
     who.value = state.group;
     if (state.open) build();
   }, 300);

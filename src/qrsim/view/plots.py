@@ -13,6 +13,7 @@ import numpy as np
 from qrsim.core.arrays import Floats
 from qrsim.errors import QrsimError
 from qrsim.runs.layout import Event
+from qrsim.view.highlights import Highlight, highlights_of
 from qrsim.view.recording import Recording
 from qrsim.view.satellite_events import first_lost
 from qrsim.view.series import Quantity, Series, rows_at
@@ -34,6 +35,8 @@ TOGETHER = {
     "pitch": "attitude.pitch",
     "yaw": "attitude.yaw",
 }
+# Levels that plots of these quantities mark.
+LEVELS = {"derived.estimate_error_sigmas": BAND, "derived.fence_distance": 0.0}
 # Bins of one answer, lines of one request, and events that a page lists.
 FEWEST_BINS, MOST_BINS, MOST_LINES, MOST_EVENTS = 10, 2000, 400, 3000
 # Losses of satellites in that list.
@@ -70,6 +73,7 @@ class Plots:
             "vehicles": list(recording.cast.names),
             "runs": list(recording.cast.runs),
             "runOf": [number for number, _ in self._places],
+            "levels": LEVELS,
             "events": listed(sorted([*recording.events, *first_lost(recording.members, MOST_LOST)], key=_time)),
             "end": recording.end,
         }
@@ -88,12 +92,17 @@ class Plots:
             found.append((f"height: truth, {', '.join(map(_part, heights))}", [HEIGHT, *heights]))
         return found
 
+    def highlights(self) -> list[Highlight]:
+        """Return (time [s] or None, text) of the extremes of all runs."""
+        with self._lock:
+            return highlights_of(self._series)
+
     def answer(self, wish: object) -> bytes | None:
         """Return the lines of plots that a browser requests, as bytes; None if malformed or of an empty time span.
 
         Args:
             wish: ``number``, which the answer repeats; ``lines``, pairs of a quantity and a vehicle; ``from`` and
-                ``to`` [s]; ``bins``.
+                ``to`` [s]; ``bins``. With ``highlights``, the head has the highlights of the runs, and nothing follows.
 
         Returns:
             The length of a head in 4 bytes, the head as JSON, and float32: two times a bin, and for each line two
@@ -101,6 +110,8 @@ class Plots:
         """
         if not isinstance(wish, dict) or not isinstance(wish.get("lines"), list):
             return None
+        if wish.get("highlights") is True:
+            return _packed({"number": wish.get("number"), "lines": [], "highlights": self.highlights()})
         numbers = [wish.get(name) for name in ("from", "to", "bins")]
         if not all(isinstance(value, int | float) and math.isfinite(value) for value in numbers):
             return None
@@ -120,9 +131,7 @@ class Plots:
                 found = self._line(line, edges)
             lines.append(None if found is None else found[0])
             parts += [] if found is None else found[1]
-        head = json.dumps({"number": wish.get("number"), "lines": lines}).encode()
-        head += b" " * (-len(head) % 4)
-        return len(head).to_bytes(4, "little") + head + np.concatenate(parts).astype("<f4").tobytes()
+        return _packed({"number": wish.get("number"), "lines": lines}, np.concatenate(parts))
 
     def _line(self, line: object, edges: Floats) -> tuple[dict[str, object], list[Floats]] | None:
         """Return extremes with their times, and the binned values, of one [quantity, vehicle]; None if unknown."""
@@ -164,6 +173,13 @@ class Plots:
             for i in range(len(series.member.recording.run.vehicles)):
                 nothing = np.full(len(time), np.nan, np.float32)
                 yield np.stack([kept[name][:, i] if name in kept else nothing for name in self.quantities])
+
+
+def _packed(head: dict[str, object], values: Floats | None = None) -> bytes:
+    """Return a head as JSON, after its length in 4 bytes, and values as float32."""
+    text = json.dumps(head).encode()
+    text += b" " * (-len(text) % 4)
+    return len(text).to_bytes(4, "little") + text + (b"" if values is None else values.astype("<f4").tobytes())
 
 
 def _time(event: Event) -> float:

@@ -29,13 +29,13 @@ DASHES, DRAWN = {REFLECTED: 14, HIDDEN: 8, JAMMED: 24}, {REFLECTED: 0.65, HIDDEN
 class Rays(Layer):
     """Rays of the selected vehicles: solid if tracked, dashed if only a reflection is, grey if hidden or jammed.
 
-    A hidden one ends at what hides it, if that is within the ray's length.
+    A hidden one ends at what hides it, if that is within the ray's length. A page without a server draws them itself
+    (film_details.js), and its hidden rays have one length.
     """
 
     title = RAYS
     # Twice a second, as often as the sky is told.
     every = 15.0
-    in_film = False
     of_chosen = True
 
     def __init__(self, stage: Stage, world: World):
@@ -107,6 +107,18 @@ def dashes(kind: int) -> Floats:
     count, drawn = DASHES[kind], DRAWN[kind]
     begins = np.arange(count) / count
     return np.stack([begins, begins + drawn / count], axis=1)
+
+
+def rays_of_film(rays: Rays) -> dict[str, object]:
+    """Return for JSON the path, lengths [m], dashes by state, and colours of a page that draws its rays itself."""
+    return {
+        "path": f"{rays.path}/rays",
+        "reach": REACH * rays.stage.cast.extent,
+        "lost": LOST,
+        "dashes": {kind: dashes(kind).tolist() for kind in (TRACKED, REFLECTED, HIDDEN, JAMMED)},
+        "grey": shapes.linear(np.array([GREY]))[0].tolist(),
+        "colours": shapes.linear(rays.stage.colours).tolist(),
+    }
 
 
 def ray_layers(stage: Stage, world: World) -> list[Layer]:

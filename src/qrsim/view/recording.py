@@ -65,8 +65,8 @@ class Recording:
 
     Args:
         run: what is read.
-        over: the run over which it is shown, None: it is shown by itself. Over another one only true positions and
-            attitudes are read.
+        over: the run over which it is shown, None: it is shown by itself. Over another one its wind, its
+            links and its contents are not read.
 
     Raises:
         RunError: there is no flight in it, or it is damaged.
@@ -95,7 +95,7 @@ class Recording:
         self._truth = Columns(run, "truth", {"position": position, "attitude": attitude, "valid": valid})
         if not len(self._truth.time):
             raise RunError(f"{run.folder}: not a single tick was recorded, so there is nothing to show")
-        measured = {"fix": _fixes(run), "height": _heights(run)} if over is None else {}
+        measured = {"fix": _fixes(run), "height": _heights(run)}
         wind = {name: vector(run, "wind", f"{name}_ned", AXES) for name in ("mean", "gust")} if over is None else {}
         self._measured = Columns(run, "measurements", measured)
         self._wind = Columns(run, "wind", wind)
@@ -207,6 +207,11 @@ class Recording:
         found = [self._links.at(f"link{k}", time) for k in range(len(self._links.names))]
         sender, error, outcome = (np.nan_to_num(np.stack([link[:, i] for link in found])) for i in range(3))
         return Links(sender.astype(int), error, outcome.astype(int))
+
+    @property
+    def modes(self) -> list[tuple[float, int, str]]:
+        """Times [s], vehicles and texts of changes of failsafes, in order; "": it ends."""
+        return self._details.modes
 
     def why(self, event: Event) -> str:
         """Return as text why a vehicle has stopped, from its event."""

@@ -140,7 +140,7 @@ class Scene:
             for number, layer in enumerate(self.layers.values()):
                 # Not all at the same frame.
                 self._due[number] += 1.0 if everything else 1.0 / (layer.every * (strain if layer.every > 1.0 else 1.0))
-                if layer.root.visible and self._due[number] >= 1.0:
+                if (layer.root.visible or layer.always) and self._due[number] >= 1.0:
                     if strain > 1.0 and layer.every > 1.0 and not everything:
                         waiting.append((number, layer))
                     else:
@@ -165,10 +165,8 @@ class Scene:
         layer = self.layers[title]
         with self._lock:
             layer.root.visible = visible
-            if visible and self.frame is not None:
+            if (visible or layer.always) and self.frame is not None:
                 layer.draw(self.frame)
-            if isinstance(layer, LabelStates) and not visible:
-                layer.tell({})
 
     def colour(self, paint: Paint | None) -> None:
         """Colour vehicles and true paths by a quantity, or as vehicles for None."""
@@ -207,7 +205,7 @@ class Scene:
         with self._lock:
             self.stage.chosen = frozenset(vehicles)
             for layer in self.layers.values():
-                if layer.of_chosen and layer.root.visible and self.frame is not None:
+                if layer.of_chosen and (layer.root.visible or layer.always) and self.frame is not None:
                     layer.draw(self.frame)
 
     def nearest(self, origin: object, direction: object) -> int | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from qrsim.models.vehicles.contracts import Outline
 from qrsim.runs import Run
 from qrsim.runs.layout import Event
 from qrsim.view.aligning import shift_of
+from qrsim.view.details import Details
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.imagery import Imagery
 from qrsim.view.paint import JoinedPaints
@@ -35,8 +37,8 @@ RUN_ENDS = "run_ends"
 class Several:
     """Recorded runs over each other, with what a page needs of a ``Recording``.
 
-    Time is that of the first run; another run is shown ``shift`` later than it was flown. Area, obstacles, wind,
-    estimates and links are those of the first run.
+    Time is that of the first run; another run is shown ``shift`` later than it was flown. Area, obstacles, wind and
+    links are those of the first run.
 
     Args:
         recordings: at least two; the first one whole.
@@ -113,7 +115,6 @@ class Several:
         row = max(0, int(np.searchsorted(self.time, time + 1e-6, side="right")) - 1)
         now = float(self.time[row])
         frames = [member.recording.frame(now - member.shift) for member in self.members]
-        places = [frame.position_ned + member.offset for frame, member in zip(frames, self.members, strict=True)]
         reasons = {
             number + member.first: why
             for frame, member in zip(frames, self.members, strict=True)
@@ -121,9 +122,22 @@ class Several:
         }
         arrays = [own.name for own in fields(Frame) if isinstance(getattr(frames[0], own.name), np.ndarray)]
         joined: dict[str, Any] = {name: np.concatenate([getattr(frame, name) for frame in frames]) for name in arrays}
-        joined["position_ned"] = np.concatenate(places)
+        for name in ("position_ned", "estimate_ned", "ghost_ned"):
+            own = [getattr(frame, name) + member.offset for frame, member in zip(frames, self.members, strict=True)]
+            joined[name] = np.concatenate(own)
+        details = cache(lambda: _joined_details(self.members, [known() for known in map(_details, frames)]))
         # What is not one value a vehicle is of the first run; of some of it layers need all vehicles.
-        return Frame(time=now, reasons=reasons, beside=frames[0].beside, links=frames[0].links, **joined)
+        beside, links = frames[0].beside, frames[0].links
+        return Frame(time=now, reasons=reasons, beside=beside, links=links, details=details, **joined)
+
+    @property
+    def modes(self) -> list[tuple[float, int, str]]:
+        """Times [s], vehicles and texts of changes of failsafes of all runs, in order; "": it ends."""
+        return sorted(
+            (time + member.shift, vehicle + member.first, words)
+            for member in self.members
+            for time, vehicle, words in member.recording.modes
+        )
 
     def why(self, event: Event) -> str:
         """Return in words why a vehicle has stopped, from the event of the stop."""
@@ -134,7 +148,7 @@ class Several:
         return self._joined(times, lambda member: member.recording.positions)
 
     def estimates(self, times: Floats) -> Floats:
-        """Return measured positions (K, n, 3) [m] at times (K,) [s]; NaN for all runs but the first."""
+        """Return measured positions (K, n, 3) [m] in the first run's frame at times (K,) [s]."""
         return self._joined(times, lambda member: member.recording.estimates)
 
     def _joined(self, times: Floats, of: Callable[[Member], Callable[[Floats], Floats]]) -> Floats:
@@ -190,6 +204,23 @@ def open_several(
         return found[0], lines
     several = Several(found, align)
     return several, [*lines, *several.notes]
+
+
+def _details(frame: Frame) -> Callable[[], Details]:
+    """Return what reads the details of a frame of a recording."""
+    assert frame.details is not None
+    return frame.details
+
+
+def _joined_details(members: list[Member], each: list[Details]) -> Details:
+    """Return the details of all runs' vehicles, with positions in the first run's frame."""
+    names = [own.name for own in fields(Details) if own.name != "modes"]
+    parts: dict[str, Any] = {name: np.concatenate([getattr(own, name) for own in each]) for name in names}
+    believed = [own.believed_ned + member.offset for own, member in zip(each, members, strict=True)]
+    parts["believed_ned"] = np.concatenate(believed)
+    pairs = zip(each, members, strict=True)
+    modes = {number + member.first: words for own, member in pairs for number, words in own.modes.items()}
+    return Details(**parts, modes=modes)
 
 
 def _name(member: Member) -> str:

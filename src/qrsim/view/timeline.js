@@ -8,10 +8,11 @@
     "font:12px sans-serif;color:#222;display:flex;align-items:center;gap:8px;padding:0 10px;box-sizing:border-box;" +
     "border-top:1px solid #bbb;touch-action:none;user-select:none";
   const button = document.createElement("button"), label = document.createElement("span");
+  label.title = "click to type a time, in seconds or minutes:seconds";
   const track = document.createElement("div"), done = document.createElement("div");
   button.style.cssText = "border:0;background:none;font:16px sans-serif;width:26px;cursor:pointer;color:inherit";
   button.title = "play or pause (space)";
-  label.style.cssText = "min-width:120px;text-align:right;font-variant-numeric:tabular-nums";
+  label.style.cssText = "min-width:120px;text-align:right;white-space:nowrap;cursor:text;font-variant-numeric:tabular-nums";
   track.style.cssText = "position:relative;flex:1;height:18px;background:#d5d9de;cursor:pointer;border-radius:3px";
   done.style.cssText = "position:absolute;left:0;top:0;bottom:0;width:0;background:#7d8fa3;border-radius:3px";
   track.append(done);
@@ -51,7 +52,7 @@
   };
   connect();
   const clock = (t) => {
-    const whole = Math.floor(t), two = (n) => String(n).padStart(2, "0");
+    const whole = Math.floor(t + 1e-6), two = (n) => String(n).padStart(2, "0");
     const rest = two(Math.floor(whole / 60) % 60) + ":" + two(whole % 60);
     return data.end >= 3600 ? Math.floor(whole / 3600) + ":" + rest : rest;
   };
@@ -60,7 +61,28 @@
     window.qrsimPlots?.time(time);
     done.style.width = 100 * time / Math.max(data.end, 1e-9) + "%";
     button.textContent = plays ? "||" : "\u25B6";
-    label.textContent = clock(time) + " / " + clock(data.end) + "  " + speed + " x";
+    const tenth = Math.floor(10 * (time + 1e-6)) % 10;
+    label.textContent = clock(time) + (data.end < 3600 ? "." + tenth : "") + " / " + clock(data.end) + "  " + speed + " x";
+  };
+  // Seconds, or parts with colons; NaN for anything else.
+  const typed = (text) => /^\s*(\d+:){0,2}\d+([.,]\d*)?\s*s?\s*$/.test(text)
+    ? text.replace(",", ".").split(":").reduce((sum, part) => 60 * sum + parseFloat(part), 0) : NaN;
+  label.onclick = () => {
+    const input = document.createElement("input");
+    input.id = "qrsim-go-to";
+    input.style.cssText = "width:100px;font:inherit;text-align:right";
+    input.value = now.toFixed(2);
+    const close = () => { input.onblur = null; input.replaceWith(label); };
+    input.onblur = close;
+    input.onkeydown = (event) => {
+      if (event.key === "Escape") close();
+      if (event.key !== "Enter") return;
+      const time = typed(input.value);
+      // What is no time stays to be mended.
+      if (Number.isFinite(time)) { close(); go(time); } else input.style.color = "#c5130c";
+    };
+    label.replaceWith(input);
+    input.select();
   };
   const seek = (event, always) => {
     clearTimeout(later);

@@ -82,13 +82,14 @@ class Timeline:
         return None
 
 
-def plots_script(plots: Plots) -> str:
-    """Return the script that draws plots, with its library and data."""
+def plots_script(plots: Plots, **more: object) -> str:
+    """Return the script that draws plots, with its library and data, to which ``more`` is added."""
     folder = files("qrsim.view")
-    library, script = (folder.joinpath(name).read_text("utf-8") for name in ("uplot/uPlot.iife.min.js", "plots.js"))
+    scripts = ("uplot/uPlot.iife.min.js", "events.js", "marks.js", "plots.js")
+    library, *parts = (folder.joinpath(name).read_text("utf-8") for name in scripts)
     styles = "".join(folder.joinpath(name).read_text("utf-8") for name in ("uplot/uPlot.min.css", "plots.css"))
-    data = json.dumps({**plots.about(), "css": styles}).replace("<", "\\u003c")
-    return f"{library}\nconst data = {data};\n{script}"
+    data = json.dumps({**plots.about(), "css": styles, **more}).replace("<", "\\u003c")
+    return "\n".join([library, f"const data = {data};", *parts])
 
 
 def marks(events: list[Event]) -> list[tuple[float, str]]:

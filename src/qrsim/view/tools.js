@@ -56,6 +56,15 @@ const toolsIn = (host) => {
 
   const scale = make("div", "qrsim-scale", host.root), scaleText = make("span", "", scale), scaleBar = make("div", "", scale);
   scale.title = "so long at the middle of the view";
+  const compass = make("div", "qrsim-compass", scale);
+  compass.title = "north";
+  compass.innerHTML = '<svg viewBox="-12 -14 24 28"><path d="M0 -5L4.5 9L0 6L-4.5 9Z"/><text y="-6.5" text-anchor="middle">N</text></svg>';
+  // Where the camera looks, or what is up in a view from above.
+  const heading = () => {
+    const { camera } = host.m(), eye = nedOf(camera.position), from = (x, y, z) => nedOf(camera.localToWorld(vector(x, y, z))).map((v, i) => v - eye[i]);
+    const ahead = from(0, 0, -1), way = Math.hypot(ahead[0], ahead[1]) > 0.2 ? ahead : from(0, 1, 0);
+    return Math.atan2(way[1], way[0]);
+  };
   const layScale = (box) => {
     const control = host.m().cameraControl;
     const far = control.getPosition(vector()).distanceTo(control.getTarget(vector()));
@@ -64,6 +73,7 @@ const toolsIn = (host) => {
     const length = [5, 2, 1].map((part) => part * decade).find((value) => value <= most);
     scaleText.textContent = length >= 1000 ? `${length / 1000} km` : `${+length.toPrecision(1)} m`;
     scaleBar.style.width = length / metres + "px";
+    compass.firstChild.style.transform = `rotate(${(-heading() * 180) / Math.PI}deg)`;
   };
 
   // ---- the place under the pointer ----

@@ -15,9 +15,9 @@ SIGNATURE_SIZE = 13
 # From the length of the payload to who sends it; the number of the message follows.
 _HEAD = struct.Struct("<BxxBBB").pack
 _MAGIC = bytes([VERSION_2])
-_EXTRA = {number: bytes([layout.extra]) for number, layout in BY_NUMBER.items()}
+EXTRA = {number: layout.extra for number, layout in BY_NUMBER.items()}
 # Of each message its number as it is sent, and what its check is computed with.
-_KINDS = {number: (number.to_bytes(3, "little"), extra) for number, extra in _EXTRA.items()}
+_KINDS = {number: (number.to_bytes(3, "little"), bytes([extra])) for number, extra in EXTRA.items()}
 
 
 def frame(number: int, payload: bytes, sequence: int, system: int, component: int = 1) -> bytes:
@@ -154,6 +154,6 @@ def _read(data: bytes, at: int, size: int) -> Frame | None:
     if layout is None:
         return None
     inner = data[at + 1 : at + head + length]
-    if check_of(inner + _EXTRA[number]) != data[at + head + length : at + head + length + 2]:
+    if check_of(inner + _KINDS[number][1]) != data[at + head + length : at + head + length + 2]:
         return None
     return Frame(layout, data[at + head : at + head + length], sequence, system, component, version)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from qrsim.links.mavlink.dialect import LAYOUTS, NUMBERS
 from qrsim.links.mavlink.frames import frame
@@ -29,13 +29,14 @@ class Link:
         flies: set-points come on it.
         owes: none has since the last ATTITUDE went out on it.
         muted: what is sent is lost, by a fault of the vehicle's link.
+        sequence: number of the next frame.
     """
 
     def __init__(
         self, system: int, streams: Streams, send: Callable[[bytes], None], ready: Callable[[], bool] = lambda: True
     ):
         self.system, self.streams, self._send, self.ready = system, streams, send, ready
-        self._sequence = 0
+        self.sequence = 0
         self._parts: list[bytes] = []
         self._size = 0
         self.heard = time.monotonic()
@@ -43,9 +44,16 @@ class Link:
 
     def put(self, number: int, payload: bytes) -> None:
         """Queue a message for the next ``flush``, which happens at once when a datagram is full."""
-        sequence = self._sequence
-        part = frame(number, payload, sequence, self.system, COMPONENT)
-        self._sequence = (sequence + 1) & 0xFF
+        self._queue(frame(number, payload, self.sequence, self.system, COMPONENT))
+
+    def put_frames(self, frames: Iterable[bytes]) -> None:
+        """Queue frames that are numbered from ``sequence`` on, as ``put`` queues a message."""
+        for each in frames:
+            self._queue(each)
+
+    def _queue(self, part: bytes) -> None:
+        """Queue the frame with the next number."""
+        self.sequence = (self.sequence + 1) & 0xFF
         size = len(part)
         if self._size + size > LARGEST_DATAGRAM:
             self.flush()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 
 from qrsim.links.mavlink.stack.codes import Sensor
@@ -23,6 +26,7 @@ from qrsim.links.shared.sight import (
     Sight,
 )
 from qrsim.models.geoid import GeoidPlane
+from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.simulation.simulation import Simulation
 
 # What says that a sensor is there and works.
@@ -53,9 +57,28 @@ class StackSight(Sight):
         self._seen = [Seen() for _ in range(simulation.size)]
         self._present = [0] * simulation.size
         super().__init__(simulation)
+        # Of each fleet of multirotors where in the state it says for how long they have stood.
+        fleets = zip(simulation.world.fleets, simulation.packed[0].numbers.fleets, strict=True)
+        self._feet: list[int | None] = [
+            state.vehicle.standing if type(fleet.vehicle) is Multirotor and state.parked is None else None
+            for fleet, state in fleets
+        ]
         known = np.isfinite(self.values)
         for row in range(simulation.size):
             self._present[row] = sum(int(bit) for bit, column in _BITS if known[row, column])
+
+    def _standing(self) -> list[bool]:
+        """Return which vehicles are on the ground."""
+        found: list[bool] = []
+        for number, fleet in enumerate(self._simulation.world.fleets):
+            leaf = self._feet[number]
+            if leaf is None:
+                return np.asarray(self._simulation.truth.on_ground).tolist()
+            layout, buffers = self._simulation.packed
+            # The only part of the state that is read, as opening all of it takes longer than a tick.
+            state: Any = SimpleNamespace(standing=layout.leaf(buffers, leaf))
+            found += np.asarray(fleet.vehicle.on_ground(state)).tolist()
+        return found
 
     def see(self) -> list[Seen]:
         """Read the present state, and return what the flight stack of each vehicle sees, until the next call."""
@@ -65,7 +88,7 @@ class StackSight(Sight):
         rows: list[list[float]] = values[:, _SEEN].tolist()
         stopped = integers[self.codes] != 0
         reasons = simulation.reasons if stopped.any() else [""] * simulation.size
-        standing = np.asarray(simulation.truth.on_ground).tolist()
+        standing = self._standing()
         sound = np.asarray(np.isfinite(values[:, POSITION : ATTITUDE + 3]).all(axis=1)).tolist()
         healthy = (np.isfinite(values[:, _COLUMNS]) @ _WEIGHTS).tolist()
         for number, seen in enumerate(self._seen):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from heapq import heapify, heappush, heapreplace
+from collections.abc import Mapping, Sequence
 
-from qrsim.links.mavlink.dialect import LAYOUTS
+import numpy as np
+
+from qrsim.core.arrays import NumpyArray
+from qrsim.links.mavlink.dialect import BY_NUMBER, LAYOUTS
 
 # Rates [Hz] of simulated time; EACH_FIX goes out when there is one.
 EACH_FIX = 0.0
@@ -25,6 +27,10 @@ GROUND: dict[str, float] = {
 }  # fmt: skip
 # So often at most a message goes out by the wall clock, where the world runs faster than that [Hz].
 MOST_HZ = 100.0
+# Messages by column of a schedule, the lowest number first.
+STREAMED = tuple(sorted(BY_NUMBER))
+_COLUMN = {number: column for column, number in enumerate(STREAMED)}
+FIX_COLUMN = _COLUMN[LAYOUTS["GPS_RAW_INT"].number]
 _FIX = LAYOUTS["GPS_RAW_INT"].number
 
 
@@ -54,14 +60,15 @@ class Streams:
         self._dt, self._phase = time_step, phase
         self._least = time_step if by_simulated_time else max(time_step, factor / MOST_HZ)
         self._each_fix = False
+        # Of each message its interval, and the time of its next frame [ticks]; infinite: it is not sent.
+        self._interval: NumpyArray = np.full(len(STREAMED), np.inf)
+        self._next: NumpyArray = np.full(len(STREAMED), np.inf)
         self.restart()
 
     def restart(self) -> None:
         """Reset all messages to the link's default rates, from tick 0."""
         self.changed = False
-        # Intervals by number [ticks], and when each is due next, the earliest first.
-        self._intervals: dict[int, float] = {}
-        self._due: list[tuple[float, int]] = []
+        self._interval[:] = self._next[:] = np.inf
         for number, rate in self._rates.items():
             if rate == EACH_FIX:
                 self._each_fix = True
@@ -70,21 +77,19 @@ class Streams:
 
     def begin_at(self, tick: int) -> None:
         """Restart the schedule at a tick, with the present intervals."""
-        self._due = [(tick + self._phase * interval, number) for number, interval in self._intervals.items()]
-        heapify(self._due)
+        sent = np.isfinite(self._interval)
+        self._next[sent] = tick + self._phase * self._interval[sent]
 
     def _begin(self, number: int, interval: float, tick: int | None = None) -> None:
         """Schedule a message every ``interval`` [s], first in the tick after ``tick``, or by the phase of the link."""
-        ticks = max(interval, self._least) / self._dt
-        self._intervals[number] = ticks
-        heappush(self._due, (self._phase * ticks if tick is None else tick + 1.0, number))
+        ticks, column = max(interval, self._least) / self._dt, _COLUMN[number]
+        self._interval[column] = ticks
+        self._next[column] = self._phase * ticks if tick is None else tick + 1.0
 
     def set(self, number: int, interval_us: float, tick: int) -> None:
         """Schedule a message every ``interval_us`` [us] of simulated time; 0: default rate, below 0: never."""
         self.changed = True
-        if self._intervals.pop(number, None) is not None:
-            self._due = [each for each in self._due if each[1] != number]
-            heapify(self._due)
+        self._interval[_COLUMN[number]] = self._next[_COLUMN[number]] = np.inf
         own = self._rates.get(number)
         if number == _FIX:
             self._each_fix = interval_us == 0.0 and own == EACH_FIX
@@ -97,18 +102,50 @@ class Streams:
         """Return the interval of a message [us]; -1 if it is not sent, 0 if it is sent at every change."""
         if number == _FIX and self._each_fix:
             return 0
-        interval = self._intervals.get(number)
-        return -1 if interval is None else round(1e6 * interval * self._dt)
+        interval = float(self._interval[_COLUMN[number]])
+        return -1 if interval == np.inf else round(1e6 * interval * self._dt)
 
     def due(self, tick: int, fresh: bool) -> list[int]:
         """Return the numbers of the messages that are due at a tick; ``fresh``: a fix has arrived."""
-        waiting, intervals, found = self._due, self._intervals, list[int]()
-        while waiting and waiting[0][0] <= tick:
-            when, number = waiting[0]
-            when += intervals[number]
-            # Late ones are not sent after.
-            heapreplace(waiting, (when if when > tick + 1e-9 else tick + 1e-9, number))
-            found.append(number)
-        if fresh and self._each_fix:
-            found.append(_FIX)
-        return found
+        _, columns = _due([self], self._interval[None], self._next[None], tick, [fresh])
+        return [STREAMED[column] for column in columns.tolist()]
+
+
+class Schedule:
+    """The streams of several links, looked up together.
+
+    Args:
+        links: streams of each link; they keep their schedules in rows of this one from now on.
+    """
+
+    def __init__(self, links: Sequence[Streams]):
+        self._links = links
+        self._interval = np.stack([streams._interval for streams in links])
+        self._next = np.stack([streams._next for streams in links])
+        for streams, interval, following in zip(links, self._interval, self._next, strict=True):
+            streams._interval, streams._next = interval, following
+
+    def due(self, tick: int, fresh: Sequence[bool]) -> tuple[NumpyArray, NumpyArray]:
+        """Return the messages that are due at a tick, each as a link's index (m,) and a column (m,) of ``STREAMED``.
+
+        Args:
+            tick: now.
+            fresh: of each link whether a fix has arrived.
+        """
+        return _due(self._links, self._interval, self._next, tick, fresh)
+
+
+def _due(
+    streams: Sequence[Streams], interval: NumpyArray, following: NumpyArray, tick: int, fresh: Sequence[bool]
+) -> tuple[NumpyArray, NumpyArray]:
+    """Return the result of ``Schedule.due``, and advance ``following`` (n, columns), the times of the next frames."""
+    links, columns = np.nonzero(following <= tick)
+    when = following[links, columns]
+    # Late ones are not sent after.
+    following[links, columns] = np.maximum(when + interval[links, columns], tick + 1e-9)
+    fixes = [i for i, each in enumerate(streams) if fresh[i] and each._each_fix]
+    if fixes:
+        links, when = np.append(links, fixes), np.append(when, np.full(len(fixes), np.inf))
+        columns = np.append(columns, np.full(len(fixes), FIX_COLUMN))
+    order = np.lexsort((when, links))
+    return links[order], columns[order]

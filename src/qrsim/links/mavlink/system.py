@@ -56,6 +56,7 @@ class System:
         self.transfers = Transfers(stack, self.text)
         self.tick = 0
         self._text = 0
+        self._payloads: dict[int, bytes | None] = {}
         self.told: set[str] = set()
         self.reboots = self.muted = False
         # Does again what ends with a boot, but is meant to last.
@@ -70,32 +71,43 @@ class System:
 
     def publish(self, tick: int, wall: float) -> None:
         """Send the messages, events and texts that are due at a tick on all links."""
+        self.announce(tick)
+        for link in self.links:
+            if self.streams_on(link, wall):
+                numbers = link.streams.due(tick, self.view.fresh)
+                for number in numbers:
+                    payload = self.payload(number)
+                    if payload is not None:
+                        link.put(number, payload)
+                link.owes |= _ATTITUDE in numbers and self.payload(_ATTITUDE) is not None
+            link.flush()
+        if self.transfers.upload is not None:
+            self.transfers.ask_again(wall)
+
+    def announce(self, tick: int) -> None:
+        """Queue the events and texts of a tick on all links, and forget the payloads of the last one."""
         self.tick = tick
+        self._payloads.clear()
         for event in self.stack.events():
             self._tell(event)
         for text in self.stack.texts():
             self.text(text)
-        view, payloads = self.view, dict[int, bytes | None]()
-        for link in self.links:
-            link.muted = self.muted
-            if self.muted:
-                link.flush()
-                continue
-            if link.streams.changed and wall - link.heard > PEER_TIMEOUT_S:
-                link.streams.restart()
-                link.streams.begin_at(tick)
-            if link.ready():
-                due, put = link.streams.due(tick, view.fresh), link.put
-                for number in due:
-                    if number not in payloads:
-                        payloads[number] = ENCODERS[number](view)
-                    payload = payloads[number]
-                    if payload is not None:
-                        put(number, payload)
-                link.owes |= _ATTITUDE in due and payloads[_ATTITUDE] is not None
-            link.flush()
-        if self.transfers.upload is not None:
-            self.transfers.ask_again(wall)
+
+    def streams_on(self, link: Link, wall: float) -> bool:
+        """Return whether a link takes streams now; one whose client has left gets those that it began with."""
+        link.muted = self.muted
+        if self.muted:
+            return False
+        if link.streams.changed and wall - link.heard > PEER_TIMEOUT_S:
+            link.streams.restart()
+            link.streams.begin_at(self.tick)
+        return link.ready()
+
+    def payload(self, number: int) -> bytes | None:
+        """Return the payload of a message at this tick, computed once for all links; None: it is not sent."""
+        if number not in self._payloads:
+            self._payloads[number] = ENCODERS[number](self.view)
+        return self._payloads[number]
 
     def _tell(self, event: Event) -> None:
         """Send the messages that an event of the stack triggers: mode, home, landed, item reached."""

@@ -30,8 +30,8 @@ GRAVITY = 9.80665
 # EKF_UNINITIALIZED of the other one.
 _ESTIMATES, _NO_ESTIMATE = 0x1 | 0x2 | 0x4 | 0x8 | 0x10 | 0x20 | 0x100 | 0x200, 0x400
 # MAV_ODOM and MAV_ESTIMATOR_TYPE of a filter with GNSS; frames local NED and body FRD.
-_LOCAL_NED, _BODY_FRD, _GPS_INS = 1, 12, 5
-_UINT16, _INT16 = 0xFFFF, 0x7FFF
+LOCAL_NED, BODY_FRD, GPS_INS = 1, 12, 5
+_UINT16, _INT16, _GPS = 0xFFFF, 0x7FFF, int(Sensor.GPS)
 
 _STRUCT = {name: layout.struct.pack for name, layout in LAYOUTS.items()}
 
@@ -81,7 +81,7 @@ def system_time(v: View) -> Payload:
 def gps_raw_int(v: View) -> Payload:
     """Return the payload of GPS_RAW_INT, with the receiver's reported accuracies."""
     row = v.row
-    if not v.seen.present & Sensor.GPS:
+    if not v.seen.present & _GPS:
         return None
     fix = v.seen.fix_type
     place, height = (0, 0, 0), 0
@@ -158,11 +158,11 @@ def vfr_hud(v: View) -> Payload:
     airspeed = v.row[s.AIRSPEED]
     heading = round(math.degrees(seen.attitude[2])) % 360
     return _STRUCT["VFR_HUD"](
-        airspeed if airspeed == airspeed else ground, ground, seen.altitude, -down, heading, _throttle(v)
+        airspeed if airspeed == airspeed else ground, ground, seen.altitude, -down, heading, throttle(v)
     )
 
 
-def _throttle(v: View) -> int:
+def throttle(v: View) -> int:
     """Return the commanded thrust [%]; the hover thrust while a path or velocity is flown."""
     if v.order is None or not v.stack.armed:
         return 0
@@ -274,18 +274,18 @@ def odometry(v: View) -> Payload:
     speed = _variances(row[s.STD_VELOCITY : s.STD_VELOCITY + 3], [NAN, NAN, NAN])
     return _STRUCT["ODOMETRY"](
         v.boot_us, *v.local(seen.position_ned), w, x, y, z, forward, right, below, *seen.rates, *pose, *speed,
-        _LOCAL_NED, _BODY_FRD, 0, _GPS_INS, 0,
+        LOCAL_NED, BODY_FRD, 0, GPS_INS, 0,
     )  # fmt: skip
 
 
 # Where the diagonal is in the 21 numbers of an upper triangle of 6 x 6.
-_DIAGONAL = (0, 6, 11, 15, 18, 20)
+DIAGONAL = (0, 6, 11, 15, 18, 20)
 
 
 def _variances(first: list[float], second: list[float]) -> list[float]:
     """Return the upper triangle (21,) of a diagonal covariance from two lists of standard deviations."""
     found = [0.0] * 21
-    for at, std in zip(_DIAGONAL, (*first, *second), strict=True):
+    for at, std in zip(DIAGONAL, (*first, *second), strict=True):
         found[at] = std * std
     return found
 

@@ -15,6 +15,7 @@ from qrsim.interface.arrays import quaternion_of
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.failures import Failures
 from qrsim.links.mavlink.fleet import plan_parameters, start_parameters, start_rally, systems_of
+from qrsim.links.mavlink.publishing import Publisher
 from qrsim.links.mavlink.restarts import Restarts
 from qrsim.links.mavlink.sight import StackSight
 from qrsim.links.mavlink.simulated import SimParameters, SimWind
@@ -109,6 +110,7 @@ class FlownWorld:
         around = Around(self.simulation, self._sight)
         for row, system in zip(self._rows, self.systems, strict=True):
             system.view.around, system.view.number, system.view.geoid = around, row, self._geoid
+        self._publisher = Publisher(self.systems)
         self._busy = 0.0
         self._respawn = respawn
         self._restarts = self._fresh_restarts()
@@ -154,7 +156,7 @@ class FlownWorld:
         unlinked = self.simulation.unlinked
         for system in self.systems:
             system.muted = system.name in unlinked
-            system.publish(self.simulation.tick, wall)
+        self._publisher.publish(self.simulation.tick, wall)
         busy = (time.perf_counter() - begin) / self.simulation.world.time_step
         self._busy += 0.02 * (busy - self._busy)
 

@@ -14,7 +14,7 @@ import numpy as np
 from qrsim.core.arrays import NumpyArray
 from qrsim.files import Content
 from qrsim.files.atomic import write_atomically
-from qrsim.files.yaml_text import dump_yaml
+from qrsim.files.yaml_text import dump_yaml, parse_yaml
 from qrsim.runs.recorder import fly as record
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.studies.brief import faults
@@ -25,7 +25,7 @@ from qrsim.studies.brief.operation import OperationSpec
 from qrsim.studies.brief.runs import Runs
 from qrsim.studies.brief.sky import Sky, sky_of, sky_row
 from qrsim.studies.brief.statistics import quantile, wilson
-from qrsim.studies.brief.studying import SCENARIO, Flyer, nominal_study, pieces
+from qrsim.studies.brief.studying import SCENARIO, Flyer, Piece, nominal_study, pieces
 from qrsim.studies.brief.volumes import Volumes, volumes_of
 from qrsim.studies.brief.winds import Winds, boundary_of, wind_row, winds_of
 from qrsim.studies.sweep.varying import assignment
@@ -236,6 +236,7 @@ def fly(brief: Brief, stages: Sequence[str], flyer: Callable[[], Flyer]) -> None
         flyer: called once something has to be flown.
     """
     brief.sky = sky_of(brief.flights.scenario)
+    _read_others(brief, stages)
     complete = True
     made = flyer()
     asked = [stage for stage in stages if stage != "faults" or brief.operation.faults]
@@ -260,6 +261,16 @@ def fly(brief: Brief, stages: Sequence[str], flyer: Callable[[], Flyer]) -> None
     brief.complete = complete
 
 
+def _read_others(brief: Brief, stages: Sequence[str]) -> None:
+    """Read the runs that earlier commands stored in the brief's folder for stages that are not in ``stages``."""
+    if "nominal" not in stages:
+        _nominal(brief, None)
+    if "faults" not in stages and brief.operation.faults and (brief.folder / f"{faults.NAME}.zarr").exists():
+        _faults(brief, None)
+    if "wind" not in stages and any(brief.folder.glob("wind*.zarr")):
+        _winds(brief, None, polar=True)
+
+
 def keep(brief: Brief) -> None:
     """Read the runs stored before an interruption; the verdicts of the last look hold."""
     _read(brief, look=None)
@@ -268,11 +279,13 @@ def keep(brief: Brief) -> None:
 
 
 def _read(brief: Brief, look: int | None) -> None:
-    """Read the stored nominal runs and judge them at a look; None: between looks, keeping the last verdicts."""
+    """Read the nominal runs stored up to a look and judge them; None: all of them, keeping the last verdicts."""
     stores = []
     starts = len(brief.flights.starts)
     for piece in pieces(brief.operation.criteria.p_loss):
-        paths = [path for part in piece.parts(starts) if (path := brief.folder / f"{part.name}.zarr").exists()]
+        if look is not None and piece.look > look:
+            break
+        paths = [path for part in piece.parts(starts) if (path := _store(brief, part)).exists()]
         stores += paths
         if len(paths) < starts:
             break
@@ -285,29 +298,45 @@ def _read(brief: Brief, look: int | None) -> None:
         brief.nominal = [decided.get(row.name, row) for row in found]
 
 
-def _nominal(brief: Brief, flyer: Flyer) -> bool:
-    """Fly the nominal stage look by look; return whether it reached a verdict."""
+def _store(brief: Brief, part: Piece) -> Path:
+    return brief.folder / f"{part.name}.zarr"
+
+
+def _nominal(brief: Brief, flyer: Flyer | None) -> bool:
+    """Fly the nominal stage look by look, or without a flyer only read it; return whether it reached a verdict."""
     for piece in pieces(brief.operation.criteria.p_loss):
-        for part in piece.parts(len(brief.flights.starts)):
-            if not flyer.fly(nominal_study(part, brief.operation, brief.flights, brief.seed)):
+        parts = piece.parts(len(brief.flights.starts))
+        if flyer is None:
+            stores = [path for part in parts if (path := _store(brief, part)).exists()]
+            if len(Runs(stores, brief.flights.names)) < piece.runs:
+                _read(brief, look=None)
                 return False
+        elif not all(flyer.fly(nominal_study(part, brief.operation, brief.flights, brief.seed)) for part in parts):
+            return False
         _read(brief, piece.look)
         if not undecided(brief.nominal) and brief.precise():
             return True
     return False
 
 
-def _faults(brief: Brief, flyer: Flyer) -> bool:
-    """Fly the stage of faults; return whether it is complete."""
-    scenario = faults.fault_scenario(brief.operation, brief.flights)
-    load_scenario(scenario, quiet=True)
-    write_atomically(brief.folder / faults.SCENARIO, dump_yaml(scenario).encode())
-    known = brief.runs["finished_s"]
-    known = known[np.isfinite(known)]
-    finished_s = float(np.median(known)) if len(known) else max(brief.flights.planned_s)
-    study = faults.fault_study(brief.operation, brief.flights, finished_s, brief.seed)
-    complete = flyer.fly(study)
-    brief.outcomes = faults.fault_outcomes(brief.folder / f"{faults.NAME}.zarr", study)
+def _faults(brief: Brief, flyer: Flyer | None) -> bool:
+    """Fly the stage of faults, or without a flyer only read it; return whether it is complete."""
+    store, written = (brief.folder / f"{faults.NAME}{ending}" for ending in (".zarr", ".yaml"))
+    if store.exists() and written.exists():
+        # The times of its faults may be those of an earlier command, which knew fewer runs.
+        study = parse_yaml(written.read_text("utf-8"), str(written), own=True)
+    else:
+        known = brief.runs["finished_s"]
+        known = known[np.isfinite(known)]
+        finished_s = float(np.median(known)) if len(known) else max(brief.flights.planned_s)
+        study = faults.fault_study(brief.operation, brief.flights, finished_s, brief.seed)
+    complete = flyer is None
+    if flyer is not None:
+        scenario = faults.fault_scenario(brief.operation, brief.flights)
+        load_scenario(scenario, quiet=True)
+        write_atomically(brief.folder / faults.SCENARIO, dump_yaml(scenario).encode())
+        complete = flyer.fly({**study, "first_seed": brief.seed})
+    brief.outcomes = faults.fault_outcomes(store, study)
     return complete
 
 

@@ -8,10 +8,10 @@ from qrsim.links.mavlink.stack.craft import Craft
 # A fix has to hold for so long [s].
 FIX_FOR = 1.0
 _SENSORS = (
-    (Sensor.GYRO, "gyroscope"),
-    (Sensor.ACCELEROMETER, "accelerometer"),
-    (Sensor.MAGNETOMETER, "magnetometer"),
-    (Sensor.BAROMETER, "barometer"),
+    (int(Sensor.GYRO), "gyroscope"),
+    (int(Sensor.ACCELEROMETER), "accelerometer"),
+    (int(Sensor.MAGNETOMETER), "magnetometer"),
+    (int(Sensor.BAROMETER), "barometer"),
 )
 
 

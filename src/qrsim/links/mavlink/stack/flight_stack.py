@@ -31,6 +31,8 @@ from qrsim.scenarios.plans.commands import WAYPOINT
 
 # Automatic modes, which sticks that move take over from.
 OVERRIDDEN = frozenset((Mode.HOLD, Mode.TAKEOFF, Mode.MISSION, Mode.RTL, Mode.LAND, Mode.FOLLOW))
+# As plain numbers, because operators of a flag take ten times as long.
+_BATTERY, _PREARM, _AHRS, _GEOFENCE = map(int, (Sensor.BATTERY, Sensor.PREARM, Sensor.AHRS, Sensor.GEOFENCE))
 # MAV_STATE.
 STANDBY, ACTIVE, CRITICAL, TERMINATION = 3, 4, 5, 8
 
@@ -201,14 +203,14 @@ class FlightStack(Flight):
         """Return the sensor bits of SYS_STATUS."""
         craft, seen = self.craft, self.craft.seen
         reasons = [] if self.armed else self.checks.reasons(craft)
-        battery = Sensor.BATTERY if seen.charge == seen.charge else 0
+        battery = _BATTERY if seen.charge == seen.charge else 0
         # MAVProxy takes a fence that is not enabled for a breach.
-        present = Sensor.PREARM | Sensor.AHRS | Sensor.GEOFENCE | battery
-        healthy = 0 if reasons else int(Sensor.PREARM)
-        healthy |= Sensor.AHRS if seen.valid else 0
-        healthy |= 0 if self.failsafes.breached else Sensor.GEOFENCE
+        present = _PREARM | _AHRS | _GEOFENCE | battery
+        healthy = 0 if reasons else _PREARM
+        healthy |= _AHRS if seen.valid else 0
+        healthy |= 0 if self.failsafes.breached else _GEOFENCE
         healthy |= battery if seen.charge > self.parameters["BAT_CRIT_THR"] else 0
-        return Health(int(present), int(present), int(healthy), reasons)
+        return Health(present, present, healthy, reasons)
 
     def mission(self) -> MissionStatus:
         """Return the fields of MISSION_CURRENT."""

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 from jax import Array
 
+from qrsim.core.fastmath import rounded
 from qrsim.core.vectors import Rotation, Vec3
 from qrsim.models.vehicles.multirotor.geometry import (
     Number,
@@ -50,7 +51,8 @@ def forces(
     speed = jnp.sqrt(jnp.maximum(through.dot(through), 1e-30))
     drag = model.drag
     force = Vec3(-speed * drag.x * through.x, -speed * drag.y * through.y, -speed * drag.z * through.z)
-    moment = flap = spin = spin_up = Vec3.zeros(speed.shape, speed.dtype)
+    none = [0.0, 0.0, 0.0]
+    moment, flap, spin, spin_up = (list[Number](none) for _ in range(4))
     up = turned.to_body(ground.normal)
     height = ground.height + motion.displacement.dot(ground.normal)
     per_disc = 1.0 / (2.0 * math.pi * model.air_density * model.rotor_radius * model.rotor_radius)
@@ -64,17 +66,22 @@ def forces(
         above = height + dot_known(up, rotor.position)
         thrust = near_ground(static, sideways, above, model.rotor_radius, per_disc)
         thrust = thrust - model.inflow_loss * rate * axial + model.translational_lift * sideways
-        push = _along(rotor.axis, thrust) - _vec([_times(model.rotor_drag * rate, part) for part in plane], speed)
+        dragged = [_times(model.rotor_drag * rate, part) for part in plane]
+        push = _vec(
+            [_minus(along, back) for along, back in zip(_along(rotor.axis, thrust), dragged, strict=True)], speed
+        )
         force = force + push
-        moment = moment + Vec3(*known_cross(rotor.position, push))
+        moment = _plus(moment, known_cross(rotor.position, push))
         # What follows is of all rotors together, so that each coefficient is multiplied once.
-        moment = moment + _along(rotor.axis, (rotor.direction * reaction) * (rate * rate))
-        flap = flap + _vec(_crossed(plane, rotor.axis), speed) * rate
+        moment = _plus(moment, _along(rotor.axis, (rotor.direction * reaction) * (rate * rate)))
+        flap = _plus(flap, [_times(rate, part) for part in _crossed(plane, rotor.axis)])
         turns = (-rotor.direction * rotor.axis[0], -rotor.direction * rotor.axis[1], -rotor.direction * rotor.axis[2])
-        spin = spin + _along(turns, rate)
-        spin_up = spin_up + _along(turns, slope)
-    gyro = motion.rates.cross(spin) + spin_up
-    return force, moment + flap * model.flapping - gyro * model.rotor_inertia
+        spin = _plus(spin, _along(turns, rate))
+        spin_up = _plus(spin_up, _along(turns, slope))
+    gyro = _plus(_crossed_by(motion.rates, spin), spin_up)
+    turning_by = _plus(moment, [_times(model.flapping, part) for part in flap])
+    gyro = [_times(model.rotor_inertia, part) for part in gyro]
+    return force, _vec([_minus(own, part) for own, part in zip(turning_by, gyro, strict=True)], speed)
 
 
 def near_ground(static: Array, sideways: Array, above: Array, radius: Array, per_disc: Array) -> Array:
@@ -104,9 +111,29 @@ def _crossed(plane: list[Number], axis: Triple) -> list[Number]:
     return [combined(*((factor, part) for factor, part in pair if not isinstance(part, float))) for pair in terms]
 
 
-def _along(axis: Triple, amount: Array) -> Vec3:
-    """Return a vector of length ``amount`` (n,) along an axis known at compile time."""
-    return _vec([combined((part, amount)) for part in axis], amount)
+def _along(axis: Triple, amount: Array) -> list[Number]:
+    """Return a vector of length ``amount`` (n,) along an axis known at compile time; 0.0 where it has no part."""
+    return [combined((part, amount)) for part in axis]
+
+
+def _plus(total: Sequence[Number], terms: Sequence[Number]) -> list[Number]:
+    """Return the sum of two vectors, part by part; a plain number is 0.0 and costs nothing."""
+    return [
+        now if isinstance(term, float) else rounded(term) if isinstance(now, float) else now + term
+        for now, term in zip(total, terms, strict=True)
+    ]
+
+
+def _minus(whole: Number, part: Number) -> Number:
+    """Return a difference; a plain number is 0.0 and costs nothing."""
+    return whole if isinstance(part, float) else -part if isinstance(whole, float) else whole - part
+
+
+def _crossed_by(rates: Vec3, spin: Sequence[Number]) -> list[Number]:
+    """Return the cross product of body rates with a vector of which parts may be the plain number 0.0."""
+    (p, q, r), (x, y, z) = rates.axes, spin
+    pairs = ((_times(q, z), _times(r, y)), (_times(r, x), _times(p, z)), (_times(p, y), _times(q, x)))
+    return [_minus(first, second) for first, second in pairs]
 
 
 def _vec(parts: Sequence[Number], like: Array) -> Vec3:

@@ -56,13 +56,22 @@ def ring(count: int, arm: float, first_rad: float, direction: int = 1, down: flo
 
 
 def combined(*terms: tuple[float, Array]) -> Number:
-    """Return the sum of factor times array; terms with factor 0.0 are left out, and 0.0 is returned for none."""
+    """Return the sum of factor times array; terms with factor 0.0 are left out, and 0.0 is returned for none.
+
+    Products are taken by the size of the factor, so that mirrored points share them; the rounding is the same.
+    """
+    used = [(factor, array) for factor, array in terms if factor != 0.0]
+    if len(used) > 1 and used[0][0] < 0.0 < used[1][0]:
+        used[:2] = used[1], used[0]
     total: Number = 0.0
-    for factor, array in terms:
-        if factor == 0.0:
-            continue
-        term = array if factor == 1.0 else -array if factor == -1.0 else factor * array
-        total = term if isinstance(total, float) else total + term
+    for factor, array in used:
+        term = array if factor == 1.0 else -array if factor == -1.0 else None
+        if isinstance(total, float):
+            total = factor * array if term is None else term
+        elif term is None:
+            total = total - (-factor) * array if factor < 0.0 else total + factor * array
+        else:
+            total = total + term
     return total
 
 

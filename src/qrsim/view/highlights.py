@@ -1,0 +1,121 @@
+"""Extremes of recorded runs for the list of a page: closest approaches, worst values, and when runs part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+
+import numpy as np
+
+from qrsim.core.arrays import Floats
+from qrsim.errors import QrsimError
+from qrsim.runs.radio_columns import links_logged
+from qrsim.runs.radio_links import packets_of
+from qrsim.view.satellite_events import first_lost
+from qrsim.view.series import BETWEEN, Series
+
+# Time [s], None if it is none of a moment, and text.
+Highlight = tuple[float | None, str]
+# Distance [m] from which two runs count as apart, and the half width of the 95 % band in standard deviations.
+APART, BAND = 1.0, 1.96
+# Links with fewer packets than this are not compared.
+FEWEST_PACKETS = 10
+# Quantity, whether its largest value counts, and text with places for the vehicle and the value.
+EXTREMES: tuple[tuple[str, bool, str], ...] = (
+    ("derived.fence_distance", False, "closest to the fence: {}, {:.2f} m"),
+    ("derived.nearest_vehicle", False, "closest to another vehicle: {}, {:.2f} m"),
+    ("derived.wind_speed", True, "strongest wind: {}, {:.1f} m/s"),
+    ("derived.estimate_error", True, "largest error of the estimate: {}, {:.2f} m"),
+    ("derived.setpoint_distance", True, "farthest from the set-point: {}, {:.2f} m"),
+    ("truth.battery.charge", False, "lowest battery: {}, {:.1%}"),
+)
+
+
+def highlights_of(runs: Sequence[Series]) -> list[Highlight]:
+    """Return the highlights of some runs, quantity by quantity; quantities that were not logged are left out."""
+    found = [
+        line for name, most, words in EXTREMES for own in runs for line in _guarded(_extreme, own, name, most, words)
+    ]
+    for find in (_outside, _lost_satellite, _apart, _worst_link):
+        found += [line for own in runs for line in _guarded(find, own)]
+    return found
+
+
+def _guarded(find: Callable[..., Iterator[Highlight]], *given: object) -> list[Highlight]:
+    """Return the highlights that ``find`` yields; none if a part of the log is damaged."""
+    with suppress(QrsimError):
+        return list(find(*given))
+    return []
+
+
+def _named(own: Series, vehicle: int) -> str:
+    """Return the name of a vehicle, after the letter of its run."""
+    return f"{own.member.letter} {own.member.recording.run.vehicles[vehicle]}".strip()
+
+
+def _extreme(own: Series, name: str, most: bool, words: str) -> Iterator[Highlight]:
+    """Yield the first time at which a quantity was largest (``most``) or smallest."""
+    if name not in own.quantities:
+        return
+    time, values = own.values(name)
+    values = np.where(np.isfinite(values) & _counts(own, time), values, -np.inf if most else np.inf)
+    if not values.size:
+        return
+    row, vehicle = np.unravel_index(np.argmax(values) if most else np.argmin(values), values.shape)
+    value = float(values[row, vehicle])
+    if np.isfinite(value):
+        yield float(time[row]), words.format(_named(own, int(vehicle)), value)
+
+
+def _counts(own: Series, time: Floats) -> Floats:
+    """Return whether (T, n) each vehicle flies, at times (T,) [s] that are shown."""
+    ends = np.full(len(own.member.recording.run.vehicles), np.inf)
+    for event, vehicle in own.member.recording.stops:
+        ends[vehicle] = event.time + own.member.shift
+    return np.asarray((time[:, None] >= 0.0) & (time[:, None] <= ends + 1e-6))
+
+
+def _first_above(own: Series, name: str, level: float) -> tuple[float, int] | None:
+    """Return the first time [s] at which a quantity was above a level, and the vehicle; None if never or unknown."""
+    if name not in own.quantities:
+        return None
+    time, values = own.values(name)
+    with np.errstate(invalid="ignore"):
+        above = (values > level) & _counts(own, time)
+    rows = np.flatnonzero(above.any(axis=1))
+    return (float(time[rows[0]]), int(np.argmax(above[rows[0]]))) if len(rows) else None
+
+
+def _outside(own: Series) -> Iterator[Highlight]:
+    """Yield when an estimate first left its 95 % band."""
+    first = _first_above(own, "derived.estimate_error_sigmas", BAND)
+    if first is not None:
+        yield first[0], f"estimate first outside its 95 % band: {_named(own, first[1])}"
+
+
+def _lost_satellite(own: Series) -> Iterator[Highlight]:
+    """Yield which satellite a receiver lost first."""
+    for event in first_lost([own.member], 1):
+        yield event.time, f"first satellite lost: {event.message}"
+
+
+def _apart(own: Series) -> Iterator[Highlight]:
+    """Yield when a vehicle was first 1 m from itself in the first run, and when farthest."""
+    first = _first_above(own, BETWEEN, APART)
+    if first is not None:
+        yield first[0], f"first {APART:g} m from run A: {_named(own, first[1])}"
+    yield from _extreme(own, BETWEEN, True, "farthest from run A: {}, {:.2f} m")
+
+
+def _worst_link(own: Series) -> Iterator[Highlight]:
+    """Yield the radio link that lost the largest part of its packets."""
+    run = own.member.recording.run
+    if "measurements" not in run or not links_logged(run["measurements"].columns()):
+        return
+    sent, heard, _ = packets_of(run).counts()
+    lost = np.where(sent >= FEWEST_PACKETS, 1.0 - heard / np.maximum(sent, 1), -1.0)
+    sender, receiver = np.unravel_index(np.argmax(lost), lost.shape)
+    share = float(lost[sender, receiver])
+    if share > 0.0:
+        link = f"{_named(own, int(sender))} to {run.vehicles[receiver]}"
+        yield None, f"worst radio link: {link}, {share:.1%} of {int(sent[sender, receiver])} packets lost"
