@@ -11,6 +11,7 @@ import numpy as np
 from tests.models.atmosphere import field_reference as of
 
 from evidence import IMAGES
+from evidence._pictures import picture
 
 SPACINGS, GUST = IMAGES / "turbulence_spacing.png", IMAGES / "turbulence_gust.gif"
 # Of the animation: wind [m/s], height and distance of the vehicles [m], their number, times [s] and time of a frame.
@@ -31,34 +32,39 @@ def draw_spacings(grids: dict[str, Any], closed: Callable[[float], dict[str, flo
         closed: the correlations in closed form at a spacing [m].
         path: of the picture.
     """
-    from qrsim.runs.picture import new_figure
-
     spacings = np.array([float(name.replace("_", ".")) for name in grids])
     fine = np.geomspace(spacings.min(), spacings.max(), 100)
-    figure = new_figure(11.0, 4.2)
-    left, right = figure.subplots(1, 2)
+    with picture(path, (11.0, 4.2), 1, 2) as (left, right):
 
-    def band(panel: Any, rows: list[dict[str, float]], label: str, colour: str, marker: str) -> None:
-        value, low, high = (np.array([row[name] for row in rows]) for name in ("value", "low", "high"))
-        panel.errorbar(
-            spacings, value, [value - low, high - value], fmt=marker, ms=4, lw=1.0, color=colour, label=label
+        def band(panel: Any, rows: list[dict[str, float]], label: str, colour: str, marker: str) -> None:
+            value, low, high = (np.array([row[name] for row in rows]) for name in ("value", "low", "high"))
+            panel.errorbar(
+                spacings, value, [value - low, high - value], fmt=marker, ms=4, lw=1.0, color=colour, label=label
+            )
+
+        for name, colour in (("horizontal", "tab:blue"), ("vertical", "tab:green")):
+            left.plot(fine, [closed(float(r))[name] for r in fine], color=colour, lw=1.2)
+            for kind, marker in (("dryden_field", "o"), ("dryden", "x")):
+                band(
+                    left, [row[kind]["correlation"][name] for row in grids.values()], f"{kind}, {name}", colour, marker
+                )
+        left.set(xscale="log", xlabel="spacing [m]", ylabel="correlation of neighbours' gusts", ylim=(-0.15, 1.05))
+        for name, colour in (("north", "tab:blue"), ("down", "tab:green")):
+            for kind, marker in (("dryden_field", "o-"), ("dryden", "x--")):
+                band(
+                    right,
+                    [row[kind]["relative_std"][name] for row in grids.values()],
+                    f"{kind}, {name}",
+                    colour,
+                    marker,
+                )
+        right.set(
+            xscale="log", xlabel="spacing [m]", ylabel="std of relative position of neighbours [m]", ylim=(0.0, None)
         )
-
-    for name, colour in (("horizontal", "tab:blue"), ("vertical", "tab:green")):
-        left.plot(fine, [closed(float(r))[name] for r in fine], color=colour, lw=1.2)
-        for kind, marker in (("dryden_field", "o"), ("dryden", "x")):
-            band(left, [row[kind]["correlation"][name] for row in grids.values()], f"{kind}, {name}", colour, marker)
-    left.set(xscale="log", xlabel="spacing [m]", ylabel="correlation of neighbours' gusts", ylim=(-0.15, 1.05))
-    for name, colour in (("north", "tab:blue"), ("down", "tab:green")):
-        for kind, marker in (("dryden_field", "o-"), ("dryden", "x--")):
-            band(right, [row[kind]["relative_std"][name] for row in grids.values()], f"{kind}, {name}", colour, marker)
-    right.set(xscale="log", xlabel="spacing [m]", ylabel="std of relative position of neighbours [m]", ylim=(0.0, None))
-    for panel in (left, right):
-        panel.set_xticks([1, 2, 5, 10, 20, 50], ["1", "2", "5", "10", "20", "50"])
-        panel.grid(alpha=0.25)
-        panel.legend(frameon=False, fontsize=8)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+        for panel in (left, right):
+            panel.set_xticks([1, 2, 5, 10, 20, 50], ["1", "2", "5", "10", "20", "50"])
+            panel.grid(alpha=0.25)
+            panel.legend(frameon=False, fontsize=8)
 
 
 def draw_gust(path: Path = GUST, lasts_s: float = LASTS_S) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from evidence._pictures import picture
+
 COLOURS = {"per_vehicle": "tab:red", "common_only": "tab:blue", "budget": "black"}
 STYLES = {"own": ("--", "o"), "field": ("-", "s")}
 WORDS = {"per_vehicle": "all of its own", "common_only": "all but noise shared", "budget": "error budget"}
@@ -24,28 +26,24 @@ TITLES = {
 
 def draw(points: dict[str, Any], path: Path) -> None:
     """Draw every number against the spacing; bars are intervals of 95 %."""
-    from qrsim.runs.picture import new_figure
-
-    figure = new_figure(11.0, 12.0)
-    panels = figure.subplots(len(ROWS), len(TITLES), sharex=True, squeeze=False)
-    for i, (metric, words, teams) in enumerate(ROWS):
-        for j, (team, title) in enumerate(TITLES.items()):
-            axes = panels[i][j]
-            if team not in teams:
-                axes.set_axis_off()
-                continue
-            _panel(axes, points[team], metric)
-            axes.set_title(title if i == 0 else "", fontsize=11)
-            axes.tick_params(labelbottom=True)
-            if j == 0 or len(teams) == 1:
-                axes.set_ylabel(words)
-            if i == 2 or len(teams) == 1:
-                axes.set_xlabel("spacing [m]")
-    handles, labels = panels[0][0].get_legend_handles_labels()
-    panels[-1][0].legend(
-        handles, labels, loc="center left", bbox_to_anchor=(0.0, 0.5), fontsize=10, title="receivers, gusts"
-    )
-    figure.savefig(path, dpi=90)
+    with picture(path, (11.0, 12.0), len(ROWS), len(TITLES), sharex=True, squeeze=False, dpi=90) as panels:
+        for i, (metric, words, teams) in enumerate(ROWS):
+            for j, (team, title) in enumerate(TITLES.items()):
+                axes = panels[i][j]
+                if team not in teams:
+                    axes.set_axis_off()
+                    continue
+                _panel(axes, points[team], metric)
+                axes.set_title(title if i == 0 else "", fontsize=11)
+                axes.tick_params(labelbottom=True)
+                if j == 0 or len(teams) == 1:
+                    axes.set_ylabel(words)
+                if i == 2 or len(teams) == 1:
+                    axes.set_xlabel("spacing [m]")
+        handles, labels = panels[0][0].get_legend_handles_labels()
+        panels[-1][0].legend(
+            handles, labels, loc="center left", bbox_to_anchor=(0.0, 0.5), fontsize=10, title="receivers, gusts"
+        )
 
 
 def _panel(axes: Any, team: dict[str, Any], metric: str) -> None:

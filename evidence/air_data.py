@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 import qrsim
 from evidence import IMAGES
+from evidence._pictures import picture
 from qrsim.models.sensors.air_presets import AIRSPEEDS
 
 DOC = "errors of pressure altimeter and airspeed on a patrol in wind"
@@ -64,17 +65,13 @@ def flown(flights: int, seconds: float) -> dict[str, Floats]:
 
 def draw(errors: dict[str, Floats]) -> None:
     """Write docs/images/pressure_altimeter.png: the errors of one vehicle's heights over a flight."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.0, 3.2), layout="constrained")
-    axes = figure.subplots()
-    time = PERIOD_S * np.arange(1, errors["all"].shape[1] + 1)
-    for name in ("all", *ERRORS):
-        axes.plot(time, errors[name][0, :, 0], label=name, linewidth=1.6 if name == "all" else 0.9)
-    axes.set(xlabel="time [s]", ylabel="height error [m]")
-    axes.grid(True, alpha=0.3)
-    axes.legend(fontsize=7, ncols=5)
-    figure.savefig(IMAGES / "pressure_altimeter.png", dpi=110)
+    with picture(IMAGES / "pressure_altimeter.png", (7.0, 3.2)) as axes:
+        time = PERIOD_S * np.arange(1, errors["all"].shape[1] + 1)
+        for name in ("all", *ERRORS):
+            axes.plot(time, errors[name][0, :, 0], label=name, linewidth=1.6 if name == "all" else 0.9)
+        axes.set(xlabel="time [s]", ylabel="height error [m]")
+        axes.grid(True, alpha=0.3)
+        axes.legend(fontsize=7, ncols=5)
 
 
 def run(full: bool) -> dict[str, Any]:

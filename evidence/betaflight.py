@@ -16,6 +16,7 @@ import numpy as np
 from tests.studies.discover.flown_logs import random_steps
 
 from evidence import IMAGES
+from evidence._pictures import picture
 from qrsim.links.autopilot.firmware import binary, configured
 from qrsim.links.autopilot.fleet import prepared
 from qrsim.links.autopilot.flight import Flight
@@ -136,26 +137,24 @@ def _left(scores: dict[str, Any], channel: str) -> dict[str, float]:
 
 def _draw(others: dict[str, FlightLog], start: dict[str, float], found: Any) -> None:
     """Draw ten seconds of roll in calm air and in wind."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0, 5.0), layout="constrained")
-    rows = figure.subplots(2, 1, sharex=True)
-    for axes, (name, log) in zip(rows, others.items(), strict=True):
-        piece = cut(log, math.inf, 0.0, 1.0)
-        at = piece.channels.index("roll")
-        part = slice(0, round(12.0 / DT))
-        nuisances = found.answer.nuisances[0]
-        runs = {
-            "published Pelican": (open_loop(piece, start, {"delay": nuisances["delay"]}, False), "#b35806"),
-            "identified from another flight": (open_loop(piece, found.answer.values, nuisances, False), "#2d7dd2"),
-        }
-        axes.plot(log.time[part], np.degrees(log.signals["roll_command"][part]), color="#bbbbbb", lw=1, label="stick")
-        axes.plot(log.time[part], np.degrees(log.signals["roll"][part]), color="black", lw=1.6, label="Betaflight")
-        for label, (simulated, colour) in runs.items():
-            values = np.degrees(simulated[:, 0, at] if simulated.shape[1] == 1 else simulated[0, :, at])
-            axes.plot(log.time[part], values[part], color=colour, lw=1.2, label=label)
-        axes.set_ylabel(f"roll, {name} [deg]")
-        axes.grid(alpha=0.3)
-    rows[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, fontsize=8, frameon=False)
-    rows[-1].set_xlabel("time [s]")
-    figure.savefig(PICTURE, dpi=110)
+    with picture(PICTURE, (9.0, 5.0), 2, 1, sharex=True) as rows:
+        for axes, (name, log) in zip(rows, others.items(), strict=True):
+            piece = cut(log, math.inf, 0.0, 1.0)
+            at = piece.channels.index("roll")
+            part = slice(0, round(12.0 / DT))
+            nuisances = found.answer.nuisances[0]
+            runs = {
+                "published Pelican": (open_loop(piece, start, {"delay": nuisances["delay"]}, False), "#b35806"),
+                "identified from another flight": (open_loop(piece, found.answer.values, nuisances, False), "#2d7dd2"),
+            }
+            axes.plot(
+                log.time[part], np.degrees(log.signals["roll_command"][part]), color="#bbbbbb", lw=1, label="stick"
+            )
+            axes.plot(log.time[part], np.degrees(log.signals["roll"][part]), color="black", lw=1.6, label="Betaflight")
+            for label, (simulated, colour) in runs.items():
+                values = np.degrees(simulated[:, 0, at] if simulated.shape[1] == 1 else simulated[0, :, at])
+                axes.plot(log.time[part], values[part], color=colour, lw=1.2, label=label)
+            axes.set_ylabel(f"roll, {name} [deg]")
+            axes.grid(alpha=0.3)
+        rows[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, fontsize=8, frameon=False)
+        rows[-1].set_xlabel("time [s]")

@@ -13,6 +13,7 @@ import numpy as np
 
 import qrsim
 from evidence import IMAGES
+from evidence._pictures import picture
 
 DOC = "receivers of type gnss in the streets of a town, by height, and on a flight through streets"
 SEED = 29
@@ -196,30 +197,29 @@ def flight(duration: float, draw: bool) -> dict[str, Any]:
 
 
 def _draw(sim: Any, flown: Values, fixes: dict[str, Values], satellites: list[Any]) -> None:
-    from qrsim.runs.picture import new_figure
     from qrsim.runs.plan import _footprint
     from qrsim.scenarios.scenario import load_scenario
 
-    figure = new_figure(11.0, 5.2)
-    panels: Any = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
-    for obstacle in load_scenario("street_canyon").spec.model_dump()["world"]["obstacles"]:
-        panels[0].add_artist(_footprint(obstacle))
-    looks = {"cheap": ("tab:orange", "m8n"), "gnss": ("tab:blue", "f9p_single")}
-    time = 0.2 * np.arange(len(flown))
-    for name, (colour, label) in looks.items():
-        panels[0].plot(fixes[name][:, 1], fixes[name][:, 0], color=colour, lw=1.1, label=f"fix of {label}")
-        error = np.hypot(*(fixes[name] - flown)[:, :2].T)
-        panels[1].plot(time, error, color=colour, lw=1.1, label=f"{label}: error [m]")
-    panels[0].plot(flown[:, 1], flown[:, 0], color="black", lw=1.3, label="truth")
-    panels[0].set(xlabel="east [m]", ylabel="north [m]", aspect="equal", xlim=(-130, 100), ylim=(-45, 125))
-    direct, mirrored = np.array(satellites).T
-    panels[1].step(time, direct, color="tab:green", lw=1.0, where="post", label="f9p_single: satellites seen directly")
-    panels[1].step(time, mirrored, color="0.6", lw=1.0, where="post", label="f9p_single: reflections alone")
-    panels[1].set(xlabel="time [s]", ylim=(0.0, None))
-    for panel in panels:
-        panel.grid(alpha=0.3)
-        panel.legend(fontsize=8)
-    figure.savefig(IMAGES / "gnss_canyon.png", dpi=110)
+    with picture(IMAGES / "gnss_canyon.png", (11.0, 5.2), 1, 2, width_ratios=(1.25, 1.0)) as panels:
+        for obstacle in load_scenario("street_canyon").spec.model_dump()["world"]["obstacles"]:
+            panels[0].add_artist(_footprint(obstacle))
+        looks = {"cheap": ("tab:orange", "m8n"), "gnss": ("tab:blue", "f9p_single")}
+        time = 0.2 * np.arange(len(flown))
+        for name, (colour, label) in looks.items():
+            panels[0].plot(fixes[name][:, 1], fixes[name][:, 0], color=colour, lw=1.1, label=f"fix of {label}")
+            error = np.hypot(*(fixes[name] - flown)[:, :2].T)
+            panels[1].plot(time, error, color=colour, lw=1.1, label=f"{label}: error [m]")
+        panels[0].plot(flown[:, 1], flown[:, 0], color="black", lw=1.3, label="truth")
+        panels[0].set(xlabel="east [m]", ylabel="north [m]", aspect="equal", xlim=(-130, 100), ylim=(-45, 125))
+        direct, mirrored = np.array(satellites).T
+        panels[1].step(
+            time, direct, color="tab:green", lw=1.0, where="post", label="f9p_single: satellites seen directly"
+        )
+        panels[1].step(time, mirrored, color="0.6", lw=1.0, where="post", label="f9p_single: reflections alone")
+        panels[1].set(xlabel="time [s]", ylim=(0.0, None))
+        for panel in panels:
+            panel.grid(alpha=0.3)
+            panel.legend(fontsize=8)
 
 
 def run(full: bool) -> dict[str, Any]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from tests.runs.colour_vision import VISIONS, seen, smallest
 
-from evidence._colour_vision import VISIONS, seen, smallest
 from qrsim.runs import colours
 
 DOC = "smallest CIEDE2000 differences of the colours of the page, the figures and the exports"

@@ -9,22 +9,15 @@ a mean wind, and nothing random. The study takes the differences of the two path
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from tests.control.published import PublishedVelocityHeight, PublishedWaypoint, PublishedWind
 
 import qrsim
-from qrsim.control.controllers import VelocityHeightController, VelocityHeightState, WaypointController
-from qrsim.control.loops import HeightState, yaw_rate
-from qrsim.control.setpoints import Estimate, VelocityHeightSetpoint, WaypointSetpoint
-from qrsim.core.fastmath import sincos
-from qrsim.core.tree import record, replace
-from qrsim.core.vectors import AttitudeTrig, Vec3, rotation
-from qrsim.models.vehicles.process_noise import ProcessNoise
-from qrsim.models.vehicles.quadrotor import Command, Quadrotor, QuadrotorState
+from qrsim.core.tree import replace
+from qrsim.core.vectors import Vec3, rotation
 
 DOC = "what the departures of controllers and wind from the reference implementation change in a flight"
 
@@ -34,61 +27,6 @@ APART = 400.0  # m, between the vehicles
 DURATION, SPEED_20FT = 120.0, 5.0
 CORNERS = ((40.0, 0.0, -20.0), (40.0, 40.0, -30.0), (0.0, 40.0, -20.0), (0.0, 0.0, -10.0))
 WIND = {"type": "log_shear", "speed_20ft": SPEED_20FT, "wind_from_deg": 225.0}
-
-
-@record
-class PublishedWaypoint(WaypointController):
-    """The waypoint controller with u and v of the body in place of the level velocity along the heading."""
-
-    def step(
-        self, state: HeightState, estimate: Estimate, setpoint: WaypointSetpoint, dt: float
-    ) -> tuple[HeightState, Command]:
-        """Return the new state and the command (n,)."""
-        body = rotation(estimate.attitude).to_body(estimate.velocity_ned)
-        sine, cosine = sincos(estimate.attitude.yaw)
-        # What the controller turns back by the heading.
-        taken = Vec3(cosine * body.x - sine * body.y, sine * body.x + cosine * body.y, estimate.velocity_ned.z)
-        return WaypointController.step(self, state, replace(estimate, velocity_ned=taken), setpoint, dt)
-
-
-@record
-class PublishedVelocityHeight(VelocityHeightController):
-    """The velocity-height controller whose wanted velocity is level: a climb shows as a horizontal error."""
-
-    def step(
-        self, state: VelocityHeightState, estimate: Estimate, setpoint: VelocityHeightSetpoint, dt: float
-    ) -> tuple[VelocityHeightState, Command]:
-        """Return the new state and the command (n,)."""
-        level = Vec3(setpoint.velocity_north, setpoint.velocity_east, jnp.zeros_like(setpoint.velocity_north))
-        direction, limit = rotation(estimate.attitude), self.velocity.speed_limit
-        wanted = direction.to_body(level).map(lambda axis: jnp.clip(axis, -limit, limit))
-        error = wanted - direction.to_body(estimate.velocity_ned)
-        horizontal, (forward, right) = self.velocity.step(
-            state.horizontal, (error.x, error.y), level, self.tilt_limit, dt
-        )
-        height, throttle = self.height.step(state.height, estimate.position_ned.z, setpoint.z, dt)
-        turn = yaw_rate(estimate.attitude.yaw, setpoint.yaw, self.yaw_gain, self.yaw_rate_limit)
-        battery = jnp.broadcast_to(jnp.asarray(self.battery), right.shape)
-        return VelocityHeightState(horizontal, height), Command(-forward, right, throttle, turn, battery)
-
-
-@record
-class PublishedWind(Quadrotor):
-    """The quadrotor whose wind is turned into the body once a step."""
-
-    adds_position: ClassVar[bool] = True
-
-    def step(
-        self,
-        state: QuadrotorState,
-        command: Command,
-        air_velocity: Callable[[AttitudeTrig], Vec3],
-        noise: ProcessNoise,
-        dt: float,
-    ) -> tuple[QuadrotorState, Vec3]:
-        """Advance one step."""
-        air = air_velocity(AttitudeTrig.of(state.attitude))
-        return Quadrotor.step(self, state, command, lambda trig: air, noise, dt)
 
 
 def _published(name: str, fleet: Any) -> Any:

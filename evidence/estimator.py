@@ -16,6 +16,7 @@ from tests.control.kalman_rig import DT, Floats, Flown, errors, filtered, flown,
 
 from evidence import IMAGES
 from evidence._outdoors import outdoors
+from evidence._pictures import picture
 from qrsim.control.ekf import ErrorStateKalmanFilter
 from qrsim.control.kalman_state import SIZE
 from qrsim.core.tree import replace
@@ -119,21 +120,17 @@ def _summary(found: Floats, later: Floats, size: int) -> dict[str, Any]:
 
 
 def _draw(times: Floats, curves: dict[str, Floats], band: tuple[float, float]) -> None:
-    from matplotlib.figure import Figure
-
     labels = {
         "white": ("15 errors, white fixes", "#3b76f0"), "late": ("15 errors, late fixes", "#0b9e73"),
         "every": ("24 errors, white fixes", "#8a5fd0"), "every_late": ("24 errors, late fixes", "#7a7a7a"),
         "coloured": ("15 errors, coloured fixes taken for white", "#b35806"),
         "considered": ("15 errors, coloured fixes", "#d6a500"),
     }  # fmt: skip
-    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
-    axes = figure.subplots()
-    for name, found in curves.items():
-        axes.semilogy(times, found, color=labels[name][1], label=labels[name][0], lw=1.3)
-    axes.axhspan(*band, color="gray", alpha=0.3, label="95 % of a filter of 15 errors that is right")
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel("mean NEES per error [1]")
-    axes.grid(alpha=0.3, which="both")
-    axes.legend(loc="center right")
-    figure.savefig(PICTURE, dpi=110)
+    with picture(PICTURE, (8.0, 4.0)) as axes:
+        for name, found in curves.items():
+            axes.semilogy(times, found, color=labels[name][1], label=labels[name][0], lw=1.3)
+        axes.axhspan(*band, color="gray", alpha=0.3, label="95 % of a filter of 15 errors that is right")
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel("mean NEES per error [1]")
+        axes.grid(alpha=0.3, which="both")
+        axes.legend(loc="center right")

@@ -12,10 +12,10 @@ import math
 from typing import Any
 
 import numpy as np
-import scipy
 from tests.models.atmosphere import field_reference as of
 
 from evidence import IMAGES
+from evidence._pictures import picture
 from qrsim.studies.validate.statistics import against, family_summary, mean_and_error
 from qrsim.studies.validate.wind_field import LIFETIME
 from qrsim.studies.validate.wind_field import kept as remembered
@@ -58,13 +58,10 @@ def run(full: bool) -> dict[str, Any]:
         "kept": kept(),
         "wind_over_20_m": {str(h): math.log(h / 0.3048 / 0.15) / math.log(20.0 / 0.3048 / 0.15) for h in (5, 60, 120)},
         "two_points": pairs,
-        "sweep": swept(worlds),
         "lifetime": aged(worlds),
         "hover": hovering(32 if full else 4),
         "spectra": {"smallest": min(every), "largest": max(every), **levels},
         "rotation": {str(h): rotation(h, 20 if full else 5) for h in (5, 15, 60, 700)},
-        "normality": normality(200 if full else 60),
-        "independence": independence(1000 if full else 300),
         **family_summary(pairs),
     }
 
@@ -196,24 +193,6 @@ def tones(gust: Floats) -> tuple[Floats, Floats]:
     return peaks, np.sum(share < HOVER_SHARE * share[..., -1:], axis=-1) + 1
 
 
-def swept(worlds: int, sweep: float = 0.3) -> dict[str, Any]:
-    """Return the correlation of horizontal gusts with earlier ones, in the frame that moves with a frozen field."""
-    turbulence = of.component(sweep=sweep, evolution="frozen", convection_ned=[0.0, 0.0])
-    scales = of.mil(HEIGHT)
-    k, share = of.shells(float(scales.length_h), dilations=32)
-    here, found = places(20), {}
-    first, _ = of.sampled(turbulence, worlds, here)
-    for time in (1.0, 5.0, 20.0):
-        later, _ = of.sampled(turbulence, worlds, here, time)
-        products = (first * later)[:, :, :2].sum(axis=(1, 2))
-        expected = float(np.mean(np.sum(share * np.exp(-0.5 * (k * sweep * time) ** 2), axis=1) / share.sum(axis=1)))
-        found[f"after_{time:g}_s"] = {
-            "value": float(products.sum() / (first[:, :, :2] ** 2).sum()),
-            "expected": expected,
-        }
-    return found
-
-
 def spectra(height: float, worlds: int) -> dict[str, Any]:
     """Return mean spectra over the standard's in octaves of wavelength, of u, v, w at a vehicle; hover and flight."""
     turbulence = of.component(convection_ned=[CONVECTION, 0.0])
@@ -268,29 +247,8 @@ def rotation(height: float, worlds: int) -> dict[str, Any]:
     }
 
 
-def normality(worlds: int) -> dict[str, Any]:
-    """Return skewness and kurtosis of the gusts of many worlds, of each component."""
-    gust, _ = of.sampled(of.component(), worlds, places(200), seed=7)
-    return {
-        name: {
-            "skewness": float(scipy.stats.skew(gust[:, :, i].ravel())),
-            "kurtosis": float(scipy.stats.kurtosis(gust[:, :, i].ravel(), fisher=False)),
-        }
-        for i, name in enumerate(AXES)
-    }
-
-
-def independence(count: int) -> dict[str, Any]:
-    """Return correlations of the gusts of 20 worlds at the same places, of each pair of worlds and component."""
-    gust, _ = of.sampled(of.component(), 20, places(count, spread=1e4))
-    found = [np.corrcoef(gust[:, :, i])[np.triu_indices(20, 1)] for i in range(3)]
-    return {"rms": float(np.sqrt(np.mean(np.square(found)))), "largest": float(np.abs(found).max())}
-
-
 def draw_figure(worlds: int) -> None:
     """Draw correlations against distance: the field's, the closed forms, and independent gusts."""
-    from matplotlib.figure import Figure
-
     turbulence, scales = of.component(), of.mil(HEIGHT)
     r = np.geomspace(0.5, 150.0, 24)
     here = places(20)
@@ -300,52 +258,45 @@ def draw_figure(worlds: int) -> None:
         second, _ = of.sampled(turbulence, worlds, here + np.array([separation, 0.0, 0.0]))
         rows.append((first * second).mean(axis=(0, 1)) / (first**2).mean(axis=(0, 1)))
     found = np.array(rows)
-    figure = Figure(figsize=(7.0, 4.2), layout="constrained")
-    axes = figure.subplots()
-    h, w = float(scales.length_h), float(scales.length_w)
-    curves = (
-        ("along the line of two vehicles", 0, of.along(r, h), "tab:blue"),
-        ("across it, horizontal", 1, of.across(r, h), "tab:orange"),
-        ("across it, vertical", 2, of.across(r, w), "tab:green"),
-    )
-    for label, axis, closed, colour in curves:
-        axes.semilogx(r, closed, color=colour, lw=1.2)
-        axes.semilogx(r, found[:, axis], "o", ms=4, color=colour, label=label)
-    axes.axhline(0.0, color="0.4", lw=1.2, ls="--", label="gusts of each vehicle's own (dryden)")
-    axes.set_xlabel("distance of two vehicles [m]")
-    axes.set_ylabel("correlation of their gusts")
-    axes.set_title(
-        f"dryden_field, {HEIGHT:g} m above ground: lines are closed forms, dots {worlds} worlds", fontsize=10
-    )
-    axes.legend(frameon=False, fontsize=9)
-    axes.grid(alpha=0.25)
-    FIGURE.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(FIGURE, dpi=110)
+    with picture(FIGURE, (7.0, 4.2)) as axes:
+        h, w = float(scales.length_h), float(scales.length_w)
+        curves = (
+            ("along the line of two vehicles", 0, of.along(r, h), "tab:blue"),
+            ("across it, horizontal", 1, of.across(r, h), "tab:orange"),
+            ("across it, vertical", 2, of.across(r, w), "tab:green"),
+        )
+        for label, axis, closed, colour in curves:
+            axes.semilogx(r, closed, color=colour, lw=1.2)
+            axes.semilogx(r, found[:, axis], "o", ms=4, color=colour, label=label)
+        axes.axhline(0.0, color="0.4", lw=1.2, ls="--", label="gusts of each vehicle's own (dryden)")
+        axes.set_xlabel("distance of two vehicles [m]")
+        axes.set_ylabel("correlation of their gusts")
+        axes.set_title(
+            f"dryden_field, {HEIGHT:g} m above ground: lines are closed forms, dots {worlds} worlds", fontsize=10
+        )
+        axes.legend(frameon=False, fontsize=9)
+        axes.grid(alpha=0.25)
 
 
 def draw_line(apart: float = 10.0, vehicles: int = 5) -> None:
     """Draw the gusts of hovering vehicles in a line down the wind: each meets what the one before met, r/U later."""
-    from matplotlib.figure import Figure
-
     turbulence, time = of.component(convection_ned=[CONVECTION, 0.0]), np.arange(0.0, 40.0, 0.1)
-    figure = Figure(figsize=(7.5, 4.2), layout="constrained")
-    axes = figure.subplots()
-    begun = 28.0
-    for i in range(vehicles):
-        gust, _ = of.sampled(turbulence, 1, np.tile([apart * i, 0.0, -HEIGHT], (len(time), 1)), time)
-        axes.plot(time, 4.0 * i + gust[0, :, 0], color=f"C{i}", lw=1.0)
-        axes.axhline(4.0 * i, color="0.8", lw=0.6, zorder=0)
-    axes.plot(
-        begun + apart * np.arange(vehicles) / CONVECTION,
-        4.0 * np.arange(vehicles),
-        "k--",
-        lw=1.4,
-        label="distance over wind",
-    )
-    axes.set_yticks(4.0 * np.arange(vehicles), [f"{apart * i:g} m" for i in range(vehicles)])
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel("place down the wind")
-    title = f"Gusts along a wind of {CONVECTION:g} m/s at {vehicles} hovering vehicles; 4 m/s from line to line"
-    axes.set_title(title, fontsize=10)
-    axes.legend(frameon=False, fontsize=9, loc="upper right")
-    figure.savefig(LINE, dpi=110)
+    with picture(LINE, (7.5, 4.2)) as axes:
+        begun = 28.0
+        for i in range(vehicles):
+            gust, _ = of.sampled(turbulence, 1, np.tile([apart * i, 0.0, -HEIGHT], (len(time), 1)), time)
+            axes.plot(time, 4.0 * i + gust[0, :, 0], color=f"C{i}", lw=1.0)
+            axes.axhline(4.0 * i, color="0.8", lw=0.6, zorder=0)
+        axes.plot(
+            begun + apart * np.arange(vehicles) / CONVECTION,
+            4.0 * np.arange(vehicles),
+            "k--",
+            lw=1.4,
+            label="distance over wind",
+        )
+        axes.set_yticks(4.0 * np.arange(vehicles), [f"{apart * i:g} m" for i in range(vehicles)])
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel("place down the wind")
+        title = f"Gusts along a wind of {CONVECTION:g} m/s at {vehicles} hovering vehicles; 4 m/s from line to line"
+        axes.set_title(title, fontsize=10)
+        axes.legend(frameon=False, fontsize=9, loc="upper right")

@@ -17,6 +17,7 @@ import numpy as np
 from tests.models.gnss import flown_receivers as receivers
 
 from evidence import IMAGES
+from evidence._pictures import picture
 from qrsim.core.allan import overlapping_allan_deviation
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.constellations import NominalConstellations
@@ -146,39 +147,35 @@ def jamming(draw: bool = False) -> dict[str, dict[str, float]]:
 
 
 def _draw_fixes(time: Values, flown: receivers.Flown, horizontal: Values) -> None:
-    from qrsim.runs.picture import new_figure
-
-    figure = new_figure(11.0, 3.8)
-    panel: Any = figure.subplots(1, 1)
-    for i, name in enumerate(BASELINES):
-        panel.plot(time, np.median(horizontal[:, :, i], axis=1), lw=1.1, label=f"{name} km from the base")
-    panel.axvspan(*SILENT, color="0.9", label="the base is silent")
-    panel.set(xlabel="time [s]", ylabel="horizontal error, median [m]", yscale="log")
-    panel.grid(alpha=0.3, which="both")
-    panel.legend(fontsize=8)
-    figure.savefig(IMAGES / "gnss_fixes.png", dpi=110)
+    with picture(IMAGES / "gnss_fixes.png", (11.0, 3.8)) as panel:
+        for i, name in enumerate(BASELINES):
+            panel.plot(time, np.median(horizontal[:, :, i], axis=1), lw=1.1, label=f"{name} km from the base")
+        panel.axvspan(*SILENT, color="0.9", label="the base is silent")
+        panel.set(xlabel="time [s]", ylabel="horizontal error, median [m]", yscale="log")
+        panel.grid(alpha=0.3, which="both")
+        panel.legend(fontsize=8)
 
 
 def _draw_jamming(rows: list[dict[str, Any]]) -> None:
-    from qrsim.runs.picture import new_figure
-
-    figure = new_figure(6.5, 4.2)
-    panel: Any = figure.subplots(1, 1)
-    power = [1e3 * row["power_w"] for row in rows]
-    panel.fill_between(power, [row["lost_m"] for row in rows], 10.0, color="tab:red", alpha=0.25, lw=0, label="no fix")
-    panel.fill_between(
-        power,
-        [row["not_found_m"] for row in rows],
-        [row["lost_m"] for row in rows],
-        color="tab:orange",
-        alpha=0.25,
-        lw=0,
-        label="a fix is kept, but not found again",
-    )
-    panel.set(xscale="log", yscale="log", xlabel="power of the jammer [mW]", ylabel="distance [m]", ylim=(50.0, 5e4))
-    panel.grid(alpha=0.3, which="both")
-    panel.legend(fontsize=8)
-    figure.savefig(IMAGES / "gnss_jamming.png", dpi=110)
+    with picture(IMAGES / "gnss_jamming.png", (6.5, 4.2)) as panel:
+        power = [1e3 * row["power_w"] for row in rows]
+        panel.fill_between(
+            power, [row["lost_m"] for row in rows], 10.0, color="tab:red", alpha=0.25, lw=0, label="no fix"
+        )
+        panel.fill_between(
+            power,
+            [row["not_found_m"] for row in rows],
+            [row["lost_m"] for row in rows],
+            color="tab:orange",
+            alpha=0.25,
+            lw=0,
+            label="a fix is kept, but not found again",
+        )
+        panel.set(
+            xscale="log", yscale="log", xlabel="power of the jammer [mW]", ylabel="distance [m]", ylim=(50.0, 5e4)
+        )
+        panel.grid(alpha=0.3, which="both")
+        panel.legend(fontsize=8)
 
 
 def recorded_deviation(path: Path) -> Values:
@@ -242,22 +239,24 @@ def day(systems: str, draw: Any = None) -> dict[str, Any]:
 
 
 def _draw_allan(recorded: Values, low: Values, middle: Values, high: Values, runs: int) -> None:
-    from qrsim.runs.picture import new_figure
-
-    figure = new_figure(11.0, 4.2)
-    panels: Any = figure.subplots(1, 3, sharey=True)
-    windows = 0.4 * WINDOWS
-    for i, (panel, axis) in enumerate(zip(panels, AXES, strict=True)):
-        panel.fill_between(
-            windows, low[:, i], high[:, i], color="tab:blue", alpha=0.2, lw=0, label=f"gps_2011: 98 % of {runs} runs"
-        )
-        panel.plot(windows, middle[:, i], color="tab:blue", lw=1.0, label="their median")
-        panel.plot(windows, recorded[:, i], "o-", color="black", ms=3, lw=1.2, label="recorded")
-        panel.set(xscale="log", yscale="log", xlabel="averaging time [s]", title=axis)
-        panel.grid(alpha=0.3, which="both")
-    panels[0].set_ylabel("overlapping Allan deviation [m]")
-    panels[0].legend(fontsize=8)
-    figure.savefig(IMAGES / "gnss_allan.png", dpi=110)
+    with picture(IMAGES / "gnss_allan.png", (11.0, 4.2), 1, 3, sharey=True) as panels:
+        windows = 0.4 * WINDOWS
+        for i, (panel, axis) in enumerate(zip(panels, AXES, strict=True)):
+            panel.fill_between(
+                windows,
+                low[:, i],
+                high[:, i],
+                color="tab:blue",
+                alpha=0.2,
+                lw=0,
+                label=f"gps_2011: 98 % of {runs} runs",
+            )
+            panel.plot(windows, middle[:, i], color="tab:blue", lw=1.0, label="their median")
+            panel.plot(windows, recorded[:, i], "o-", color="black", ms=3, lw=1.2, label="recorded")
+            panel.set(xscale="log", yscale="log", xlabel="averaging time [s]", title=axis)
+            panel.grid(alpha=0.3, which="both")
+        panels[0].set_ylabel("overlapping Allan deviation [m]")
+        panels[0].legend(fontsize=8)
 
 
 def _days(draw: bool) -> dict[str, Any]:
@@ -265,24 +264,21 @@ def _days(draw: bool) -> dict[str, Any]:
     systems = ("G", "GE", "GERC")
     if not draw:
         return {name: day(name) for name in systems}
-    from qrsim.runs.picture import new_figure
 
-    figure = new_figure(11.0, 4.2)
-    panels: Any = figure.subplots(1, 2)
+    with picture(IMAGES / "gnss_day.png", (11.0, 4.2), 1, 2) as panels:
 
-    def add(name: str, hours: Values, count: Values, gaps: Values, dops: Values, enough: Values) -> None:
-        panels[0].step(hours, count, where="post", label=name, lw=1.1)
-        hdop = gaps.copy()
-        hdop[enough] = dops[:, 0]
-        panels[1].plot(hours, hdop, label=name, lw=1.1)
+        def add(name: str, hours: Values, count: Values, gaps: Values, dops: Values, enough: Values) -> None:
+            panels[0].step(hours, count, where="post", label=name, lw=1.1)
+            hdop = gaps.copy()
+            hdop[enough] = dops[:, 0]
+            panels[1].plot(hours, hdop, label=name, lw=1.1)
 
-    found = {name: day(name, add) for name in systems}
-    panels[0].set(xlabel="time of day [h]", ylabel="satellites above 10°")
-    panels[1].set(xlabel="time of day [h]", ylabel="HDOP", ylim=(0.0, 3.0))
-    for panel in panels:
-        panel.grid(alpha=0.3)
-        panel.legend(fontsize=8)
-    figure.savefig(IMAGES / "gnss_day.png", dpi=110)
+        found = {name: day(name, add) for name in systems}
+        panels[0].set(xlabel="time of day [h]", ylabel="satellites above 10°")
+        panels[1].set(xlabel="time of day [h]", ylabel="HDOP", ylim=(0.0, 3.0))
+        for panel in panels:
+            panel.grid(alpha=0.3)
+            panel.legend(fontsize=8)
     return found
 
 

@@ -18,6 +18,7 @@ import scipy
 
 from evidence import IMAGES
 from evidence._at_rest import compared, readings_at_rest
+from evidence._pictures import picture
 from qrsim.core.tree import cast, replace
 from qrsim.core.vectors import Vec3
 from qrsim.files.recordings import data_file
@@ -154,22 +155,24 @@ def _band_rms(series: Floats) -> Floats:
 
 def draw(rest: dict[str, Any]) -> None:
     """Write docs/images/imu_allan.png: measured and expected Allan deviations of every preset."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8.0, 3.9), layout="constrained")
     units = {"gyroscope": (3600.0 * 180.0 / math.pi, "deg/h"), "accelerometer": (1e6 / GRAVITY, "ug")}
-    for axes, kind in zip(figure.subplots(1, 2), KINDS, strict=True):
-        scale, unit = units[kind]
-        for number, (name, rows) in enumerate(rest.items()):
-            row = rows[kind]
-            axes.loglog(row["windows_s"], scale * np.array(row["expected"]), color=f"C{number}", linewidth=1.0)
-            axes.loglog(
-                row["windows_s"], scale * np.array(row["deviation"]), ".", color=f"C{number}", markersize=4, label=name
-            )
-        axes.set(title=kind, xlabel="window [s]", ylabel=f"Allan deviation [{unit}]")
-        axes.grid(True, which="major", alpha=0.3)
-    axes.legend(fontsize=7)
-    figure.savefig(IMAGES / "imu_allan.png", dpi=110)
+    with picture(IMAGES / "imu_allan.png", (8.0, 3.9), 1, 2) as panels:
+        for axes, kind in zip(panels, KINDS, strict=True):
+            scale, unit = units[kind]
+            for number, (name, rows) in enumerate(rest.items()):
+                row = rows[kind]
+                axes.loglog(row["windows_s"], scale * np.array(row["expected"]), color=f"C{number}", linewidth=1.0)
+                axes.loglog(
+                    row["windows_s"],
+                    scale * np.array(row["deviation"]),
+                    ".",
+                    color=f"C{number}",
+                    markersize=4,
+                    label=name,
+                )
+            axes.set(title=kind, xlabel="window [s]", ylabel=f"Allan deviation [{unit}]")
+            axes.grid(True, which="major", alpha=0.3)
+        axes.legend(fontsize=7)
 
 
 def run(full: bool) -> dict[str, Any]:

@@ -18,6 +18,7 @@ import qrsim
 from evidence import IMAGES
 from evidence._at_rest import compared as against_theory
 from evidence._at_rest import readings_at_rest
+from evidence._pictures import picture
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.models.sensors.earth_field import declination
@@ -94,17 +95,13 @@ def heading(name: str, flights: int, seconds: float) -> dict[str, float]:
 
 def draw(rest: dict[str, Any]) -> None:
     """Write docs/images/magnetometer_allan.png: measured and expected Allan deviations of every preset."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.2, 3.6), layout="constrained")
-    axes = figure.subplots()
-    for number, (name, row) in enumerate(rest.items()):
-        axes.loglog(row["windows_s"], row["expected"], color=f"C{number}", linewidth=1.0)
-        axes.loglog(row["windows_s"], row["deviation"], ".", color=f"C{number}", markersize=5, label=name)
-    axes.set(xlabel="window [s]", ylabel="Allan deviation [uT]")
-    axes.grid(True, which="major", alpha=0.3)
-    axes.legend(fontsize=7)
-    figure.savefig(IMAGES / "magnetometer_allan.png", dpi=110)
+    with picture(IMAGES / "magnetometer_allan.png", (5.2, 3.6)) as axes:
+        for number, (name, row) in enumerate(rest.items()):
+            axes.loglog(row["windows_s"], row["expected"], color=f"C{number}", linewidth=1.0)
+            axes.loglog(row["windows_s"], row["deviation"], ".", color=f"C{number}", markersize=5, label=name)
+        axes.set(xlabel="window [s]", ylabel="Allan deviation [uT]")
+        axes.grid(True, which="major", alpha=0.3)
+        axes.legend(fontsize=7)
 
 
 def run(full: bool) -> dict[str, Any]:

@@ -13,6 +13,7 @@ import numpy as np
 
 import qrsim
 from evidence import IMAGES
+from evidence._pictures import picture
 
 DOC = "scans among the buildings of street_canyon, against distances by shapely"
 SEED = 41
@@ -102,21 +103,22 @@ def run(full: bool) -> dict[str, Any]:
 
 def _draw(place: list[float], ranges: Values) -> None:
     from qrsim.models.sensors.scan import ray_angles
-    from qrsim.runs.picture import new_figure
     from qrsim.runs.plan import _footprint
     from qrsim.scenarios.scenario import load_scenario
 
-    figure = new_figure(7.0, 5.6)
-    panel: Any = figure.subplots()
-    for obstacle in load_scenario("street_canyon").spec.model_dump()["world"]["obstacles"]:
-        panel.add_artist(_footprint(obstacle))
-    angles = ray_angles(len(ranges), 2.0 * math.pi)
-    north, east = place[0] + ranges * np.cos(angles), place[1] + ranges * np.sin(angles)
-    for x, y in zip(east[::3], north[::3], strict=True):
-        panel.plot([place[1], x], [place[0], y], color="tab:orange", lw=0.4, alpha=0.6)
-    panel.plot(east, north, ".", color="tab:blue", ms=3.0, label=f"{np.isfinite(ranges).sum()} of {len(ranges)} rays")
-    panel.plot(place[1], place[0], "^", color="black", ms=7.0, label=f"scanner, {-place[2]:g} m high, heading north")
-    panel.set(xlabel="east [m]", ylabel="north [m]", aspect="equal", xlim=(-60, 125), ylim=(-45, 100))
-    panel.grid(alpha=0.3)
-    panel.legend(fontsize=8, loc="upper left")
-    figure.savefig(IMAGES / "scan.png", dpi=110)
+    with picture(IMAGES / "scan.png", (7.0, 5.6)) as panel:
+        for obstacle in load_scenario("street_canyon").spec.model_dump()["world"]["obstacles"]:
+            panel.add_artist(_footprint(obstacle))
+        angles = ray_angles(len(ranges), 2.0 * math.pi)
+        north, east = place[0] + ranges * np.cos(angles), place[1] + ranges * np.sin(angles)
+        for x, y in zip(east[::3], north[::3], strict=True):
+            panel.plot([place[1], x], [place[0], y], color="tab:orange", lw=0.4, alpha=0.6)
+        panel.plot(
+            east, north, ".", color="tab:blue", ms=3.0, label=f"{np.isfinite(ranges).sum()} of {len(ranges)} rays"
+        )
+        panel.plot(
+            place[1], place[0], "^", color="black", ms=7.0, label=f"scanner, {-place[2]:g} m high, heading north"
+        )
+        panel.set(xlabel="east [m]", ylabel="north [m]", aspect="equal", xlim=(-60, 125), ylim=(-45, 100))
+        panel.grid(alpha=0.3)
+        panel.legend(fontsize=8, loc="upper left")

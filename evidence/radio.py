@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 
 from evidence import IMAGES
+from evidence._pictures import picture
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast, replace
 from qrsim.core.vectors import Vec3
@@ -211,19 +212,15 @@ def aloha(load: float, periods: int) -> dict[str, float]:
 
 def draw(found: dict[str, Any]) -> None:
     """Draw what arrives over distance: laws as lines, measurements as dots."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.0, 3.6), layout="constrained")
-    axes = figure.subplots()
-    for preset, values in found.items():
-        far = np.array(list(values["distance"].values()))
-        where = np.geomspace(0.3 * far[0], 2.0 * far[-1], 300)
-        (line,) = axes.plot(where, 1.0 - closed_form(preset, where), label=preset)
-        axes.plot(far, 1.0 - np.array(list(values["loss"].values())), "o", color=line.get_color(), markersize=4)
-    axes.set(xscale="log", xlabel="distance [m]", ylabel="part of packets that arrives", ylim=(-0.02, 1.02))
-    axes.legend(frameon=False, fontsize="small")
-    axes.grid(alpha=0.3)
-    figure.savefig(IMAGE, dpi=150)
+    with picture(IMAGE, (7.0, 3.6), dpi=150) as axes:
+        for preset, values in found.items():
+            far = np.array(list(values["distance"].values()))
+            where = np.geomspace(0.3 * far[0], 2.0 * far[-1], 300)
+            (line,) = axes.plot(where, 1.0 - closed_form(preset, where), label=preset)
+            axes.plot(far, 1.0 - np.array(list(values["loss"].values())), "o", color=line.get_color(), markersize=4)
+        axes.set(xscale="log", xlabel="distance [m]", ylabel="part of packets that arrives", ylim=(-0.02, 1.02))
+        axes.legend(frameon=False, fontsize="small")
+        axes.grid(alpha=0.3)
 
 
 def run(full: bool) -> dict[str, Any]:

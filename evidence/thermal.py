@@ -8,6 +8,7 @@ import numpy as np
 from examples import thermal
 
 from evidence import IMAGES
+from evidence._pictures import picture
 
 DOC = "height gained or lost by a fixed wing with its motor off, in a thermal and out of it"
 SEED = 1
@@ -23,23 +24,19 @@ COLOURS = {"centred": "tab:blue", "circling": "tab:orange", "still_air": "0.5"}
 
 def draw(glides: dict[str, Any]) -> None:
     """Write docs/images/thermal.png: the way of the centred glide, and the heights of all."""
-    from qrsim.runs.picture import new_figure
-
-    figure = new_figure(11.0, 4.8)
-    seen, heights = figure.subplots(1, 2)
-    way = glides["centred"]["position"]
-    points = seen.scatter(way[:, 1], way[:, 0], c=-way[:, 2], s=2.0, cmap="viridis")
-    seen.plot(0.0, 0.0, "k+", markersize=10, label="thermal at the start")
-    seen.set(xlabel="east [m]", ylabel="north [m]", aspect="equal", title="the way of the centring wing")
-    seen.legend(loc="upper left")
-    figure.colorbar(points, ax=seen, label="height [m]")
-    for name, glide in glides.items():
-        heights.plot(glide["time"], -glide["position"][:, 2], color=COLOURS[name], label=WORDS[name])
-    heights.set(xlabel="time [s]", ylabel="height [m]", ylim=(0.0, None), title="motor off, from 300 m")
-    heights.legend(loc="upper left")
-    for axes in (seen, heights):
-        axes.grid(alpha=0.3)
-    figure.savefig(PICTURE, dpi=90)
+    with picture(PICTURE, (11.0, 4.8), 1, 2, dpi=90) as (seen, heights):
+        way = glides["centred"]["position"]
+        points = seen.scatter(way[:, 1], way[:, 0], c=-way[:, 2], s=2.0, cmap="viridis")
+        seen.plot(0.0, 0.0, "k+", markersize=10, label="thermal at the start")
+        seen.set(xlabel="east [m]", ylabel="north [m]", aspect="equal", title="the way of the centring wing")
+        seen.legend(loc="upper left")
+        seen.figure.colorbar(points, ax=seen, label="height [m]")
+        for name, glide in glides.items():
+            heights.plot(glide["time"], -glide["position"][:, 2], color=COLOURS[name], label=WORDS[name])
+        heights.set(xlabel="time [s]", ylabel="height [m]", ylim=(0.0, None), title="motor off, from 300 m")
+        heights.legend(loc="upper left")
+        for axes in (seen, heights):
+            axes.grid(alpha=0.3)
 
 
 def run(full: bool) -> dict[str, Any]:

@@ -12,11 +12,12 @@ from typing import Any
 import jax
 
 from qrsim.core.host import evaluate
+from qrsim.core.operators import make_jaxpr
 
 
 def by_numpy(function: Callable[..., Any], each: Sequence[Sequence[Any]]) -> list[Any]:
     """Return the results of a function for several lists of arguments of the same shapes; it is traced once."""
-    closed, shape = jax.make_jaxpr(function, return_shape=True)(*each[0])
+    closed, shape = make_jaxpr(function, return_shape=True)(*each[0])
     results = [evaluate(closed, jax.tree.leaves(arguments)) for arguments in each]
     return [jax.tree.unflatten(jax.tree.structure(shape), leaves) for leaves in results]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import shlex
 import sys
@@ -15,6 +16,7 @@ import qrsim
 from qrsim import cli
 from qrsim.engine.programs import forget
 from qrsim.scenarios.reading import built_in_names
+from qrsim.studies.sweep.sweeping import sweep_here
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -35,6 +37,8 @@ def blocks(language: str) -> list[tuple[str, str]]:
 DEAR = ("docs/gallery/learn_to_hover.md-1", "docs/gallery/winds.md-1")
 # Pages whose Python blocks belong together, in their order.
 TOGETHER = ("docs/start/field_day.md",)
+# Numbers of flights in examples, and fewer that the long tier flies; the nightly one flies them as they are.
+FEWER = {"docs/start/field_day.md": (("SEEDS = 30", "SEEDS = 4"), ('"--seeds", "10"', '"--seeds", "2"'))}
 
 
 def examples(language: str) -> list[Any]:
@@ -45,8 +49,22 @@ def examples(language: str) -> list[Any]:
         each = [(name, text) for name, text in each if not name.startswith(f"{page}-")] + [(page, whole)]
     for name, text in each:
         marks = () if name.startswith("README") else (pytest.mark.nightly if name in DEAR else pytest.mark.long,)
+        if name in FEWER:
+            cases.append(pytest.param(name, text, id=f"{name}-whole", marks=pytest.mark.nightly))
+        for given, fewer in FEWER.get(name, ()):
+            assert text.count(given) == 1, f"{name} has no {given!r}"
+            text = text.replace(given, fewer)
         cases.append(pytest.param(name, text, id=name, marks=marks))
     return cases
+
+
+@pytest.fixture(autouse=True)
+def _sweeps_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fly sweeps in this process; tests/studies/sweep/test_workers.py starts processes of its own."""
+    monkeypatch.setattr("qrsim.studies.sweep.cluster.workers_of", lambda *asked: contextlib.nullcontext())
+    monkeypatch.setattr(
+        "qrsim.studies.sweep.sweeping.sweep", lambda plan, store, client, progress: sweep_here(plan, store, progress)
+    )
 
 
 def test_the_pages_have_examples() -> None:
@@ -112,12 +130,13 @@ def stopped(source: str, seeds: int) -> set[str]:
     return {why for world in range(seeds) for why in flown.reasons(world) if why}
 
 
+@pytest.mark.parametrize("seeds", [4, pytest.param(20, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize(("name", "text"), examples("yaml"))
-def test_scenario_flies(name: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twenty seeds, and nobody stops."""
+def test_scenario_flies(name: str, text: str, seeds: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody stops with any of these seeds."""
     monkeypatch.chdir(tmp_path)
     Path("example.yaml").write_text(text, "utf-8")
-    assert stopped("example.yaml", 20) == set()
+    assert stopped("example.yaml", seeds) == set()
 
 
 @pytest.mark.nightly

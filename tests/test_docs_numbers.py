@@ -190,7 +190,7 @@ class TestRunner:
 
     def test_studies_are_found(self):
         known = runner.studies()
-        assert {"noise", "recordings"} <= set(known)
+        assert {"imu", "recordings"} <= set(known)
         assert all(callable(module.run) and module.DOC.strip() for module in known.values())
 
     def test_a_report_has_its_keys(self, tmp_path: Path):
@@ -249,7 +249,7 @@ class TestRunner:
         assert [path.name for path in tmp_path.iterdir()] == ["good.json"]
 
     def test_an_unknown_name_runs_nothing(self, tmp_path: Path, capsys):
-        assert runner.main(["noise", "recordigns"], tmp_path) == 2
+        assert runner.main(["imu", "recordigns"], tmp_path) == 2
         assert capsys.readouterr().err == "error: no study named 'recordigns'; did you mean 'recordings'?\n"
         assert list(tmp_path.iterdir()) == []
 
@@ -306,7 +306,7 @@ class TestRunner:
         revision = git("rev-parse", "--short", "HEAD")
         assert runner.commit(tmp_path) == revision
         (tmp_path / "docs" / "evidence").mkdir(parents=True)
-        (tmp_path / "docs" / "evidence" / "noise.json").write_text("{}", encoding="utf-8")
+        (tmp_path / "docs" / "evidence" / "imu.json").write_text("{}", encoding="utf-8")
         assert runner.commit(tmp_path) == revision
         (tmp_path / "docs" / "images").mkdir()
         (tmp_path / "docs" / "images" / "a.png").write_bytes(b"")

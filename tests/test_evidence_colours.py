@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from evidence import colours as study
-from evidence._colour_vision import ciede2000, linear, seen
+from tests.runs.colour_vision import ciede2000, linear, seen
 
 from qrsim.runs import colours
 from qrsim.runs.export import kml

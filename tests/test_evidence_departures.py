@@ -1,4 +1,4 @@
-"""The variants of evidence/departures.py are what was published, and its small form finds what the page shows."""
+"""The variants of tests/control/published.py are what was published; the study of them finds what the page shows."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import pytest
 from evidence import departures
+from tests.control.published import PublishedVelocityHeight, PublishedWaypoint, PublishedWind
 
 from qrsim.control.controllers import VelocityHeightController, WaypointController
 from qrsim.control.setpoints import Estimate, VelocityHeightSetpoint, WaypointSetpoint
@@ -26,13 +27,13 @@ def pitch_of(controller, setpoint) -> float:
 
 def test_the_published_waypoint_controller_takes_a_climb_for_speed() -> None:
     setpoint = WaypointSetpoint.of([[0.0, 0.0, -10.0]])
-    assert pitch_of(departures.PublishedWaypoint(), setpoint) == pytest.approx(0.09 * 0.591040, rel=1e-5)
+    assert pitch_of(PublishedWaypoint(), setpoint) == pytest.approx(0.09 * 0.591040, rel=1e-5)
     assert pitch_of(WaypointController(), setpoint) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_the_published_velocity_height_controller_takes_a_climb_for_an_error() -> None:
     setpoint = VelocityHeightSetpoint.of([[0.0, 0.0]], -10.0)
-    assert pitch_of(departures.PublishedVelocityHeight(), setpoint) == pytest.approx(0.25 * 0.591040, rel=1e-5)
+    assert pitch_of(PublishedVelocityHeight(), setpoint) == pytest.approx(0.25 * 0.591040, rel=1e-5)
     assert pitch_of(VelocityHeightController(), setpoint) == pytest.approx(0.0, abs=1e-6)
 
 
@@ -49,7 +50,7 @@ def test_the_published_wind_does_not_turn_within_a_step() -> None:
         return float(moved.velocity_body.z[0])
 
     expected = 0.5 * 0.02 * 1.35341 * 0.1999867
-    assert down(Quadrotor()) - down(departures.PublishedWind()) == pytest.approx(expected, rel=1e-3)
+    assert down(Quadrotor()) - down(PublishedWind()) == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.long

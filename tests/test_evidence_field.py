@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 from evidence import field as study
+from tests.models.atmosphere import field_reference as of
 
 
 @pytest.mark.long
@@ -33,8 +35,6 @@ def test_the_field_has_the_closed_forms_of_isotropic_turbulence(found: dict[str,
         if "standard" in row:
             # The set of waves is this close to the standard's form; the mean over worlds is tested above.
             assert row["expected"] == pytest.approx(row["standard"], abs=0.03 if "w" in name else 0.006), name
-    for name, row in found["sweep"].items():
-        assert row["value"] == pytest.approx(row["expected"], abs=0.03), name
     # 100 worlds of 20 places, 32 waves of equal amplitude at most: a standard error below 0.02.
     for name, row in found["lifetime"].items():
         assert row["value"] == pytest.approx(row["expected"], abs=0.06), name
@@ -51,12 +51,6 @@ def test_the_field_has_the_closed_forms_of_isotropic_turbulence(found: dict[str,
         for name in "pqr":
             assert row[name]["correlation"] > least
             assert row[name]["rms_rad_s"] == pytest.approx(row[name]["exact_rms_rad_s"], rel=0.06)
-    for row in found["normality"].values():
-        assert abs(row["skewness"]) < 0.08
-        assert 2.85 < row["kurtosis"] < 3.1
-    # 300 places: unrelated series have a standard deviation of 0.058.
-    assert found["independence"]["rms"] < 1.3 / math.sqrt(300.0)
-    assert found["independence"]["largest"] < 5.0 / math.sqrt(300.0)
 
 
 @pytest.mark.nightly
@@ -83,3 +77,53 @@ def test_what_is_kept_of_the_variance_and_how_the_wind_grows() -> None:
     assert kept["dryden"]["3"]["vertical"] == pytest.approx(0.860, abs=0.003)
     assert kept["von_karman"]["15"]["vertical"] == pytest.approx(1.0 - 1.4527 / (3.839 * 20.08) ** (2 / 3), abs=0.01)
     assert kept["von_karman"]["15"]["vertical"] < kept["dryden"]["15"]["vertical"]
+
+
+@pytest.mark.nightly
+def test_gusts_are_normal_independent_between_worlds_and_forgotten_by_the_sweep() -> None:
+    for name, row in swept(100).items():
+        assert row["value"] == pytest.approx(row["expected"], abs=0.03), name
+    for row in normality(60).values():
+        assert abs(row["skewness"]) < 0.08
+        assert 2.85 < row["kurtosis"] < 3.1
+    # 300 places: unrelated series have a standard deviation of 0.058.
+    found = independence(300)
+    assert found["rms"] < 1.3 / math.sqrt(300.0)
+    assert found["largest"] < 5.0 / math.sqrt(300.0)
+
+
+def swept(worlds: int, sweep: float = 0.3) -> dict[str, Any]:
+    """Return the correlation of horizontal gusts with earlier ones, in the frame that moves with a frozen field."""
+    turbulence = of.component(sweep=sweep, evolution="frozen", convection_ned=[0.0, 0.0])
+    scales = of.mil(study.HEIGHT)
+    k, share = of.shells(float(scales.length_h), dilations=32)
+    here, found = study.places(20), {}
+    first, _ = of.sampled(turbulence, worlds, here)
+    for time in (1.0, 5.0, 20.0):
+        later, _ = of.sampled(turbulence, worlds, here, time)
+        products = (first * later)[:, :, :2].sum(axis=(1, 2))
+        expected = float(np.mean(np.sum(share * np.exp(-0.5 * (k * sweep * time) ** 2), axis=1) / share.sum(axis=1)))
+        found[f"after_{time:g}_s"] = {
+            "value": float(products.sum() / (first[:, :, :2] ** 2).sum()),
+            "expected": expected,
+        }
+    return found
+
+
+def normality(worlds: int) -> dict[str, Any]:
+    """Return skewness and kurtosis of the gusts of many worlds, of each component."""
+    gust, _ = of.sampled(of.component(), worlds, study.places(200), seed=7)
+    return {
+        name: {
+            "skewness": float(scipy.stats.skew(gust[:, :, i].ravel())),
+            "kurtosis": float(scipy.stats.kurtosis(gust[:, :, i].ravel(), fisher=False)),
+        }
+        for i, name in enumerate(study.AXES)
+    }
+
+
+def independence(count: int) -> dict[str, Any]:
+    """Return correlations of the gusts of 20 worlds at the same places, of each pair of worlds and component."""
+    gust, _ = of.sampled(of.component(), 20, study.places(count, spread=1e4))
+    found = [np.corrcoef(gust[:, :, i])[np.triu_indices(20, 1)] for i in range(3)]
+    return {"rms": float(np.sqrt(np.mean(np.square(found)))), "largest": float(np.abs(found).max())}

@@ -163,7 +163,7 @@ class Description(Tabled):
 
 
 def describe(kind: str) -> Description:
-    """Return what a kind of component has: attributes and methods, with shapes and units.
+    """Return the attributes and methods of a kind of component as text, with shapes and units.
 
     Args:
         kind: one of ``KINDS``, such as "sensor".
@@ -183,7 +183,7 @@ def _abstract(contract: type) -> frozenset[str]:
 
 
 def _attributes(doc: str) -> dict[str, str]:
-    """Return what a docstring says of each attribute."""
+    """Return attribute -> its description in a docstring."""
     _, _, section = doc.partition("\nAttributes:\n")
     found: dict[str, str] = {}
     names: list[str] = []

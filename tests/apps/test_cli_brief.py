@@ -84,18 +84,24 @@ def test_a_good_operation_is_a_go_and_a_stopped_brief_goes_on(
     assert "<script" not in page
     assert "http" not in page
     assert len(page) < 2_000_000
-    # Again it flies nothing; flown at once it is the same to the bit.
-    numbers = (file.parent / "out" / "brief.json").read_bytes()
-    brief(file)
-    assert (file.parent / "out" / "brief.json").read_bytes() == numbers
-    other = write(tmp_path / "at_once")
-    brief(other)
-    assert (other.parent / "out" / "brief.json").read_text().replace("at_once", "good") == numbers.decode()
     # Another operation does not go into its folder.
     write_plan(file.parent / "a.plan", fence=WIDE)
     file.write_text(file.read_text().replace("speed: 4", "speed: 5"))
     assert cli.main(["brief", str(file), "--out", str(file.parent / "out")]) == 2
     assert "wind.speed: 5.0 here, 4.0 there" in capsys.readouterr().err
+
+
+@pytest.mark.nightly
+def test_a_stopped_brief_has_the_numbers_of_one_flown_at_once(tmp_path: Path) -> None:
+    """To the bit; and a complete one flies nothing when it is asked for again."""
+    file, other = write(tmp_path / "good"), write(tmp_path / "at_once")
+    brief(file, "--minutes", "0.0001")
+    brief(file)
+    numbers = (file.parent / "out" / "brief.json").read_bytes()
+    brief(file)
+    assert (file.parent / "out" / "brief.json").read_bytes() == numbers
+    brief(other)
+    assert (other.parent / "out" / "brief.json").read_text().replace("at_once", "good") == numbers.decode()
 
 
 @pytest.mark.nightly
@@ -112,8 +118,8 @@ def test_a_window_spreads_the_starts(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert all("'start_time=\"2026-05-01T10:" in each["command"] for each in found["worst"])
 
 
-@pytest.mark.long
-def test_planted_failures_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.nightly
+def test_a_fence_beside_the_leg_is_a_no_go(tmp_path: Path) -> None:
     near = [(-60.0, -60.0), (-60.0, 1.2), (80.0, 1.2), (80.0, -60.0)]
     code, found = brief(write(tmp_path / "fence", fence=near))
     assert (code, found["verdict"]) == (1, "no-go")
@@ -122,6 +128,9 @@ def test_planted_failures_are_found(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert row["worst"]["leg"] in (1, 2, 3)
     assert row["worst"]["at_s"] > 0.0
 
+
+@pytest.mark.long
+def test_a_mast_on_the_leg_and_a_small_pack_are_no_goes(tmp_path: Path) -> None:
     code, found = brief(write(tmp_path / "mast", mast=ON_THE_LEG))
     assert (code, found["verdict"]) == (1, "no-go")
     assert " runs lost (" in found["why"]
@@ -135,6 +144,9 @@ def test_planted_failures_are_found(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert (code, rows(found)["finished"]["verdict"]) == (1, "no-go")
     assert found["shares"]["failsafes"]["share"] > 0.9
 
+
+@pytest.mark.nightly
+def test_a_wind_beyond_what_it_holds_is_a_no_go(tmp_path: Path) -> None:
     code, found = brief(write(tmp_path / "wind", wind={"speed": 35, "from": 250}, criteria={"wind_limit": 12}))
     assert (code, found["verdict"]) == (1, "no-go")
     assert rows(found)["wind"]["verdict"] == "no-go"

@@ -160,6 +160,7 @@ def test_two_pages_of_one_run_and_their_end(flown: Flight):
     addresses = []
     for page in pages:
         assert page.stdout is not None
+        assert page.stdout.readline().startswith("loading run: http://127.0.0.1:")
         line = page.stdout.readline()
         assert line.startswith("outdoor_patrol, seed 3, 5 vehicles, 10 s: http://127.0.0.1:")
         addresses.append(line.split(": ")[1].split()[0])

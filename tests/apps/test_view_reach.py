@@ -89,6 +89,8 @@ def replay(flown: Flight, browser: Browser) -> Iterator[Replay]:
     stop.set()
     clock.close()
     playing.join(10.0)
+    # A server waits for seconds for the browsers that look at it.
+    browser.open("about:blank")
     server.stop()
 
 
@@ -111,6 +113,7 @@ def test_the_page_says_that_the_flight_has_ended_and_replays_it(tmp_path: Path, 
         eventually(lambda: not clock.playing)
         # The clock stops before the last frame is drawn.
         eventually(lambda: replayed.scene.frame is not None and replayed.scene.frame.time == pytest.approx(3.0))
+        browser.open("about:blank")
 
 
 def test_keys_go_through_a_replay(replay: Replay, browser: Browser):

@@ -10,9 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from evidence import noise as study
+from tests.core import noise_statistics as study
 
 from qrsim.core.noise import Draw, Key, Stream, ou_decay, ou_step, threefry2x32
+from qrsim.studies.validate.statistics import family_summary, p_values
 
 F32 = jnp.dtype(jnp.float32)
 # Low and high word, as a program is given a seed that it is not compiled for.
@@ -60,8 +61,8 @@ def base(keys: Stream) -> np.ndarray[Any, Any]:
 
 @pytest.fixture(scope="module")
 def small() -> dict[str, Any]:
-    """The small form of the study."""
-    return study.run(full=False)
+    """The statistics of few draws."""
+    return study.family(full=False)
 
 
 class TestGenerator:
@@ -251,12 +252,17 @@ class TestStatistics:
         assert found["statistics"] == 15
         assert found["smallest_p"] > found["p_limit"], found
 
+    @pytest.mark.nightly
+    def test_many_draws(self):
+        for name, found in study.family(full=True).items():
+            assert found["smallest_p"] > found["p_limit"], (name, found)
+
     def test_the_moments_would_show_a_fault(self):
         good = study.draw("process", (4, 512, 64))
-        limit = study.family_summary(study.moments(good))["p_limit"]
-        assert min(study.p_values(study.moments(good))) > limit
+        limit = family_summary(study.moments(good))["p_limit"]
+        assert min(p_values(study.moments(good))) > limit
         for bad in (1.02 * good, good + np.float32(0.02), np.clip(good, -3.0, 3.0), good + 0.03 * (good**2 - 1.0)):
-            assert min(study.p_values(study.moments(bad))) < limit
+            assert min(p_values(study.moments(bad))) < limit
 
     def test_the_distribution_test_would_show_a_fault(self):
         good = study.draw("process", (4, 512, 64))
@@ -266,7 +272,7 @@ class TestStatistics:
 
     def test_the_correlations_would_show_a_fault(self):
         x, y, z = study.draw("process", (3, 512, 64))
-        assert min(study.p_values(study.correlation(x, y))) > 0.001 / 2
+        assert min(p_values(study.correlation(x, y))) > 0.001 / 2
         # A shared component of 3 % shows in the product, a shared magnitude only in the squares.
         assert study.correlation(x, 0.03 * x + y)["linear"]["p"] < 0.001 / 2
         shared = study.correlation(x * np.sign(y) * np.sign(z), np.abs(x) * np.sign(y))

@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,7 @@ def temporary_files(folder: Path) -> list[Path]:
 
 KILLED = """
 import sys
+import threading
 sys.path.insert(0, sys.argv[2])
 from small_run import COLUMNS, STEP, VEHICLES, append_chunk
 from qrsim.runs import RunInfo, RunWriter
@@ -399,3 +401,32 @@ def test_rows_that_are_no_grid_have_no_arrays(three_parts: Path, tmp_path: Path,
     with pytest.raises(RunError, match="not one per vehicle at each tick"):
         run["truth"]["thrust"]
     assert run.table("truth").num_rows == 36
+
+
+def test_a_flight_waits_for_a_disk_that_is_slower_than_it(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk takes nothing for now: one batch is with it, the next one is full, and no third one begins."""
+    writer, disk, appended = start(flush_rows=24), threading.Event(), []
+    plain = writer._write
+
+    def slow(batch: Any) -> None:
+        assert disk.wait(30.0)
+        plain(batch)
+
+    monkeypatch.setattr(writer, "_write", slow)
+
+    def fly() -> None:
+        with writer:
+            for number in range(10):
+                # A batch: two streams, three vehicles and four ticks.
+                append_chunk(writer, 4 * number)
+                appended.append(number)
+
+    flight = threading.Thread(target=fly)
+    flight.start()
+    flight.join(0.3)
+    assert flight.is_alive()
+    assert len(appended) <= 2
+    assert max(len(buffer.pending) for buffer in writer._buffers.values()) <= 2
+    disk.set()
+    flight.join(30.0)
+    assert_recorded(open_run(writer.folder), 40)

@@ -165,7 +165,7 @@ def test_it_can_be_left_out() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("vehicle", ["pelican", "multirotor"])
+@pytest.mark.parametrize("vehicle", ["pelican", pytest.param("multirotor", marks=pytest.mark.nightly)])
 def test_who_hovers_below_another_sinks(vehicle: str) -> None:
     sunk = []
     for downwash in ("felt", "ignored"):

@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import tyro
 
@@ -61,6 +61,9 @@ def _spec(parse: Any) -> object:
 # Annotations of options: a required time, and an optional one.
 SECONDS = _spec(lambda words: seconds_of(words[0]))
 OPTIONAL_SECONDS = _spec(_optional)
+# Types of options: one that can be given several times, and the duration of a flight.
+Repeated = tyro.conf.UseAppendAction[list[str]]
+Duration = Annotated[float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: the scenario's)")]
 
 
 def check_seed(seed: int, option: str = "--seed", runs: int = 0) -> None:

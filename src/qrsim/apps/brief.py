@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from qrsim.apps import progress_bar
+from qrsim.apps import Repeated, progress_bar
 from qrsim.errors import RunError, UsageError, os_error_as
 
 if TYPE_CHECKING:
@@ -49,9 +49,9 @@ class Brief:
 
     operation: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="OPERATION")]
     """Plans, or one operation's YAML file."""
-    vehicle: Annotated[
-        tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME", help_behavior_hint="(for plans)")
-    ] = field(default_factory=list)
+    vehicle: Annotated[Repeated, tyro.conf.arg(metavar="NAME", help_behavior_hint="(for plans)")] = field(
+        default_factory=list
+    )
     """Model or .yaml file of the vehicle; PLAN=NAME for each plan, several times."""
     wind: Annotated[str | None, tyro.conf.arg(metavar="SPEED@FROM", help_behavior_hint="(for plans)")] = None
     """Forecast at 10 m, in m/s (or kn, km/h), and the bearing that it comes from, in degrees; or a weather file."""

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import tyro
 
+from qrsim.apps import Repeated
 from qrsim.errors import UsageError
 
 
@@ -36,9 +37,9 @@ class Compare:
     """Run folder to compare with."""
     tolerance: Annotated[float, tyro.conf.arg(metavar="X")] = 0.0
     """Floating-point values this close are the same, in the unit of each quantity; flags and counts must be equal."""
-    stream: Annotated[
-        tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")
-    ] = field(default_factory=list)
+    stream: Annotated[Repeated, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")] = field(
+        default_factory=list
+    )
     """Compare only this stream; can be given several times."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE")] = None
     """Picture to write, .png, .pdf or .svg: both plans, and the distance between the two tracks of each vehicle over

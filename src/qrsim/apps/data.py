@@ -8,12 +8,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from qrsim.errors import RunError
 from qrsim.files import recordings
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 
 @dataclass(frozen=True)
@@ -127,7 +130,7 @@ def _progress_bar(name: str) -> Iterator[_RichBar | None]:
 class _RichBar:
     """A rich progress task with the four members that pooch calls."""
 
-    def __init__(self, progress: Any, name: str) -> None:
+    def __init__(self, progress: Progress, name: str) -> None:
         self._progress = progress
         self._task = progress.add_task(name, total=None)
         self._total = 0

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from qrsim.apps import OPTIONAL_SECONDS, SECONDS
+from qrsim.apps import OPTIONAL_SECONDS, SECONDS, Repeated
 from qrsim.errors import LogError, UsageError, did_you_mean
 
 if TYPE_CHECKING:
@@ -53,9 +53,7 @@ class Identify:
     """Vehicle written by this command, for the start values."""
     mass: Annotated[str | None, tyro.conf.arg(metavar="KG[:STD]", help_behavior_hint="(default: 1.68)")] = None
     """Take-off mass; with a standard deviation it is estimated about this value."""
-    prior: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME=VALUE:STD")] = field(
-        default_factory=list
-    )
+    prior: Annotated[Repeated, tyro.conf.arg(metavar="NAME=VALUE:STD")] = field(default_factory=list)
     """Prior of a constant; can be given several times."""
     delay: Annotated[float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: estimated)")] = None
     """Delay of the commands."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from qrsim.apps import check_seed
+from qrsim.apps import Repeated, check_seed
 from qrsim.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
@@ -53,9 +53,7 @@ class Mavlink:
     """Simulated seconds per second of the wall clock."""
     seed: int = 0
     """Seed of the episode."""
-    set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
-        default_factory=list
-    )
+    set: Annotated[Repeated, tyro.conf.arg(metavar="PATH=VALUE")] = field(default_factory=list)
     """Change one value of the scenario; can be given several times."""
     flavour: Annotated[str, tyro.conf.arg(metavar="px4|ardupilot")] = "px4"
     """Autopilot whose mode numbers are used."""
@@ -82,9 +80,7 @@ class Mavlink:
     vehicle has a set-point newer than the last ATTITUDE sent to its client, so that runs are bit-identical."""
     respawn: bool = False
     """Return a crashed or collided vehicle to its start after 3 s; without this option, a reboot does so."""
-    injectable: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME|all")] = field(
-        default_factory=list
-    )
+    injectable: Annotated[Repeated, tyro.conf.arg(metavar="NAME|all")] = field(default_factory=list)
     """Let clients inject failures (INJECT_FAILURE, with SYS_FAILURE_EN set to 1): name of a sensor, rotors,
     battery, radio, body, or all; can be given several times."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: not recorded)")] = None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from qrsim.apps import OPTIONAL_SECONDS
+from qrsim.apps import OPTIONAL_SECONDS, Repeated
 from qrsim.errors import UsageError
 
 if TYPE_CHECKING:
@@ -44,15 +44,13 @@ class Plot:
 
     run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
     """Run folder."""
-    panel: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="QUANTITY[,QUANTITY...]")] = field(
-        default_factory=list
-    )
+    panel: Annotated[Repeated, tyro.conf.arg(metavar="QUANTITY[,QUANTITY...]")] = field(default_factory=list)
     """Draw these quantities, of one unit, in a panel; a vector gets a panel for each axis. Repeat the option for more
     panels. 'sky' draws the sky over a vehicle whose receiver has per_satellite: true; 'estimate' the errors of the
     estimate, with 3 std; 'radio' the radio links, delivery and connectivity."""
-    vehicle: Annotated[
-        tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")
-    ] = field(default_factory=list)
+    vehicle: Annotated[Repeated, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")] = field(
+        default_factory=list
+    )
     """Draw only this vehicle in the panels; can be given several times."""
     start: Annotated[_Seconds, tyro.conf.arg(name="from")] = None
     """Begin of the panels."""

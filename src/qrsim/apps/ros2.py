@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from qrsim.apps import OPTIONAL_SECONDS, SECONDS, check_seed
+from qrsim.apps import OPTIONAL_SECONDS, SECONDS, Repeated, check_seed
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.extras import require
 
@@ -77,9 +77,7 @@ class Ros2:
     """Largest rate of estimates, TF and truth; sensors have their own rates."""
     seed: int = 0
     """Seed of the episode."""
-    set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
-        default_factory=list
-    )
+    set: Annotated[Repeated, tyro.conf.arg(metavar="PATH=VALUE")] = field(default_factory=list)
     """Change one value of the scenario; can be given several times."""
     distro: Annotated[str, tyro.conf.arg(metavar="NAME")] = "jazzy"
     """Distribution of the other nodes: humble, iron, jazzy, kilted or lyrical."""
@@ -89,9 +87,7 @@ class Ros2:
     """Publish sensors with reliable QoS, for nodes that require it."""
     hold: Annotated[float, SECONDS] = 0.5
     """Time without a velocity or an attitude until a vehicle flown by them holds its position."""
-    injectable: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME|all")] = field(
-        default_factory=list
-    )
+    injectable: Annotated[Repeated, tyro.conf.arg(metavar="NAME|all")] = field(default_factory=list)
     """Let nodes inject faults by /qrsim/control: name of a sensor, rotors, battery, radio, body, or all; can be
     given several times."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: not recorded)")] = None

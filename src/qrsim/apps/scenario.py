@@ -7,6 +7,8 @@ from typing import Annotated
 
 import tyro
 
+from qrsim.apps import Repeated
+
 
 @dataclass(frozen=True)
 class List:
@@ -79,9 +81,7 @@ class Show:
 
     scenario: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SCENARIO")] = "outdoor_patrol"
     """Name (see 'qrsim list') or YAML file."""
-    set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
-        default_factory=list
-    )
+    set: Annotated[Repeated, tyro.conf.arg(metavar="PATH=VALUE")] = field(default_factory=list)
     """Change one value of the scenario; can be given several times."""
     json: bool = False
     """Print JSON instead, without derived values unless --derived is given."""

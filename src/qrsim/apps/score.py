@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from qrsim.apps import progress_bar
+from qrsim.apps import Repeated, progress_bar
 from qrsim.errors import UsageError
+from qrsim.files import Content
 
 if TYPE_CHECKING:
     from qrsim.envs.functional import Functional
@@ -44,17 +45,17 @@ class Score:
 
     task: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="TASK")]
     """Name of a scenario with a task, or a YAML file."""
-    policy: Annotated[
-        tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="POLICY", help_behavior_hint="(default: none)")
-    ] = field(default_factory=list)
+    policy: Annotated[Repeated, tyro.conf.arg(metavar="POLICY", help_behavior_hint="(default: none)")] = field(
+        default_factory=list
+    )
     """Policy to fly; can be given several times. The others are compared with the first."""
     seeds: int = 20
     """Number of episodes."""
     first_seed: int = 0
     """Seed of the first episode; the others follow."""
-    set: Annotated[
-        tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE", help_behavior_hint="(default: none)")
-    ] = field(default_factory=list)
+    set: Annotated[Repeated, tyro.conf.arg(metavar="PATH=VALUE", help_behavior_hint="(default: none)")] = field(
+        default_factory=list
+    )
     """Change one value of the scenario; can be given several times."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE")] = None
     """Picture to write, .png, .pdf or .svg: all returns, and an episode of the first policy."""
@@ -91,7 +92,7 @@ class Score:
             save_picture(lambda: draw_scores(batch.functional.name, found), self.out)
         self._tell(batch.functional.name, found, kept)
 
-    def _makers(self, functional: Functional) -> dict[str, Any]:
+    def _makers(self, functional: Functional) -> Content:
         """Return policy name -> function that builds the policy."""
         from qrsim.envs import VERSION
         from qrsim.envs.scoring import BASELINE, BUILT_IN, HOVER, maker
@@ -166,7 +167,7 @@ class Score:
             print(f"dataset: {kept}, minari.load_dataset('{self.dataset}')")
 
 
-def _row(each: Any, first: Any) -> dict[str, Any]:
+def _row(each: Any, first: Any) -> Content:
     """Return the scores of a policy as a dict for JSON, with the difference from the first policy."""
     from qrsim.envs.scoring import Interval
 

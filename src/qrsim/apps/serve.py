@@ -7,13 +7,14 @@ import math
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from qrsim.apps import SECONDS, check_seed
+from qrsim.apps import SECONDS, Repeated, check_seed
 from qrsim.errors import RunError, UsageError, did_you_mean, nearest, os_error_as
 from qrsim.extras import require
+from qrsim.files import Content
 
 if TYPE_CHECKING:
     from qrsim.links.reference.roles import Options
@@ -78,13 +79,9 @@ class Serve:
     printed."""
     idle_timeout: Annotated[float, SECONDS] = 1800.0
     """End the session of a client that has sent no request for this time; 0: never."""
-    set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
-        default_factory=list
-    )
+    set: Annotated[Repeated, tyro.conf.arg(metavar="PATH=VALUE")] = field(default_factory=list)
     """Change one value of SCENARIO; can be given several times."""
-    injectable: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME|all")] = field(
-        default_factory=list
-    )
+    injectable: Annotated[Repeated, tyro.conf.arg(metavar="NAME|all")] = field(default_factory=list)
     """Let clients inject faults: name of a sensor of SCENARIO, rotors, battery, radio, body, or all; can be
     given several times."""
     allow_inject: bool = False
@@ -177,7 +174,7 @@ class Serve:
             **shared,
         )
 
-    def _shared(self) -> dict[str, Any]:
+    def _shared(self) -> Content:
         """Return the options of a shared world as keyword arguments."""
         from qrsim.links.contracts import PACES
         from qrsim.links.shared.plant import checked_silence

@@ -12,6 +12,7 @@ import tyro
 
 from qrsim.apps import SECONDS, check_seed, progress_bar
 from qrsim.errors import RunError, UsageError, os_error_as
+from qrsim.files import Content
 
 if TYPE_CHECKING:
     from qrsim.studies.slam.estimate import Slam
@@ -228,7 +229,7 @@ def _draw(found: Study, swept: Sweep | None, folder: Path) -> None:
         save_picture(lambda: figures.draw_sweep(swept), folder / "sweep.png")
 
 
-def _of_run(found: Slam) -> dict[str, Any]:
+def _of_run(found: Slam) -> Content:
     """Return the numbers of a run's estimate as a dict, None for undefined ones."""
     import math
 
@@ -254,7 +255,7 @@ def _of_run(found: Slam) -> dict[str, Any]:
     }
 
 
-def _print_study(result: dict[str, Any]) -> None:
+def _print_study(result: Content) -> None:
     """Print the errors of a study, its paired tests and its remedy."""
     from qrsim.studies.slam.estimate import MOST_ITERATIONS
     from qrsim.studies.slam.study import ARMS

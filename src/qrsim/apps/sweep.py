@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from qrsim.apps import progress_bar
+from qrsim.apps import Repeated, progress_bar
 from qrsim.errors import UsageError
 
 if TYPE_CHECKING:
@@ -60,9 +60,7 @@ class Sweep:
     """Points of the sample."""
     values: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: all)")] = None
     """Largest number of values for each parameter with values, evenly selected."""
-    set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
-        default_factory=list
-    )
+    set: Annotated[Repeated, tyro.conf.arg(metavar="PATH=VALUE")] = field(default_factory=list)
     """Change one value of the scenario at all points; can be given several times."""
     plan: bool = False
     """Check the study and print the planned flights."""

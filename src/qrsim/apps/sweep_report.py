@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from qrsim.apps import Repeated
 from qrsim.errors import RunError, UsageError, os_error_as
 
 
@@ -32,7 +33,7 @@ class SweepReport:
     """Metric of the map, of the Sobol indices and of the worst episodes. Without it, the worst are
     those by the metric of the study's failure."""
     map: Annotated[
-        tyro.conf.UseAppendAction[list[str]],
+        Repeated,
         tyro.conf.arg(metavar="PARAMETER", help_behavior_hint="(default: the first two)"),
     ] = field(default_factory=list)
     """Parameter of the maps; give it twice."""

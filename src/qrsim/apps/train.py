@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from qrsim.apps import progress_bar
+from qrsim.apps import Repeated, progress_bar
 from qrsim.errors import UsageError
 from qrsim.extras import require
 
@@ -48,9 +48,9 @@ class Train:
     """Wall time, after which the training ends earlier."""
     envs: int = 512
     """Number of episodes side by side, 1 to 65536."""
-    set: Annotated[
-        tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE", help_behavior_hint="(default: none)")
-    ] = field(default_factory=list)
+    set: Annotated[Repeated, tyro.conf.arg(metavar="PATH=VALUE", help_behavior_hint="(default: none)")] = field(
+        default_factory=list
+    )
     """Change one value of the scenario; can be given several times."""
     out: Annotated[
         Path | None,
@@ -136,7 +136,7 @@ class Train:
         policy = folder / "policy.npz"
         if self.json:
             best = None if training.best is None else asdict(training.best[1])
-            found: dict[str, Any] = {
+            found = {
                 "task": training.view.task,
                 "seed": self.seed,
                 "steps": training.steps,

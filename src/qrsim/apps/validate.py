@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from qrsim.apps import Repeated
 from qrsim.errors import RunError, os_error_as
 from qrsim.extras import require
 
@@ -40,9 +41,9 @@ class Validate:
 
     out: Annotated[Path, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: validation)")] = Path("validation")
     """Folder for the report."""
-    only: Annotated[
-        tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")
-    ] = field(default_factory=list)
+    only: Annotated[Repeated, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")] = field(
+        default_factory=list
+    )
     """Run only this part; can be given several times."""
     json: bool = False
     """Print the JSON of every number instead of the summary."""

@@ -90,6 +90,30 @@ class View:
 
         require_viser()
         self._check()
+        if self.export is None and self.screenshot is None and self.video is None:
+            self._serve()
+            return
+        recording = self._opened()
+        end = recording.end
+        if self.screenshot is not None:
+            self._photograph(recording, self.screenshot, end if self.at is None else self.at)
+        if self.export is not None:
+            from qrsim.view.film import export, thinned
+
+            for line in thinned(recording):
+                print(line, file=sys.stderr)
+            with progress_bar(recording.heading, 1, "{task.completed} of {task.total} frames") as update:
+
+                def told(done: int, total: int) -> None:
+                    update(completed=done, total=total)
+
+                page = export(recording, self.export, told, self.colour)
+            print(page)
+        if self.video is not None:
+            self._film(recording, self.video, self.at or 0.0)
+
+    def _opened(self) -> Recording | Several:
+        """Open the runs, print what does not fit, and add picture and colours."""
         from qrsim.runs import open_run
         from qrsim.view.several import open_several
 
@@ -109,28 +133,7 @@ class View:
             recording.paints.of(self.colour)
         if recording.shown > 1:
             print(f"so long a log is shown at every {recording.shown}th of its ticks", file=sys.stderr)
-        for member in recording.members:
-            if member.recording.run.info.state == "running":
-                which = f"{member.letter}: " if member.letter else ""
-                print(f"{which}the run has not ended; shown up to {member.end:g} s, the last flush", file=sys.stderr)
-        if self.screenshot is not None:
-            self._photograph(recording, self.screenshot, end if self.at is None else self.at)
-        if self.export is not None:
-            from qrsim.view.film import export, thinned
-
-            for line in thinned(recording):
-                print(line, file=sys.stderr)
-            with progress_bar(recording.heading, 1, "{task.completed} of {task.total} frames") as update:
-
-                def told(done: int, total: int) -> None:
-                    update(completed=done, total=total)
-
-                page = export(recording, self.export, told, self.colour)
-            print(page)
-        if self.video is not None:
-            self._film(recording, self.video, self.at or 0.0)
-        if self.export is None and self.screenshot is None and self.video is None:
-            self._serve(recording)
+        return recording
 
     def _check(self) -> None:
         """Raise UsageError for options that are out of range or do not go together."""
@@ -239,16 +242,24 @@ class View:
         finally:
             server.stop()
 
-    def _serve(self, recording: Recording | Several) -> None:
-        """Serve the page of a recording until Ctrl-C."""
+    def _serve(self) -> None:
+        """Serve the page of the runs until Ctrl-C; it is there, and says so, while they are being loaded."""
         from qrsim.view.clock import SPEEDS, Clock
+        from qrsim.view.loading import show_loading
         from qrsim.view.page import Page
         from qrsim.view.replay import Replay
         from qrsim.view.server import address, start_server
 
+        # Who names something else gets an error, and no page.
+        recording = None if all((folder / "run.json").is_file() for folder in self.run_folders) else self._opened()
         server = start_server(self.port, host=self.host)
         clock = Clock(playing=False, speeds=SPEEDS[:-1])
         try:
+            if recording is None:
+                names = ", ".join(folder.resolve().name for folder in self.run_folders)
+                show_loading(server, names)
+                print(f"loading {names}: {address(server)}", flush=True)
+                recording = self._opened()
             page = Page(server, recording.cast, recording.world, recording.heading, clock, recording.imagery)
             replay = Replay(recording, page, clock, self.at or 0.0, self.colour)
             stop = threading.Event()

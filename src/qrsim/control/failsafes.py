@@ -46,17 +46,17 @@ def battery_action(level: Any, low_bat_act: int) -> Any:
     return _as_int(level == CRITICAL) * at_critical + _as_int(level >= EMERGENCY) * at_emergency
 
 
-def link_action(lost: Any, dll_act: int) -> Any:
+def link_action(lost: object, dll_act: int) -> Any:
     """Return the failsafe action if a link is ``lost``, for a value of NAV_DLL_ACT or NAV_RCL_ACT."""
     return _as_int(lost) * _ON_LINK.get(dll_act, NOTHING)
 
 
-def fix_action(lost: Any, gnssloss_act: int) -> Any:
+def fix_action(lost: object, gnssloss_act: int) -> Any:
     """Return the failsafe action if the GNSS fix is ``lost``, for a value of COM_GNSSLOSS_ACT."""
     return _as_int(lost) * _ON_FIX.get(gnssloss_act, NOTHING)
 
 
-def position_action(lost: Any) -> Any:
+def position_action(lost: object) -> Any:
     """Return the failsafe action if the position is ``lost``: a descent, which needs none."""
     return _as_int(lost) * DESCEND
 

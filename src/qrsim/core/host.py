@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import itertools
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import ModuleType
 from typing import Any
 
@@ -20,10 +20,13 @@ import numpy as np
 from jax.extend import core as jex
 
 from qrsim.core.arrays import NumpyArray
+from qrsim.core.operators import make_jaxpr
 from qrsim.core.primitives import KERNELS
 from qrsim.core.structure import kinds
 
 Rule = Callable[..., Any]
+# Parameters of an equation, by name.
+Parameters = Mapping[str, Any]
 # Largest number of programs that are kept for a function.
 _MOST = 64
 # Longer loops are left to JAX.
@@ -54,7 +57,7 @@ def on_host(function: Callable[..., Any]) -> Callable[..., Any]:
             while len(traced) >= _MOST:
                 del traced[next(iter(traced))]
             templates = jax.tree.unflatten(structure, arrays)
-            closed, shape = jax.make_jaxpr(function, return_shape=True)(*templates)
+            closed, shape = make_jaxpr(function, return_shape=True)(*templates)
             traced[key] = closed, jax.tree.structure(shape)
         closed, result = traced[key]
         return jax.tree.unflatten(result, evaluate(closed, arrays))
@@ -62,20 +65,20 @@ def on_host(function: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-def evaluate(closed: Any, arguments: Sequence[Any]) -> list[Any]:
+def evaluate(closed: jex.ClosedJaxpr, arguments: Sequence[object]) -> list[NumpyArray]:
     """Return the results of a closed jaxpr for NumPy arrays, each broadcast to its declared shape."""
     with np.errstate(all="ignore"):
         found = _run(closed.jaxpr, closed.consts, arguments)
     return [np.broadcast_to(array, aval.shape) for array, aval in zip(found, closed.out_avals, strict=True)]
 
 
-def _run(jaxpr: Any, constants: Sequence[object], arguments: Sequence[object]) -> list[Any]:
+def _run(jaxpr: Any, constants: Sequence[object], arguments: Sequence[object]) -> list[NumpyArray]:
     """Return the results of a jaxpr, computed with NumPy."""
-    known: dict[Any, Any] = {}
+    known: dict[object, NumpyArray] = {}
     for variable, value in zip((*jaxpr.constvars, *jaxpr.invars), (*constants, *arguments), strict=True):
         known[variable] = np.asarray(value)
 
-    def read(atom: object) -> Any:
+    def read(atom: object) -> NumpyArray:
         """Return the value of a variable or a literal."""
         if not isinstance(atom, jex.Literal):
             return known[atom]
@@ -89,7 +92,7 @@ def _run(jaxpr: Any, constants: Sequence[object], arguments: Sequence[object]) -
     return [read(atom) for atom in jaxpr.outvars]
 
 
-def _applied(equation: Any, inputs: list[object]) -> Sequence[object]:
+def _applied(equation: jex.JaxprEqn, inputs: Sequence[object]) -> Sequence[object]:
     """Return the results of one equation of a jaxpr, by a NumPy rule here, or else by JAX."""
     name, parameters = equation.primitive.name, equation.params
     rule = _RULES.get(name)
@@ -106,35 +109,35 @@ def _applied(equation: Any, inputs: list[object]) -> Sequence[object]:
 
 
 @functools.cache
-def _kernel(name: str) -> Any:
+def _kernel(name: str) -> jex.ClosedJaxpr:
     """Return the jaxpr of a kernel for scalars; NumPy broadcasts its operations over arrays."""
     kernel = KERNELS[name]
-    return jax.make_jaxpr(kernel.body)(*(np.zeros((), dtype) for dtype in kernel.takes))
+    return make_jaxpr(kernel.body)(*(np.zeros((), dtype) for dtype in kernel.takes))
 
 
 # Programs inside programs
 
 
-def _called(parameters: Any, *inputs: object) -> list[object]:
+def _called(parameters: Parameters, *inputs: object) -> Sequence[object]:
     """Return the results of an equation that calls another jaxpr."""
     closed = parameters.get("jaxpr", parameters.get("call_jaxpr"))
     whole = isinstance(closed, jex.ClosedJaxpr)
     return _run(closed.jaxpr, closed.consts, inputs) if whole else _run(closed, (), inputs)
 
 
-def _cond(parameters: Any, index: Any, *inputs: object) -> list[object]:
+def _cond(parameters: Parameters, index: NumpyArray, *inputs: object) -> Sequence[object]:
     """Return the results of the branch that ``index`` chooses."""
     branches = parameters["branches"]
     chosen = branches[min(max(int(index), 0), len(branches) - 1)]
     return _run(chosen.jaxpr, chosen.consts, inputs)
 
 
-def _scan(parameters: Any, *inputs: Any) -> list[object]:
+def _scan(parameters: Parameters, *inputs: NumpyArray) -> Sequence[object]:
     """Return the results of a scan: the final carry, then the stacked outputs."""
     body, constants, carried = parameters["jaxpr"], parameters["num_consts"], parameters["num_carry"]
     same, state, rows = inputs[:constants], inputs[constants : constants + carried], inputs[constants + carried :]
     turns = range(parameters["length"])
-    found: list[list[Any]] = []
+    found: list[Sequence[object]] = []
     for i in reversed(turns) if parameters["reverse"] else turns:
         results = _run(body.jaxpr, body.consts, (*same, *state, *(row[i] for row in rows)))
         state = tuple(results[:carried])
@@ -156,32 +159,32 @@ _WHOLE: dict[str, Rule] = {
 # Operations
 
 
-def _broadcast(parameters: Any, x: Any) -> NumpyArray:
+def _broadcast(parameters: Parameters, x: NumpyArray) -> NumpyArray:
     """Return the result of the JAX operation broadcast_in_dim, by NumPy."""
     shape, to = parameters["shape"], parameters["broadcast_dimensions"]
     wider = [x.shape[to.index(axis)] if axis in to else 1 for axis in range(len(shape))]
     return np.broadcast_to(x.reshape(wider), shape)
 
 
-def _slice(parameters: Any, x: Any) -> object:
+def _slice(parameters: Parameters, x: NumpyArray) -> object:
     """Return the result of the JAX operation slice, by NumPy."""
     strides = parameters["strides"] or itertools.repeat(1)
     return x[tuple(map(slice, parameters["start_indices"], parameters["limit_indices"], strides))]
 
 
-def _slice_at(parameters: Any, x: Any, *starts: Any) -> object:
+def _slice_at(parameters: Parameters, x: NumpyArray, *starts: NumpyArray) -> object:
     """Return a slice that begins at ``starts``, clipped so that the slice fits: JAX's dynamic_slice, by NumPy."""
     sizes = parameters["slice_sizes"]
     first = [min(max(int(start), 0), n - size) for start, n, size in zip(starts, x.shape, sizes, strict=True)]
     return x[tuple(slice(start, start + size) for start, size in zip(first, sizes, strict=True))]
 
 
-def _select(parameters: object, which: Any, *cases: Any) -> object:
+def _select(parameters: object, which: NumpyArray, *cases: NumpyArray) -> object:
     """Return the result of the JAX operation select_n, by NumPy."""
     return np.where(which, cases[1], cases[0]) if which.dtype == bool else np.choose(which, cases)
 
 
-def _converted(parameters: Any, x: Any) -> Any:
+def _converted(parameters: Parameters, x: NumpyArray) -> Any:
     """Return an array in another dtype; for integers truncated and clipped, as JAX does."""
     to = parameters["new_dtype"]
     if x.dtype.kind == "f" and np.dtype(to).kind in "iu":
@@ -191,26 +194,26 @@ def _converted(parameters: Any, x: Any) -> Any:
     return x.astype(to)
 
 
-def _rounded(parameters: Any, x: Any) -> object:
+def _rounded(parameters: Parameters, x: NumpyArray) -> object:
     """Return x rounded to integers, half to even or, by the parameter, half away from zero."""
     if int(parameters["rounding_method"]) == 1:
         return np.rint(x)
     return np.copysign(np.floor(np.abs(x) + x.dtype.type(0.5)), x)
 
 
-def _power(parameters: Any, x: object) -> object:
+def _power(parameters: Parameters, x: object) -> object:
     """Return the result of the JAX operation integer_pow, by NumPy."""
     exponent = parameters["y"]
     found = functools.reduce(operator.mul, [x] * abs(exponent), np.ones_like(x))
     return found if exponent >= 0 else np.reciprocal(found)
 
 
-def _quotient(parameters: object, a: Any, b: Any) -> object:
+def _quotient(parameters: object, a: NumpyArray, b: NumpyArray) -> object:
     """Return a / b; integers are rounded towards zero."""
     return a / b if a.dtype.kind == "f" else np.trunc(a.astype(np.float64) / b)
 
 
-def _padded(parameters: Any, x: Any, value: Any) -> object:
+def _padded(parameters: Parameters, x: NumpyArray, value: NumpyArray) -> object:
     """Return an array padded with a value, also between elements; negative padding cuts elements off."""
     sizes = [
         low + high + n + max(n - 1, 0) * gap
@@ -228,7 +231,7 @@ def _padded(parameters: Any, x: Any, value: Any) -> object:
     return found
 
 
-def _iota(parameters: Any) -> NumpyArray:
+def _iota(parameters: Parameters) -> NumpyArray:
     """Return the result of the JAX operation iota, by NumPy."""
     shape, axis = parameters["shape"], parameters["dimension"]
     counted = np.arange(shape[axis]).reshape([-1 if i == axis else 1 for i in range(len(shape))])
@@ -238,7 +241,7 @@ def _iota(parameters: Any) -> NumpyArray:
 def _shifted(function: Rule) -> Rule:
     """Return a rule that shifts bits by ``function``; shifts by the width or more give 0."""
 
-    def rule(parameters: object, a: Any, b: Any) -> NumpyArray:
+    def rule(parameters: object, a: NumpyArray, b: NumpyArray) -> NumpyArray:
         """Return a shifted by b bits, with zero bits coming in."""
         bits = 8 * a.dtype.itemsize
         unsigned = a.view(f"u{a.dtype.itemsize}") if function is np.right_shift else a
@@ -252,7 +255,7 @@ def _ignoring_parameters(function: Rule) -> Rule:
     return lambda parameters, *inputs: function(*inputs)
 
 
-def _sum(parameters: Any, x: Any) -> object:
+def _sum(parameters: Parameters, x: NumpyArray) -> object:
     """Return the sum over the axes of the parameters, always added in the same order."""
     axes = parameters["axes"]
     rest = [size for axis, size in enumerate(x.shape) if axis not in axes]

@@ -13,10 +13,9 @@ from qrsim.errors import UsageError, did_you_mean
 Presets = dict[str, dict[str, Any]]
 
 
-def presets_of(cls: type) -> Mapping[str, Mapping[str, Any]] | None:
+def presets_of(cls: type) -> Mapping[str, Mapping[str, object]] | None:
     """Return the presets of a component class, None for a class without."""
-    found: Mapping[str, Mapping[str, Any]] | None = getattr(cls, "presets", None)
-    return found
+    return getattr(cls, "presets", None)
 
 
 def with_presets(cls: Any) -> Any:

@@ -6,7 +6,7 @@ one function, and our own code generator (``qrsim.engine.llvm``) recognises the 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -25,7 +25,7 @@ def primitive_of(
     elementwise: bool = False,
     parameters: tuple[str, ...] = (),
     shape: Callable[[tuple[int, ...]], tuple[int, ...]] | None = None,
-) -> Any:
+) -> Primitive:
     """Return a new JAX primitive with one result; XLA lowers it and JAX differentiates it through ``function``.
 
     Args:
@@ -41,13 +41,15 @@ def primitive_of(
     primitive.def_abstract_eval(lambda first, *_, **__: first.update(shape=result_shape(first.shape), weak_type=False))
     mlir.register_lowering(primitive, mlir.lower_fun(function, multiple_results=False))
 
-    def batched(arguments: Any, axes: Any, **parameters: object) -> tuple[Any, int]:
+    def batched(
+        arguments: Sequence[Array], axes: Sequence[int | None], **parameters: object
+    ) -> tuple[object, int | None]:
         """Return the result on a batch, and its batch axis."""
         if elementwise:
             return primitive.bind(*arguments), axes[0]
         return jax.vmap(partial(function, **parameters), in_axes=tuple(axes))(*arguments), 0
 
-    def differentiated(primals: Any, tangents: Any, **parameters: object) -> object:
+    def differentiated(primals: Sequence[Array], tangents: Sequence[object], **parameters: object) -> object:
         """Return the result and its tangent."""
         given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)
         known = partial(function, **parameters)
@@ -76,7 +78,7 @@ class Kernel:
     gives: tuple[str, ...]
     body: Callable[..., tuple[Array, ...]]
     jvp: Callable[..., tuple[Array, ...]] | None = None
-    primitive: Any = field(init=False, repr=False)
+    primitive: Primitive = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         primitive = Primitive(f"kernel_{self.name}")
@@ -102,7 +104,7 @@ class Kernel:
         shape = max((aval.shape for aval in avals), key=len)
         return [avals[0].update(shape=shape, dtype=np.dtype(dtype), weak_type=False) for dtype in self.gives]
 
-    def _batched(self, arguments: Any, axes: Any) -> tuple[Any, list[int]]:
+    def _batched(self, arguments: Sequence[Array], axes: Sequence[int | None]) -> tuple[object, list[int]]:
         """Return the results of the kernel on a batch, and their batch axes, all 0."""
         rank = max(jnp.ndim(argument) - (axis is not None) for argument, axis in zip(arguments, axes, strict=True))
         moved = []
@@ -116,7 +118,7 @@ class Kernel:
         spread = [each if each.shape == () else jnp.broadcast_to(each, shape) for each in moved]
         return self.primitive.bind(*spread), [0] * len(self.gives)
 
-    def _differentiated(self, primals: Any, tangents: Any) -> tuple[object, object]:
+    def _differentiated(self, primals: Sequence[Array], tangents: Sequence[object]) -> tuple[object, object]:
         """Return the results and their tangents (forward-mode derivative)."""
         given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)
         result = self.primitive.bind(*primals)

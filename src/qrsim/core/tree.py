@@ -142,7 +142,7 @@ def _register(cls: Any, data: list[str], static: list[str]) -> None:
     def flatten(item: object) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
         return of_data(item), of_static(item)
 
-    def flatten_with_keys(item: object) -> tuple[list[tuple[Any, Any]], tuple[Any, ...]]:
+    def flatten_with_keys(item: object) -> tuple[list[tuple[object, object]], tuple[object, ...]]:
         return list(zip(keys, of_data(item), strict=True)), of_static(item)
 
     # By place, which is quicker, where a constructor takes parts and settings in this order.
@@ -254,7 +254,7 @@ def _with_unit(info: FieldInfo, unit: str) -> FieldInfo:
     return dataclasses.replace(info, unit=unit)
 
 
-def _walked(value: object, name: str, info: FieldInfo) -> Iterator[tuple[str, Any, FieldInfo]]:
+def _walked(value: object, name: str, info: FieldInfo) -> Iterator[tuple[str, object, FieldInfo]]:
     """Yield (dotted name, leaf, metadata) of each leaf of a field's value."""
     if isinstance(value, tuple):
         for number, part in enumerate(value):

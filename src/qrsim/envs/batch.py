@@ -172,7 +172,7 @@ class Batch:
         for whole, part in ((self.seen, begun.seen), (self.truth, begun.truth)):
             jax.tree.map(lambda old, new: _set_rows(old, rows, new), whole, part)
 
-    def give_away(self) -> Any:
+    def give_away(self) -> object:
         """Return all agents' observations (B, n, ...), in arrays that the caller may change.
 
         Parts that are computed late are handed over, the others copied.

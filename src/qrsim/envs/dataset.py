@@ -9,7 +9,6 @@ import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -120,7 +119,7 @@ def free_place(dataset: str) -> Path:
     return place
 
 
-def environment_spec(scenario: str, overrides: Iterable[str]) -> Any:
+def environment_spec(scenario: str, overrides: Iterable[str]) -> object:
     """Return Gymnasium's specification of the environment of a scenario, which makes it again."""
     import gymnasium
 

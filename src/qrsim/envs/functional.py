@@ -69,8 +69,7 @@ class Functional:
     @property
     def observation_axes(self) -> tuple[Axis, ...] | dict[str, Any]:
         """Name, unit and range of each value of an observation, or of the described parts of a dict."""
-        axes: tuple[Axis, ...] | dict[str, Any] = self.play.task.sees(self.play.world)
-        return axes
+        return self.play.task.sees(self.play.world)
 
     def keys(self, seeds: object, numbers: object = 0) -> EpisodeKeys:
         """Return the keys of episodes, one for each seed (B,), made on the host.

@@ -77,7 +77,7 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
         self.observation_space = gymnasium.spaces.Box(-LIMIT, LIMIT, (self.view.inputs,), np.float32)
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | None = None, options: dict[str, object] | None = None
     ) -> tuple[NumpyArray, dict[str, Any]]:
         """Start an episode; return the observation (F,) and the info with the ground truth.
 
@@ -106,7 +106,7 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
         own = self._objective.reward(self._batch, np.array([[reward]]), np.array([terminated]), outputs)
         return self._inputs(seen), float(own[0]), terminated, truncated, info | {"task_reward": reward}
 
-    def _inputs(self, seen: Any) -> NumpyArray:
+    def _inputs(self, seen: object) -> NumpyArray:
         """Return the scaled, clipped inputs (F,) of an observation and the last action."""
         return self.scaled(self.view.features(np.asarray(seen)[None], self._last))[0]
 

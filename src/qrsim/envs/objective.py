@@ -47,7 +47,7 @@ class Objective(Protocol):
     def state(self) -> dict[str, Floats]:
         """Return the reward statistics as arrays, for a checkpoint."""
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: dict[str, object]) -> None:
         """Set the state that ``state`` returned."""
 
 
@@ -103,7 +103,7 @@ class Reached:
         """Return {}: nothing is learned."""
         return {}
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: dict[str, object]) -> None:
         """Do nothing: there is no state."""
 
 

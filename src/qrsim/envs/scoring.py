@@ -94,7 +94,7 @@ def neutral(play: Play, axis: Axis) -> float:
     return float(np.clip(2.0 * (value - axis.low) / (axis.high - axis.low) - 1.0, -1.0, 1.0))
 
 
-def maker(policy: str | Any, play: Play) -> Callable[[Play, int], Policy]:
+def maker(policy: str | object, play: Play) -> Callable[[Play, int], Policy]:
     """Return a function of (play, seed) that builds a policy for an episode.
 
     Args:
@@ -287,7 +287,7 @@ def _together(batch: Batch, given: Any, name: str) -> tuple[Floats, Floats]:
     return np.concatenate(acts), np.concatenate(said)
 
 
-def _parted(batch: Batch, given: object, agents: int, name: str) -> tuple[Any, Floats]:
+def _parted(batch: Batch, given: object, agents: int, name: str) -> tuple[object, Floats]:
     """Return a policy's actions, and its radio messages (n, D), NaN for agents that send none.
 
     Raises:

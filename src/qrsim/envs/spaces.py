@@ -59,7 +59,7 @@ def observation_space(play: Play, seen: Any, agent: int = 0) -> Space:
     )
 
 
-def split_say(batch: Batch, action: object, who: str, *lead: int) -> tuple[Any, NumpyArray]:
+def split_say(batch: Batch, action: object, who: str, *lead: int) -> tuple[object, NumpyArray]:
     """Split an action into its flight part and its radio message (*lead, D), NaN for none; D = 0 without a radio.
 
     Raises:

@@ -166,7 +166,7 @@ def _own_modules() -> list[str]:
 
 
 def _failed(error: BaseException, files: list[str]) -> str:
-    """Return why an import failed as text, with the line in one of ``files``, else the innermost line."""
+    """Return the reason for a failed import as text, with the line in one of ``files``, else the innermost line."""
     own = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
     place = where_raised(error, files) or where_raised(error, [name for name in own if "importlib" not in name])
     return f"importing it failed: {in_one_line(error)}" + (f" ({place})" if place else "")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -178,7 +176,7 @@ def _progress(world: World, state: State, flies: Array) -> tuple[Array, Array, A
         if not (isinstance(now.guidance, MissionState) and isinstance(fleet.route, Mission)):
             found.append((no, landed, count - 1, no))
             continue
-        mission: Any = now.guidance
+        mission = now.guidance
         chosen = jnp.arange(fleet.route.lands.shape[0])[:, None] == mission.index[None, :]
         ends = fleet.route.lands | fleet.route.rises
         cruises = own & ~jnp.any(chosen & ends, axis=0) & ~mission.low & ~taken

@@ -159,7 +159,13 @@ def user_function(what: str, given: object) -> UserFunction | None:
 
 
 def _of_class(what: str, name: str, given: type) -> UserFunction:
-    """Return a wrapped class, of which each world gets an instance as its memory."""
+    """Return a wrapped class, of which each world gets an instance as its memory.
+
+    Args:
+        what: word for it in messages, such as "policy".
+        name: of the class, in messages.
+        given: class with ``__call__(self, reading)``.
+    """
     if hasattr(given, "init") and hasattr(given, "step"):
         raise UsageError(f"{what} {name}: a class with init and step; give an object of it, {name}(...)")
     if "__call__" not in vars(given) and not any("__call__" in vars(base) for base in given.__mro__[1:-1]):

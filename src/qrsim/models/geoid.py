@@ -17,12 +17,13 @@ from typing import Any, TypeVar, overload
 import numpy as np
 import numpy.typing as npt
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError, shortened
 from qrsim.models.site import Site
 
 Float64 = npt.NDArray[np.float64]
-Lengths = TypeVar("Lengths", float, npt.NDArray[Any])
-Arrays = npt.NDArray[Any] | Sequence[Any]
+Lengths = TypeVar("Lengths", float, NumpyArray)
+Arrays = NumpyArray | Sequence[Any]
 
 # From pole to pole, and around the Earth.
 ROWS, COLUMNS, PER_DEGREE = 721, 1440, 4

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -12,7 +11,7 @@ from qrsim.core.arrays import NumpyArray
 from qrsim.runs.layout import numpy_dtype
 
 
-def column(values: NumpyArray) -> Any:
+def column(values: NumpyArray) -> pa.Array:
     """Return an Arrow array of a NumPy array (n,) of numbers or bools, with no missing values."""
     values = np.ascontiguousarray(values)
     kind = pa.from_numpy_dtype(values.dtype)
@@ -21,7 +20,7 @@ def column(values: NumpyArray) -> Any:
     return pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(data)])
 
 
-def numbers(values: Sequence[object], kind: object) -> Any:
+def numbers(values: Sequence[object], kind: object) -> pa.Array:
     """Return an Arrow array of numbers of an Arrow type; None becomes a missing value."""
     present = np.array([value is not None for value in values], bool)
     plain = np.array([0 if value is None else value for value in values], numpy_dtype(kind))
@@ -29,7 +28,7 @@ def numbers(values: Sequence[object], kind: object) -> Any:
     return pa.Array.from_buffers(kind, len(plain), [validity, column(plain).buffers()[1]])
 
 
-def strings(values: Sequence[str | None]) -> Any:
+def strings(values: Sequence[str | None]) -> pa.StringArray:
     """Return an Arrow array of strings; None becomes a missing value."""
     present = np.array([value is not None for value in values], bool)
     encoded = [(value or "").encode() for value in values]
@@ -38,21 +37,21 @@ def strings(values: Sequence[str | None]) -> Any:
     return pa.StringArray.from_buffers(len(encoded), pa.py_buffer(ends), pa.py_buffer(b"".join(encoded)), validity)
 
 
-def names(values: Sequence[str | None]) -> Any:
+def names(values: Sequence[str | None]) -> pa.DictionaryArray:
     """Return a dictionary-encoded Arrow array of strings; None becomes a missing value."""
     known = list(dict.fromkeys(value for value in values if value is not None))
     indices = [None if value is None else known.index(value) for value in values]
     return pa.DictionaryArray.from_arrays(numbers(indices, pa.int32()), strings(known))
 
 
-def to_numpy(values: Any) -> NumpyArray:
+def to_numpy(values: pa.Array | pa.ChunkedArray) -> NumpyArray:
     """Return a column of a table, or one chunk of it, as a NumPy array; missing numbers are NaN."""
     chunks = values.chunks if isinstance(values, pa.ChunkedArray) else [values]
     arrays = [_as_numpy(chunk) for chunk in chunks]
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays or [np.zeros(0, numpy_dtype(values.type))])
 
 
-def _as_numpy(chunk: Any) -> NumpyArray:
+def _as_numpy(chunk: pa.Array) -> NumpyArray:
     """Return the values of an Arrow chunk as a numpy array, without a copy where possible."""
     dtype = numpy_dtype(chunk.type)
     if not len(chunk):

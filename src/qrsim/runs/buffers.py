@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from qrsim.core.arrays import DType, NumpyArray
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.files.atomic import write_atomically
 from qrsim.runs.arrow import column, names, numbers, strings
@@ -103,8 +104,8 @@ class VehicleRows(Buffer):
         return pa.Table.from_arrays(arrays, schema=self.schema)
 
     def _checked_copy(
-        self, name: str, values: npt.ArrayLike, dtype: np.dtype[Any], shape: tuple[int, ...] | None
-    ) -> npt.NDArray[Any]:
+        self, name: str, values: npt.ArrayLike, dtype: DType, shape: tuple[int, ...] | None
+    ) -> NumpyArray:
         """Return a copy of a column's values; raises UsageError for another shape or type."""
         array = np.asarray(values)
         expected = f"shape {shape}" if shape is not None else "shape (T,)"

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import Any
 
 from qrsim.errors import RunError, UsageError, os_error_as
+from qrsim.files import Content
 from qrsim.runs.layout import FORMAT, RUN_FILE, utc_now
 
 EPISODES_FILE = "episodes.json"
@@ -22,7 +22,7 @@ def episode_name(number: int) -> str:
 class EpisodesWriter:
     """Names the run folders of episodes, and keeps a list of them; not thread-safe."""
 
-    def __init__(self, folder: Path, content: dict[str, Any]):
+    def __init__(self, folder: Path, content: Content):
         """Use ``EpisodesWriter.create``."""
         self.folder, self._content = folder, content
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.control.failsafes import ACTIONS, LEVELS
+from qrsim.files import Content
 from qrsim.simulation.history import History
 from qrsim.world.state import World
 
@@ -24,7 +25,7 @@ class FailsafeWatch:
         self._before = [self._rows(state, -1) for state in start.state.fleets]
 
     @staticmethod
-    def _rows(state: Any, row: int | slice) -> dict[str, Any] | None:
+    def _rows(state: Any, row: int | slice) -> Content | None:
         """Return the watched parts of a state by name, (T, n) or (n,); None in a fleet without failsafes."""
         own = state.failsafe
         if own is None:
@@ -43,9 +44,7 @@ class FailsafeWatch:
             first += fleet.size
 
     @staticmethod
-    def _fleet_events(
-        fleet: Any, state: Any, now: dict[str, Any], before: dict[str, Any], first: int
-    ) -> Iterator[Found]:
+    def _fleet_events(fleet: Any, state: Any, now: Content, before: Content, first: int) -> Iterator[Found]:
         """Yield (row, vehicle, kind, value) of a fleet's failsafe changes."""
         old = {name: np.concatenate([before[name][None], values[:-1]]) for name, values in now.items()}
         flies = state.violation.code == 0

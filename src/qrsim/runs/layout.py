@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import pyarrow as pa
 
+from qrsim.core.arrays import DType
 from qrsim.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
@@ -280,11 +281,10 @@ def column_of(item: pa.Field) -> Column:
     return Column(item.name, unit, doc, dtype)
 
 
-def numpy_dtype(kind: pa.DataType) -> np.dtype[Any]:
+def numpy_dtype(kind: pa.DataType) -> DType:
     """Return the NumPy type of an Arrow type of numbers."""
     # By name where names agree, because Arrow's own conversion imports pandas where that is installed.
     name = {"float": "float32", "double": "float64"}.get(str(kind), str(kind))
     if name in ("float32", "float64", "bool") or re.fullmatch(r"u?int(8|16|32|64)", name):
         return np.dtype(name)
-    found: np.dtype[Any] = pa.array([], kind).to_numpy(zero_copy_only=False).dtype
-    return found
+    return pa.array([], kind).to_numpy(zero_copy_only=False).dtype

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.patches import Circle, PathPatch, Polygon, Rectangle
+from matplotlib.patches import Circle, Patch, PathPatch, Polygon, Rectangle
 from matplotlib.path import Path
 from matplotlib.transforms import ScaledTranslation
 
@@ -138,7 +138,7 @@ def _is_whole(around: Surroundings, low: Floats, high: Floats) -> bool:
     return bool(around.drawn or part >= SMALLEST_PART)
 
 
-def draw_surroundings(axes: Any, around: Surroundings) -> None:
+def draw_surroundings(axes: Axes, around: Surroundings) -> None:
     """Draw area, obstacles, plume, persons and places."""
     if around.plume is not None and around.plume.values.max() > 0:
         # Over three decades: a plume falls off like a power of the distance.
@@ -180,7 +180,7 @@ def draw_surroundings(axes: Any, around: Surroundings) -> None:
         )
 
 
-def zone_patches(zone: Zone) -> list[Any]:
+def zone_patches(zone: Zone) -> list[Patch]:
     """Return the patches of a zone from above: its edges, and hatching where vehicles may not be."""
     outline, *holes = (np.array(ring)[:, ::-1] for ring in (zone.outline, *zone.rings[1:]))
     keep_out = {"fc": (*share(KEEP_OUT), 0.12), "ec": share(KEEP_OUT), "hatch": "///", "lw": 1.2, "zorder": 1}
@@ -208,7 +208,7 @@ def _marks(around: Surroundings) -> list[tuple[str, Floats, dict[str, Any]]]:
     small = {"marker": "s", "ms": 3, "mfc": "none", "mec": "dimgray", "mew": 0.8}
     pin = {"marker": "v", "ms": 8}
     goal = {"marker": "o", "ms": 13, "mfc": "none", "mec": "black", "mew": 1.6}
-    every: list[tuple[str, Floats, dict[str, Any]]] = [
+    every = [
         ("source; its plume, mean", around.sources, {"marker": "*", "ms": 13, "c": share(PLUME), "mec": "k"}),
         ("asked for by the task", around.locations, small),
         ("goal of the task", around.goals, goal),
@@ -239,7 +239,7 @@ def _with_interferers(around: Surroundings, low: Floats, high: Floats) -> tuple[
     return corners.min(axis=0), corners.max(axis=0)
 
 
-def _footprint(obstacle: Any) -> object:
+def _footprint(obstacle: Any) -> Patch:
     """Return an obstacle's outline from above as a patch."""
     look: dict[str, Any] = {"fc": "0.75", "ec": "0.35", "lw": 1.0, "zorder": 1}
     if "radius" in obstacle:
@@ -275,7 +275,7 @@ def _draw_vehicles(axes: Any, paths: Paths, most: int) -> None:
             axes.plot(own[-1:, 1], own[-1:, 0], "X", color=colour, ms=11 if few else 7, mec="black", zorder=5)
 
 
-def _swarm(axes: Any, paths: Paths, most: int) -> None:
+def _swarm(axes: Axes, paths: Paths, most: int) -> None:
     """Draw many vehicles as thin paths and small points."""
     own = [paths.position[:, i, :2] for i in range(len(paths.names))]
     lines = [path[path_rows(path, most)][:, ::-1] for path in own]
@@ -304,7 +304,7 @@ def _without_repeats(points: Floats) -> Floats:
     return np.asarray(points[fresh])
 
 
-def _contours(axes: Any, terrain: Terrain, low: Floats, high: Floats) -> None:
+def _contours(axes: Axes, terrain: Terrain, low: Floats, high: Floats) -> None:
     """Draw lines of equal height of the ground between two corners."""
     north, east = (np.linspace(low[axis], high[axis], CONTOUR_CELLS) for axis in (0, 1))
     heights = -terrain.down(*np.meshgrid(north, east, indexing="ij"))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -31,7 +30,7 @@ class Separation:
         one, other = self.vehicles
         return f"separation: {self.distance_m:.2f} m at least, of {one} and {other} at {self.time_s:.2f} s"
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return the fields by name."""
         return {"distance_m": self.distance_m, "time_s": self.time_s, "vehicles": list(self.vehicles)}
 

@@ -47,7 +47,7 @@ def _differences(path: str, first: object, second: object) -> Iterator[Setting]:
         yield Setting(path, (first, second))
 
 
-def _children(tree: object) -> Mapping[Any, Any] | None:
+def _children(tree: object) -> Mapping[object, object] | None:
     """Return the children of a mapping, or of a list of nested values; None for leaves."""
     if isinstance(tree, Mapping):
         return tree

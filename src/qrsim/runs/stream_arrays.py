@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.tables import Table, Tabled
 from qrsim.errors import RunError
 from qrsim.runs.arrow import to_numpy
@@ -26,7 +27,7 @@ class Batch(NamedTuple):
 
     time: npt.NDArray[np.float64]
     tick: npt.NDArray[np.int64]
-    arrays: dict[str, npt.NDArray[Any]]
+    arrays: dict[str, NumpyArray]
 
 
 class Stream(Tabled):
@@ -92,11 +93,11 @@ class Stream(Tabled):
         """Return unit, meaning and type of a column. Raises UsageError for an unknown name."""
         return self._parts.column(name)
 
-    def __getitem__(self, name: str) -> npt.NDArray[Any]:
+    def __getitem__(self, name: str) -> NumpyArray:
         """Return a column, shape (T, n), in its own dtype; raises as ``arrays``."""
         return self.arrays([name])[name]
 
-    def arrays(self, names: Sequence[str] | None = None) -> dict[str, npt.NDArray[Any]]:
+    def arrays(self, names: Sequence[str] | None = None) -> dict[str, NumpyArray]:
         """Return several columns (None: all), each of shape (T, n), in one pass over the files.
 
         Raises:

@@ -14,6 +14,7 @@ import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.errors import QrsimError
+from qrsim.files import Content
 from qrsim.models.scene.zone import Zone
 from qrsim.runs.interferers import Interferer, of_scenario
 from qrsim.runs.layout import EVENTS, PERSON_FOUND
@@ -119,7 +120,7 @@ def surroundings_of(run: Run) -> Surroundings:
         return Surroundings(**known, unknown=f"the recorded scenario cannot be built: {error}")
 
 
-def fixed_parts(world: Mapping[str, Any]) -> dict[str, Any]:
+def fixed_parts(world: Mapping[str, Any]) -> Content:
     """Return the attributes of ``Surroundings`` that follow from a scenario's world alone, in NED.
 
     Raises:
@@ -177,7 +178,7 @@ def _goals(run: Run) -> dict[str, Floats]:
     return {"goals": goals_of(task, world, Vec3(*own.T))} if len(own) else {}
 
 
-def _drawn_again(run: Run) -> dict[str, Any]:
+def _drawn_again(run: Run) -> Content:
     """Return persons, sources, locations and the mean plume, drawn again from the seed."""
     import jax
 

@@ -40,7 +40,7 @@ class Terrain:
         from qrsim.core.vectors import Vec3
         from qrsim.models.scene.contracts import down_at
 
-        flat: list[Any] = [np.nan_to_num(np.ravel(axis)).astype(np.float32) for axis in (north, east, 0.0 * east)]
+        flat = [np.nan_to_num(np.ravel(axis)).astype(np.float32) for axis in (north, east, 0.0 * east)]
         found = np.asarray(down_at(self._ground, Vec3(*flat)), np.float64)
         return np.where(np.isfinite(north), found.reshape(np.shape(north)), np.nan)
 

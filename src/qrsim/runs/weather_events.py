@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -31,7 +30,7 @@ def scheduled(world: World) -> Iterator[Injection]:
     changes = world.changes
     if changes is None:
         return
-    parts: list[tuple[str, str, Course | None, dict[str, Any]]] = [
+    parts: list[tuple[str, str, Course | None, Content]] = [
         (WIND, "speed_20ft", changes.speed_20ft, {}),
         (WIND, "wind_from_deg", changes.wind_from_rad, {}),
         (GUSTS, "times", changes.gusts, {}),

@@ -76,7 +76,7 @@ def _places(history: History) -> NumpyArray:
     return np.stack([np.concatenate([getattr(one, axis) for one in each], axis=1) for axis in "xyz"], axis=-1)
 
 
-def _ground(ground: Any) -> Any:
+def _ground(ground: object) -> Any:
     """Return a function from north and east [m] to the ground's z coordinate [m, down]; None without one."""
     if ground is None:
         return None

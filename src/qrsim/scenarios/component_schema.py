@@ -211,7 +211,7 @@ def _preset_base(base: type[Strict], presets: Mapping[str, Mapping[str, object]]
     class Preset(base):  # type: ignore[misc, valid-type]
         @model_validator(mode="before")
         @classmethod
-        def _of_the_preset(cls, data: Any) -> Any:
+        def _of_the_preset(cls, data: Any) -> object:
             """Fill in what the data leave out from the preset that they name."""
             name = data.get("preset", cls.model_fields["preset"].default) if isinstance(data, dict) else None
             if not isinstance(name, str) or name not in presets:

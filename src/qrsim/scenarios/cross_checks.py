@@ -93,7 +93,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
 
 
 def _path_problems(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec, floor: bool) -> Iterator[str]:
-    """Yield why a prescribed path (``moves_on``) cannot carry a fleet's vehicles within area and limits."""
+    """Yield problems, as text, of a prescribed path (``moves_on``) that leaves the area or exceeds a fleet's limits."""
     path = f"fleets.{fleet_name}.vehicle.moves_on"
     try:
         vehicle = component(fleet.vehicle, known.VEHICLES, scenario).prepared(scenario.duration)
@@ -217,7 +217,7 @@ def _length_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _battery_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield why a fleet's battery cannot be used: the vehicle cannot drain it, or its voltages rise."""
+    """Yield problems, as text, of a fleet's battery: the vehicle cannot drain it, or its voltages rise."""
     battery, vehicle = known.BATTERIES[fleet.battery.type], known.VEHICLES[fleet.vehicle.type]
     if battery.needs_power and not vehicle.gives_power:
         yield (

@@ -11,6 +11,7 @@ from jax import Array
 from qrsim.core.host import on_host
 from qrsim.core.tree import map_tree
 from qrsim.core.vectors import Euler, Vec3
+from qrsim.files import Content
 from qrsim.models.sensors.earth_field import declination, inclination
 from qrsim.models.vehicles.contracts import Battery, Load, Vehicle, handling_of
 from qrsim.models.vehicles.fixed_wing import FixedWing
@@ -70,7 +71,7 @@ def heights_line(scenario: Scenario) -> str:
 def _level_flight(vehicle: FixedWing) -> dict[str, float]:
     """Return throttle, angle of attack and elevator of level cruise, and the stall speed, of the first vehicle."""
     alpha, elevator, throttle = cruise(vehicle, np.asarray(vehicle.cruise_airspeed))  # type: ignore[arg-type]
-    each: dict[str, Any] = {
+    each: Content = {
         "stall_speed_m_s": stall_speed(vehicle),
         "cruise_throttle": throttle,
         "cruise_angle_of_attack_rad": alpha,

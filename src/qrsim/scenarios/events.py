@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 from qrsim.errors import UsageError
 from qrsim.scenarios.event_schema import EventSpec
@@ -18,7 +17,7 @@ from qrsim.world.state import World
 EVENTS = (*TAKES, "push")
 
 
-def _change(event: EventSpec) -> tuple[str, dict[str, Any]]:
+def _change(event: EventSpec) -> tuple[str, dict[str, object]]:
     """Return an event's kind of change and its parameters that are set."""
     (kind,) = (kind for kind in TAKES if getattr(event, kind) is not None)
     return kind, {name: value for name, value in getattr(event, kind).model_dump().items() if value is not None}

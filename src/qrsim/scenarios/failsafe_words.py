@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from pydantic import ConfigDict, model_validator
 
 from qrsim.control.failsafes import WORDS
@@ -26,7 +24,7 @@ class PX4Numbers(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _words_for_numbers(cls, data: object) -> Any:
+    def _words_for_numbers(cls, data: object) -> object:
         """Replace the number of a PX4 parameter in the data by its word; leave unknown ones."""
         if not isinstance(data, dict):
             return data

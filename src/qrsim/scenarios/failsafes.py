@@ -70,7 +70,7 @@ def failsafe_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _flight_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield why a fleet's vehicles cannot fly a failsafe's action, or land by it."""
+    """Yield a problem, as text, for each failsafe action that a fleet cannot fly, or cannot land by."""
     controller, guidance = known.CONTROLLERS.get(fleet.controller.type), known.GUIDANCE.get(fleet.guidance.type)
     if controller is None or guidance is None:
         return
@@ -131,7 +131,7 @@ def _floor_problems(path: str, scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _link_problems(path: str, name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield why a fleet's link failsafe cannot act."""
+    """Yield problems, as text, of a link failsafe of a fleet that cannot act."""
     spec: Any = fleet.failsafes
     if spec.NAV_DLL_ACT == "none":
         if spec.link_to:

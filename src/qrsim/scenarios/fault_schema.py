@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
+from qrsim.files import Content
 from qrsim.models.vehicles.fault_numbers import MOST_PUSH, WEAKEST_BATTERY
 from qrsim.scenarios.component_schema import Finite, Strict
 
@@ -29,7 +30,7 @@ def _all_of(value: object) -> object:
     return {"sensors": ALL, "rotors": ALL, "battery": True, "radio": True, "body": True} if value == ALL else value
 
 
-def or_all(schema: dict[str, Any]) -> None:
+def or_all(schema: Content) -> None:
     """Allow the word "all" in a JSON schema, in place."""
     named = {name: schema.pop(name) for name in ("type", "items", "anyOf", "$ref") if name in schema}
     schema["anyOf"] = [*named.pop("anyOf", []), *([named] if named else []), {"const": ALL}]

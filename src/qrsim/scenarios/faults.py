@@ -98,8 +98,7 @@ def _draw_alike(one: FaultSpec, other: FaultSpec) -> bool:
 
 def _white_noise(fleet: FleetSpec, sensor: str, scenario: ScenarioSpec) -> dict[str, Any]:
     """Return field -> white noise that a sensor's class declares."""
-    found: dict[str, Any] = component(fleet.sensors[sensor], known.SENSORS, scenario).white_noise()
-    return found
+    return component(fleet.sensors[sensor], known.SENSORS, scenario).white_noise()
 
 
 def _numbers_given(spec: FaultSpec) -> dict[str, float | None]:
@@ -247,7 +246,7 @@ def mask_of(names: tuple[str, ...], chosen: list[str] | None) -> Any:
 
 def reading_fields(sensor_type: str) -> list[str]:
     """Return the dotted field names of a sensor type's reading; [] if its step has no return annotation."""
-    sensor: Any = known.SENSORS[sensor_type]
+    sensor = known.SENSORS[sensor_type]
     says = sensor.init if sensor.step is Memoryless.step else sensor.step
     pair = typing.get_args(typing.get_type_hints(says).get("return"))
     if len(pair) != 2 or not dataclasses.is_dataclass(pair[1]):
@@ -297,7 +296,7 @@ def fault_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _radio_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield why the radios of a fleet cannot fail."""
+    """Yield problems, as text, of a radio fault of a fleet without suitable radios."""
     if scenario.world.radio is None:
         yield f"{path}: there is no world.radio that could fail"
     elif fleet.radio is not None and not fleet.radio.works:
@@ -305,7 +304,7 @@ def _radio_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iter
 
 
 def push_problems(path: str, where: str, push: Any, fleet: FleetSpec) -> Iterator[str]:
-    """Yield why a fleet's vehicles cannot be pushed this way; ``where`` is the path of the chosen vehicles."""
+    """Yield problems, as text, of a push that vehicles cannot get; ``where`` is the path of the chosen ones."""
     if not is_pushable(fleet):
         yield f"{where}: a '{fleet.vehicle.type}' cannot be pushed"
     if push.acceleration_ned is None and push.acceleration_body is None:

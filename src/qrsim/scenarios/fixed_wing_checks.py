@@ -23,7 +23,7 @@ BANK_RAD = math.radians(40.0)
 
 
 def fixed_wing_problems(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield why the vehicles of a fleet cannot fly, if they are fixed wings."""
+    """Yield problems, as text, of a fleet of fixed wings that cannot fly; nothing for other fleets."""
     if not issubclass(known.VEHICLES[fleet.vehicle.type], FixedWing):
         return
     try:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from qrsim.errors import UsageError
+from qrsim.files import Content
 from qrsim.models.site import Site
 from qrsim.scenarios.reading import checked_overrides
 from qrsim.scenarios.registry import made
@@ -22,7 +23,7 @@ from qrsim.world.state import State, World
 if TYPE_CHECKING:
     from qrsim.simulation.simulation import Simulation
 
-Source = World | Scenario | str | Path | dict[str, Any]
+Source = World | Scenario | str | Path | Content
 
 
 def rollout(

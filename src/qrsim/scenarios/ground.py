@@ -127,7 +127,7 @@ def stands(fleet: FleetSpec) -> bool:
 
 
 def standing_problems(name: str, kind: str, vehicle: Vehicle) -> Iterator[str]:
-    """Yield why a fleet's vehicles cannot be parked; vehicles with contact points need no parking."""
+    """Yield problems, as text, of vehicles that cannot be parked; those with contact points need no parking."""
     if has_contact(vehicle):
         return
     if "ground" in vehicle.reads:

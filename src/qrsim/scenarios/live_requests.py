@@ -150,7 +150,7 @@ def parsed(text: str) -> Request:
     return Request(target, rest[0], tuple(names) or None, times.get("at"), times.get("duration"), numbers)
 
 
-def numbers_of(text: str) -> dict[str, Any]:
+def numbers_of(text: str) -> dict[str, object]:
     """Parse a text such as ``field=height bias=2`` to a dict; raises UsageError."""
     names, numbers, times = _arguments(text.replace(",", " ").split())
     for word in [*names, *times]:
@@ -165,10 +165,10 @@ def _target(words: list[str]) -> tuple[str | None, list[str]]:
     return (words[0], words[1:]) if words else (None, [])
 
 
-def _arguments(words: list[str]) -> tuple[list[str], dict[str, Any], dict[str, float]]:
+def _arguments(words: list[str]) -> tuple[list[str], dict[str, object], dict[str, float]]:
     """Return vehicle names, fault parameters and times [s] in the words of a request."""
     names: list[str] = []
-    numbers: dict[str, Any] = {}
+    numbers: dict[str, object] = {}
     times: dict[str, float] = {}
     left = iter(words)
     for word in left:
@@ -194,7 +194,7 @@ def _number(name: str, word: str) -> float:
 # ---- as tables ----
 
 
-def injected_rows(simulation: Simulation) -> list[dict[str, Any]]:
+def injected_rows(simulation: Simulation) -> list[dict[str, object]]:
     """Return present and future faults as dicts of plain values; an ``end`` of None is the end of the flight."""
     dt = simulation.world.time_step
     return [

@@ -25,7 +25,7 @@ ON_IT = 0.01
 
 
 def multirotor_problems(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield why the vehicles of a fleet cannot fly, if they are multirotors."""
+    """Yield problems, as text, of a fleet of multirotors that cannot fly; nothing for other fleets."""
     if not issubclass(known.VEHICLES[fleet.vehicle.type], Multirotor):
         return
     path, wrong = f"fleets.{name}.vehicle", False

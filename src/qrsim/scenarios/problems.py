@@ -178,7 +178,12 @@ class _Fault:
         return f"{where}: {self._shown(value)} {self._fault(kind, context)}{self._meaning()}{hint}"
 
     def _fault(self, kind: str, context: Mapping[str, object]) -> str:
-        """Return what is wrong with the value, by pydantic's type of error and its context."""
+        """Return the problem of the value as text.
+
+        Args:
+            kind: pydantic's type of error.
+            context: numbers and words of that error, as pydantic has them.
+        """
         if kind in _RANGES:
             return f"is out of range; allowed: {self._range()}{self._swapped()}"
         if kind == "string_pattern_mismatch":

@@ -87,7 +87,7 @@ def _value_at(scenario: ScenarioSpec, parts: list[str]) -> tuple[object, str]:
 
 
 def _path_problem(scenario: ScenarioSpec, path: str) -> str:
-    """Return why the number at a path cannot be drawn for each episode; "" if it can."""
+    """Return the reason that the number at a path cannot be drawn for each episode; "" if it can."""
     parts = path.split(".")
     value, problem = _value_at(scenario, parts)
     if problem:

@@ -136,7 +136,7 @@ def _takes_base(sensor: Any) -> bool:
 
 
 def correction_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield why receivers cannot get the corrections that they are set to use."""
+    """Yield a problem, as text, for each receiver that cannot get the corrections that it is set to use."""
     base = scenario.world.base_station
     own = vars(scenario.world.sky.errors).get("common") == "per_vehicle"
     for fleet_name, fleet in scenario.fleets.items():
@@ -180,7 +180,7 @@ def _base_problems(base: Any, duration: float) -> Iterator[str]:
 
 
 def satellite_problems(scenario: ScenarioSpec, ephemeris: Ephemeris) -> Iterator[str]:
-    """Yield why receivers of type gnss cannot work with these orbits."""
+    """Yield a problem, as text, for each receiver of type gnss that these orbits do not suit."""
     yield from correction_problems(scenario)
     names = [name for fleet_name, fleet in scenario.fleets.items() for name in vehicle_names(fleet_name, fleet)]
     yield from interference_problems(scenario, ephemeris, names, bool(receivers(scenario)))

@@ -273,7 +273,7 @@ class FleetSpec(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _guidance_of_the_controller(cls, data: object) -> Any:
+    def _guidance_of_the_controller(cls, data: object) -> object:
         """Fill in controller and guidance: the vehicle's controller and what fits it."""
         if not isinstance(data, dict):
             return data

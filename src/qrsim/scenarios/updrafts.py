@@ -16,7 +16,7 @@ MANY_THERMALS = 200
 
 
 def updraft_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield why updrafts do not fit the scenario's world."""
+    """Yield a problem, as text, for each updraft that does not fit the scenario's world."""
     ground = ground_if_any(scenario) if scenario.world.updrafts else None
     for i, updraft in enumerate(scenario.world.updrafts):
         path = f"world.updrafts.{i}"

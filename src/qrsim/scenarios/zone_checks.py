@@ -55,7 +55,7 @@ def zones_with_ground(scenario: ScenarioSpec) -> Zones:
     return Zones(zones, None if ground is None else ground_down(ground))
 
 
-def _own_problems(area: Any) -> Iterator[str]:
+def _own_problems(area: object) -> Iterator[str]:
     """Yield the problems of the zones alone: their number, corners and holes."""
     zones = zones_of(area)
     if not zones:

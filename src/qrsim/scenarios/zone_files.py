@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from qrsim.errors import UsageError
+from qrsim.files import Content
 from qrsim.models.site import Site
 from qrsim.scenarios.local import local_ned, swapped_hint
 from qrsim.scenarios.plans.plan import FenceCircle, FencePolygon, Plan
@@ -40,7 +40,7 @@ def zones_of_file(file: str, name: str | None = None) -> tuple[list[FileZone], P
     return found, plan
 
 
-def in_ned(zone: FileZone, site: Site) -> dict[str, Any]:
+def in_ned(zone: FileZone, site: Site) -> Content:
     """Return a zone's shape as scenario content, in NED [m].
 
     Raises:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError
+from qrsim.files import Content
 from qrsim.models.site import Site
 from qrsim.scenarios.plans.plan import Plan
 from qrsim.scenarios.plans.reading import read_plan
@@ -95,7 +96,7 @@ def _placed(
     zone: ZoneSpec, keep: bool, site: Site, barred: set[str | None], plans: dict[str, Plan]
 ) -> Iterator[tuple[bool, ZoneSpec]]:
     """Yield (inclusion, zone in NED) for each zone that one zone of a scenario becomes."""
-    rest: dict[str, Any] = {"floor": zone.floor, "ceiling": zone.ceiling, "above": zone.above}
+    rest: Content = {"floor": zone.floor, "ceiling": zone.ceiling, "above": zone.above}
     if zone.polygon_geodetic is not None:
         outline, *holes = (corners_ned(ring, site) for ring in (zone.polygon_geodetic, *zone.holes_geodetic))
         yield keep, ZoneSpec(name=zone.name, polygon_ned=outline, holes_ned=holes, **rest)

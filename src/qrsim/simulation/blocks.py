@@ -129,7 +129,7 @@ class Engine:
             return False
         return bool(np.all(flight.get(lambda carry: metrics.ended(carry.flight))))
 
-    def _keep(self, flight: Flight, tick: int, rows: NumpyArray, found: list[Any]) -> None:
+    def _keep(self, flight: Flight, tick: int, rows: NumpyArray, found: list[object]) -> None:
         """Append the record of a tick to ``found``, or pass it to the sink, if a record is due."""
         if self.record is None or tick % self.schedule.record_every:
             return
@@ -240,7 +240,7 @@ class LockStep:
         self.actions: list[Any] = []
         self._memories: dict[tuple[str, int], Any] = {}
 
-    def _call(self, function: UserFunction, reading: Reading, world: int) -> Any:
+    def _call(self, function: UserFunction, reading: Reading, world: int) -> object:
         """Return a user's function's answer for one world; its new memory is stored."""
         which = (function.what, world)
         if which not in self._memories:
@@ -268,7 +268,7 @@ class LockStep:
         """Return actions and estimates of users' functions, each leaf (count, ...); () without a function."""
         if not self.asked_every:
             return (), ()
-        estimates: list[Any] = []
+        estimates: list[object] = []
         asks = self.policy is not None and tick % self.engine.setup.policy_ticks == 0
         if asks:
             self.actions = []

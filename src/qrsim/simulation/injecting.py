@@ -272,7 +272,7 @@ class Injecting(Alone):
         self.change_weather(JAM, {"jammer": jammer, "power_w": power_w, "over": over}, asked_by)
 
     @alone
-    def change_weather(self, kind: str, numbers: Mapping[str, Any], asked_by: str = "python") -> None:
+    def change_weather(self, kind: str, numbers: Mapping[str, object], asked_by: str = "python") -> None:
         """Change wind, gusts or a jammer from the next tick on, by kind and numbers as in files of injections.
 
         Args:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.core.arrays import is_number
+from qrsim.core.arrays import NumpyArray, is_number
 from qrsim.core.tables import Table, Tabled
 from qrsim.core.tree import cast, map_tree, replace
 from qrsim.errors import UsageError, did_you_mean
@@ -146,7 +146,7 @@ def injected(
     return replace(world, fleets=tuple(fleets)), tuple(concerned)
 
 
-def _linked(world: World, kind: str, vehicles: Sequence[str] | None, numbers: Mapping[str, Any]) -> tuple[str, ...]:
+def _linked(world: World, kind: str, vehicles: Sequence[str] | None, numbers: Mapping[str, object]) -> tuple[str, ...]:
     """Return the vehicles that a fault of links affects; raise UsageError for wrong numbers."""
     if kind != OK:
         number_of(LINK, kind, numbers)
@@ -243,9 +243,9 @@ def _with_fault(
     fleet: Fleet,
     target: str,
     kind: str,
-    chosen: np.ndarray[Any, Any],
+    chosen: NumpyArray,
     ticks: tuple[int, int],
-    numbers: Mapping[str, Any],
+    numbers: Mapping[str, object],
     dt: float,
 ) -> Fleet:
     """Return the fleet with a fault of a target in ``chosen`` vehicles (n,) bool, for a range of ticks."""
@@ -268,7 +268,7 @@ def _with_fault(
     raise _not_injectable([fleet], target)
 
 
-def _swapped(parts: tuple[Any, ...], place: int, part: Any) -> tuple[Any, ...]:
+def _swapped(parts: tuple[object, ...], place: int, part: object) -> tuple[object, ...]:
     """Return a tuple with the part at ``place`` replaced."""
     return (*parts[:place], part, *parts[place + 1 :])
 
@@ -276,7 +276,7 @@ def _swapped(parts: tuple[Any, ...], place: int, part: Any) -> tuple[Any, ...]:
 def _sensor_fault(
     slot: FaultSlot,
     kind: str,
-    chosen: Any,
+    chosen: NumpyArray,
     ticks: tuple[int, int],
     numbers: Mapping[str, Any],
     dt: float,
@@ -300,7 +300,7 @@ def _sensor_fault(
 
 
 def _of_fields(
-    slot: FaultSlot, kind: str, numbers: Mapping[str, Any], dt: float, white: Mapping[str, Any] | None
+    slot: FaultSlot, kind: str, numbers: Mapping[str, object], dt: float, white: Mapping[str, object] | None
 ) -> FaultNumbers:
     """Return a fault's numbers, some of which may be given by field name; raise UsageError for wrong ones."""
     apart = {name: value for name, value in numbers.items() if isinstance(value, Mapping)}
@@ -309,7 +309,7 @@ def _of_fields(
     if "field" in numbers:
         raise UsageError(f"field: {', '.join(apart)} already names fields")
     common = {name: value for name, value in numbers.items() if name not in apart}
-    fields: dict[str, dict[str, Any]] = {}
+    fields: dict[str, dict[str, object]] = {}
     for name, value in apart.items():
         if name in NAMES and name not in OF_FIELDS:
             raise UsageError(f"{name}: {value!r:.60}; allowed: a number, which all fields share")

@@ -40,7 +40,7 @@ def begin_function(setup: Setup) -> Function:
     return _function("begin", _begin, setup)
 
 
-def _begin(setup: Setup, fixed: Sequence[object], own: tuple[list[Any], WorldKeys]) -> Carry:
+def _begin(setup: Setup, fixed: Sequence[object], own: tuple[list[object], WorldKeys]) -> Carry:
     """Return the state of one world before its first tick, with all that passes from tick to tick."""
     return begin_world(setup, fixed, own[1], own[0])
 

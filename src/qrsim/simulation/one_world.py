@@ -14,7 +14,7 @@ from qrsim.world import tick as ticks_of
 from qrsim.world.state import Action, State, World, WorldKeys
 
 
-def _reset(world: World, own: tuple[Any, WorldKeys]) -> State:
+def _reset(world: World, own: tuple[object, WorldKeys]) -> State:
     """Return the state at the start, with the argument order of compiled functions."""
     return ticks_of.reset(world, own[1])
 

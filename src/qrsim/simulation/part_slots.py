@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.core.tree import map_tree, replace
 from qrsim.core.vectors import Vec3
 from qrsim.models.radio.faults import RadioFault
@@ -19,7 +20,7 @@ from qrsim.models.vehicles.faults import FREE, BatteryFault, Push, RotorFault
 
 
 def rotor_fault_in(
-    slot: RotorFault, kind: str, chosen: Any, ticks: tuple[int, int], numbers: Mapping[str, Any]
+    slot: RotorFault, kind: str, chosen: NumpyArray, ticks: tuple[int, int], numbers: Mapping[str, object]
 ) -> RotorFault:
     """Return the rotor's slot with a fault put into the ``chosen`` vehicles."""
     if kind == "ok":
@@ -38,7 +39,7 @@ def rotor_fault_in(
 
 
 def radio_fault_in(
-    slot: RadioFault, kind: str, chosen: Any, ticks: tuple[int, int], numbers: Mapping[str, Any]
+    slot: RadioFault, kind: str, chosen: NumpyArray, ticks: tuple[int, int], numbers: Mapping[str, object]
 ) -> RadioFault:
     """Return the radios' slot with a fault put into the ``chosen`` vehicles."""
     if kind == "ok":
@@ -54,7 +55,7 @@ def radio_fault_in(
     )
 
 
-def push_in(slot: Push, kind: str, chosen: Any, ticks: tuple[int, int], numbers: Mapping[str, Any]) -> Push:
+def push_in(slot: Push, kind: str, chosen: NumpyArray, ticks: tuple[int, int], numbers: Mapping[str, object]) -> Push:
     """Return the slot of pushes with a push put into the ``chosen`` vehicles."""
     if kind == "ok":
         return map_tree(lambda old, new: put(old, chosen, new[chosen]), slot, Push.empty(len(chosen)))
@@ -71,7 +72,7 @@ def push_in(slot: Push, kind: str, chosen: Any, ticks: tuple[int, int], numbers:
 
 
 def battery_fault_in(
-    slot: BatteryFault, kind: str, chosen: Any, ticks: tuple[int, int], numbers: Mapping[str, Any]
+    slot: BatteryFault, kind: str, chosen: NumpyArray, ticks: tuple[int, int], numbers: Mapping[str, object]
 ) -> BatteryFault:
     """Return the batteries' slot with a fault put into the ``chosen`` vehicles."""
     if kind == "ok":
@@ -87,7 +88,7 @@ def battery_fault_in(
     )
 
 
-def put(array: Any, chosen: Any, value: Any) -> Any:
+def put(array: object, chosen: NumpyArray, value: object) -> Any:
     """Return a copy of an array (n,) with ``value`` in the chosen rows."""
     changed = np.array(array)
     changed[chosen] = value

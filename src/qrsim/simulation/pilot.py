@@ -91,7 +91,7 @@ class Pilot:
         period = 1 if self.estimator else self.policy_ticks
         return min(ticks, period - simulation.tick % period), estimate
 
-    def _call(self, function: UserFunction) -> Any:
+    def _call(self, function: UserFunction) -> object:
         """Return the checked result of a policy or estimator; its new memory is stored."""
         simulation, memory = self.simulation, self.memories[function.what]
         where = f", at tick {simulation.tick} ({simulation.time:g} s)"

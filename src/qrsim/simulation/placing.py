@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qrsim.core.arrays import Floats
+from qrsim.core.arrays import DType, Floats
 from qrsim.core.pairs import parts_of
 from qrsim.core.tree import replace, select
 from qrsim.core.vectors import Euler, Vec3
@@ -66,7 +66,7 @@ def place(world: World, given: tuple[Any, Any, Any], state: State, tick: Any) ->
 
 def _vehicles(fleet: Fleet, rows: Any) -> Any:
     """Return the states of a fleet's vehicles from rows (n, 13)."""
-    columns: list[Any] = [rows[:, i] for i in range(13)]
+    columns = [rows[:, i] for i in range(13)]
     vehicle = fleet.vehicle.initial_state(
         Vec3(*columns[0:3]), Euler(*columns[3:6]), Vec3(*columns[6:9]), Vec3(*columns[9:12])
     )
@@ -87,7 +87,7 @@ def _checked(world: World, fleets: tuple[FleetState, ...], chosen: Any) -> tuple
     return tuple(checked)
 
 
-def checked_rows(rows: object, names: Sequence[str], dtype: np.dtype[Any]) -> tuple[Floats, Floats]:
+def checked_rows(rows: object, names: Sequence[str], dtype: DType) -> tuple[Floats, Floats]:
     """Return rows (n, 16) and (n,) bool, which vehicles to place, from the argument of ``Simulation.set_state``.
 
     Raises:

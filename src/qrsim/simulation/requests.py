@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any
 
 from qrsim.core.arrays import is_number
 from qrsim.errors import UsageError
@@ -89,7 +88,7 @@ def entry_of(request: Injection, time_step: float) -> Content:
     return entry | dict(request.numbers) | {"asked_by": request.asked_by}
 
 
-def events_of(requests: Iterable[Injection], time_step: float) -> Iterator[dict[str, Any]]:
+def events_of(requests: Iterable[Injection], time_step: float) -> Iterator[Content]:
     """Yield requests as events of a run, one for each vehicle, or for each changed number of the world.
 
     Args:
@@ -129,7 +128,7 @@ def _span(request: Injection, time_step: float) -> str:
     return later + (f" until {request.end_tick * time_step:.2f} s" if request.end_tick < LAST_TICK else "")
 
 
-def _of_world(request: Injection, where: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+def _of_world(request: Injection, where: Mapping[str, object]) -> Iterator[Content]:
     """Yield one event for each number of a change of the weather; ``where``: its time and tick."""
     over, numbers = request.numbers.get("over"), dict(request.numbers)
     slowly, jammer = f", over {over:g} s" if over else "", numbers.pop("jammer", None)

@@ -18,6 +18,7 @@ from qrsim.core.arrays import Floats
 from qrsim.errors import RunError, UsageError, os_error_as
 from qrsim.models.gnss.constellations import satellite_name
 from qrsim.runs.export.output import replacing
+from qrsim.view.loading import loading_element
 from qrsim.view.plots import BAND, Plots
 from qrsim.view.rays import RAYS, Rays, rays_of_film
 from qrsim.view.readings import Skies
@@ -234,7 +235,8 @@ class _Film:
         self._draw(self._times[0], everything=True)
         text: str = serializer().as_html()
         name = html.escape(self._recording.title)
-        return text.replace("<title>Viser</title>", f"<title>qrsim - {name}</title>", 1)
+        text = text.replace("<title>Viser</title>", f"<title>qrsim - {name}</title>", 1)
+        return text.replace("<body>", f"<body>{loading_element(self._recording.heading)}", 1)
 
     def parts(self, tape: Tape, progress: Progress) -> Iterator[str]:
         """Yield the text of each part of the film."""

@@ -326,6 +326,7 @@
     if (found !== m) { m = found; seen = ""; begin(); }
     const tree = nodes(), now = places(tree);
     if (!now) return;
+    if (!place) document.getElementById("qrsim-loading")?.remove();
     place = now;
     const box = canvasBox(), eye = m.camera.matrixWorld.elements.join();
     if (performance.now() - toned > 400) { toned = performance.now(); exact(); }

@@ -20,6 +20,7 @@ from qrsim.view.failing import FailingControls
 from qrsim.view.frame import Cast, Frame
 from qrsim.view.gate import NOTABLE_S
 from qrsim.view.imagery import Imagery
+from qrsim.view.loading import show_loading
 from qrsim.view.markdown import plain
 from qrsim.view.paint import Paint
 from qrsim.view.scene import Scene
@@ -73,6 +74,7 @@ class Page:
         title = heading.partition(",")[0]
         server.gui.set_panel_label(f"qrsim - {title}")
         server.gui.main_panel.dock_right()
+        show_loading(server, heading)
         self.scene = Scene(server, cast, world, title, imagery)
         self.dropped: Callable[[], int] = lambda: 0
         self.plotted: Plotted | None = None

@@ -1,10 +1,11 @@
 // Plots under the scene of a replay: any quantity over time, with the time shown as a cursor. Its data stands before it as
 // `data`, and the library as `uPlot`. Values come from the server, or from the page itself where it has none (film.js).
 (() => {
-  const before = window.qrsimPlots;
+  // What was open stays open, for a page that has lost its server for a while.
+  const before = window.qrsimPlots, last = before ? { ...before.state } : null;
   before?.ends();
   const film = window.qrsimFilm, units = new Map(data.quantities.map(([name, unit]) => [name, unit]));
-  const state = { open: false, panels: [], example: false, group: 0, from: 0, to: data.end, time: before?.state.time ?? 0, active: 0, height: 0 };
+  const state = { open: false, panels: [], example: false, group: 0, from: 0, to: data.end, time: last?.time ?? 0, active: 0, height: 0 };
   const make = (tag, parent, text, name) => {
     const found = document.createElement(tag);
     if (text !== undefined) found.textContent = text;
@@ -374,5 +375,9 @@
     socket?.close();
     dock.remove(); style.remove();
   } };
-  if (before?.state.open) toggle(true);
+  if (last) {
+    const kept = last.panels.map(({ names }) => ({ names: names.filter((name) => units.has(name)) }));
+    Object.assign(state, { panels: kept.filter(({ names }) => names.length), example: last.example, height: last.height });
+  }
+  if (last?.open) toggle(true);
 })();

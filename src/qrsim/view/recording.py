@@ -79,10 +79,8 @@ class Recording:
         stops: events of vehicles that stopped, and the number of the vehicle.
         paints: quantities that can colour vehicles and paths.
         imagery: picture of the ground to show with it; None: none.
-        notes: what does not fit of other runs, one line each: of one run nothing.
+        notes: what the page says about the run, one line each.
     """
-
-    notes: tuple[str, ...] = ()
 
     def __init__(self, run: Run, over: Recording | None = None):
         self.run, self._over = run, over
@@ -110,6 +108,12 @@ class Recording:
         self.imagery: Imagery | None = None
         self._details = RecordedDetails(run)
         self._slots = columns_of(run["measurements"].columns()) if "measurements" in run else []
+
+    @property
+    def notes(self) -> list[str]:
+        """Whether the run is still being written, as one line."""
+        running = self.run.info.state == "running"
+        return [f"the run has not ended; shown up to {self.end:g} s, the last flush"] if running else []
 
     @property
     def end(self) -> float:

@@ -201,7 +201,7 @@ def open_several(
         assert failed is not None
         raise failed
     if len(found) == 1:
-        return found[0], lines
+        return found[0], [*lines, *found[0].notes]
     several = Several(found, align)
     return several, [*lines, *several.notes]
 
@@ -285,8 +285,9 @@ def _origin(run: Run) -> tuple[float, float, float] | None:
 
 
 def _notes(member: Member, first: Run, far: float) -> Iterator[str]:
-    """Yield a line for each thing in which a run does not fit the first; none for the first itself."""
+    """Yield a line if a run has not ended, and for each thing in which it does not fit the first."""
     run, letter = member.recording.run, f"{member.letter} ({member.recording.run.folder})"
+    yield from (f"{letter}: {note}" for note in member.recording.notes)
     if run is first:
         return
     if run.info.scenario != first.info.scenario:

@@ -39,9 +39,7 @@ def test_programs_that_found_a_fault_once(number: int) -> None:
     assert trying.tried(number)[0] in ("equal", "within")
 
 
-@pytest.mark.parametrize(
-    "programs", [20, pytest.param(50, marks=pytest.mark.long), pytest.param(300, marks=pytest.mark.nightly)]
-)
+@pytest.mark.parametrize("programs", [20, pytest.param(300, marks=pytest.mark.nightly)])
 def test_random_programs_and_every_primitive(programs):
     """Equal to the bit or within the roundings of their operations; none crashes; of many, no rule is left out."""
     seen: set[Any] = set()

@@ -125,6 +125,18 @@ def test_links_carry_the_same_bytes_together_as_alone(monkeypatch, limit):
     assert min(map(len, carried[0][:2])) > 100
 
 
+def test_a_tick_at_which_nothing_is_due_sends_nothing():
+    fleet = systems(4)
+    for system in fleet:
+        system.links[:] = [Link(system.number, Streams({"HEARTBEAT": 1.0}, 0.02), system.sent.append)]
+        look(system, np.random.default_rng(1), 0.0)
+        system.stack.events()
+    publisher = Publisher(fleet)
+    for tick in range(3):
+        publisher.publish(tick, fleet[0].links[0].heard)
+    assert [len(system.sent) for system in fleet] == [1, 1, 1, 1]
+
+
 def test_messages_that_are_due_come_in_the_order_of_their_times():
     attitude, odometry = LAYOUTS["ATTITUDE"].number, LAYOUTS["ODOMETRY"].number
     rates = {"ATTITUDE": 50, "ODOMETRY": 30, "GPS_RAW_INT": 0}

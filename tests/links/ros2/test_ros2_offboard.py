@@ -25,7 +25,9 @@ fleets:
 """
 
 
-@pytest.mark.parametrize(("api", "space"), [("px4", "/px4_1"), ("mavros", "/uav1")])
+@pytest.mark.parametrize(
+    ("api", "space"), [("px4", "/px4_1"), pytest.param("mavros", "/uav1", marks=pytest.mark.nightly)]
+)
 def test_an_offboard_node_flies_one_of_two_vehicles(api, space, tmp_path, monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", ALONE)
     (tmp_path / "pair.yaml").write_text(SCENARIO)

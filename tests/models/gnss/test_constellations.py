@@ -86,7 +86,7 @@ class TestConstellations:
             seen = elevation_azimuth(rays(systems, times, Site()))[0] > np.radians(10.0)
             assert seen.sum(axis=1).mean() == pytest.approx(mean, abs=0.5)
 
-    @pytest.mark.parametrize("step", [20.0, pytest.param(6.0, marks=pytest.mark.long)])
+    @pytest.mark.parametrize("step", [20.0, pytest.param(6.0, marks=pytest.mark.nightly)])
     def test_dilution_of_gps_is_that_of_its_performance_standard(self, step):
         """SPS PS 2020, appendix B: HDOP 0.94, 1.16 and 1.25 at 50, 90 and 95 % of the globe and a day, 5 deg mask."""
         found, weight = [], []

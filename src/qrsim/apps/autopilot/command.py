@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from qrsim.apps import OPTIONAL_SECONDS, SECONDS, with_duration
+from qrsim.apps import SECONDS, Duration, Repeated, with_duration
 from qrsim.apps.autopilot.shared import Injecting, check, check_rate, fresh_folder, recorded, report, say
 from qrsim.errors import UsageError
 
@@ -40,9 +40,9 @@ class Betaflight:
 
     scenario: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SCENARIO")] = "outdoor_patrol"
     """Name (see 'qrsim list') or YAML file."""
-    fleet: Annotated[
-        tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all it can)")
-    ] = field(default_factory=list)
+    fleet: Annotated[Repeated, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all it can)")] = field(
+        default_factory=list
+    )
     """Fleet that Betaflight flies; can be given several times. The others fly as in the scenario."""
     model: Annotated[str, tyro.conf.arg(metavar="NAME")] = "hummingbird"
     """Replacement for an identified quadrotor: hummingbird, x500 or crazyflie."""
@@ -50,15 +50,11 @@ class Betaflight:
     """Ticks of the simulation a second, and packets of the firmware; 200 to 2000."""
     seed: int = 0
     """Seed of the episode."""
-    duration: Annotated[
-        float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: the scenario's)")
-    ] = None
+    duration: Duration = None
     """Simulated time."""
-    set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
-        default_factory=list
-    )
+    set: Annotated[Repeated, tyro.conf.arg(metavar="PATH=VALUE")] = field(default_factory=list)
     """Change one value of the scenario; can be given several times."""
-    cli: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="LINE")] = field(default_factory=list)
+    cli: Annotated[Repeated, tyro.conf.arg(metavar="LINE")] = field(default_factory=list)
     """A line for the firmware's own command line, after those of qrsim; can be given several times."""
     binary: Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: the package's)")] = None
     """Another build of the firmware's simulator target (SITL, 4.6)."""
@@ -117,9 +113,9 @@ class Ardupilot:
 
     scenario: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SCENARIO")] = "mavlink_field"
     """Name (see 'qrsim list') or YAML file."""
-    fleet: Annotated[
-        tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all it can)")
-    ] = field(default_factory=list)
+    fleet: Annotated[Repeated, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all it can)")] = field(
+        default_factory=list
+    )
     """Fleet that ArduPilot flies; can be given several times. The others fly as in the scenario."""
     port: int = 9002
     """UDP port of the first vehicle on this machine; each further vehicle is 10 higher, like ArduPilot's instances."""
@@ -131,13 +127,9 @@ class Ardupilot:
     """Ticks of the simulation a second, one for each packet; 200 to 2000."""
     seed: int = 0
     """Seed of the episode."""
-    duration: Annotated[
-        float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: the scenario's)")
-    ] = None
+    duration: Duration = None
     """Simulated time."""
-    set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
-        default_factory=list
-    )
+    set: Annotated[Repeated, tyro.conf.arg(metavar="PATH=VALUE")] = field(default_factory=list)
     """Change one value of the scenario; can be given several times."""
     out: Annotated[
         Path | None,

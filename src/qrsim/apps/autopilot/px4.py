@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from qrsim.apps import OPTIONAL_SECONDS, SECONDS, with_duration
+from qrsim.apps import SECONDS, Duration, Repeated, with_duration
 from qrsim.apps.autopilot.shared import Injecting, check, fresh_folder, recorded, report, say
 from qrsim.errors import RunError, UsageError
 from qrsim.links.pacing import FASTEST, SLOWEST
@@ -44,9 +44,9 @@ class Px4:
 
     scenario: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SCENARIO")] = "mavlink_field"
     """Name (see 'qrsim list') or YAML file."""
-    fleet: Annotated[
-        tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all it can)")
-    ] = field(default_factory=list)
+    fleet: Annotated[Repeated, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all it can)")] = field(
+        default_factory=list
+    )
     """Fleet that PX4 flies; can be given several times. The others fly as in the scenario."""
     px4: Annotated[
         Path | None, tyro.conf.arg(name="px4", metavar="DIR", help_behavior_hint="(default: you start PX4)")
@@ -54,9 +54,7 @@ class Px4:
     """Build folder of PX4, such as PX4-Autopilot/build/px4_sitl_default: start a PX4 from it for each vehicle."""
     env: bool = False
     """Print the environment variables and the command of each PX4, and fly nothing."""
-    param: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME=VALUE")] = field(
-        default_factory=list
-    )
+    param: Annotated[Repeated, tyro.conf.arg(metavar="NAME=VALUE")] = field(default_factory=list)
     """Parameter of PX4, for --px4 and --env, after those of qrsim; can be given several times."""
     port: Annotated[
         int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="(default: 4560 + --first-instance)")
@@ -78,13 +76,9 @@ class Px4:
     """Ticks of the simulation a second: 250 or a multiple of it up to 2000. PX4 gets 250 readings a second."""
     seed: int = 0
     """Seed of the episode."""
-    duration: Annotated[
-        float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: the scenario's)")
-    ] = None
+    duration: Duration = None
     """Simulated time, from the first reading that PX4 gets."""
-    set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
-        default_factory=list
-    )
+    set: Annotated[Repeated, tyro.conf.arg(metavar="PATH=VALUE")] = field(default_factory=list)
     """Change one value of the scenario; can be given several times."""
     out: Annotated[
         Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: runs/px4-SCENARIO-seedSEED-TIME)")

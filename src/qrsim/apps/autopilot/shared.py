@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 
-from qrsim.apps import check_seed
+from qrsim.apps import Repeated, check_seed
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.extras import require
 from qrsim.view.flight import NOW, OFF, replay, shown, stay
@@ -40,9 +40,7 @@ class Injecting:
 
     inject: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Faults and changes of the weather to inject, as 'qrsim run --inject' takes them."""
-    injectable: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME|all")] = field(
-        default_factory=list
-    )
+    injectable: Annotated[Repeated, tyro.conf.arg(metavar="NAME|all")] = field(default_factory=list)
     """Let faults be injected on the page of --view: name of a sensor, rotors, battery, radio, body, or all; can be
     given several times."""
     view: bool = False

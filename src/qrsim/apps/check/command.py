@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from qrsim.apps import OPTIONAL_SECONDS, check_seed, progress_bar, with_duration
+from qrsim.apps import Duration, Repeated, check_seed, progress_bar, with_duration
 from qrsim.errors import RunError, UsageError
 
 if TYPE_CHECKING:
@@ -44,13 +44,9 @@ class Check:
     """Number of runs."""
     first_seed: int = 0
     """Seed of the first run; the others follow."""
-    duration: Annotated[
-        float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: the scenario's)")
-    ] = None
+    duration: Duration = None
     """Simulated time."""
-    set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
-        default_factory=list
-    )
+    set: Annotated[Repeated, tyro.conf.arg(metavar="PATH=VALUE")] = field(default_factory=list)
     """Change one value of the scenario; can be given several times."""
     policy: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="(default: none)")] = None
     """Your policy: a function of a reading; under jax.jit it is compiled into the loop. Or the policy.npz of

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from qrsim.runs.plan import zone_patches
 from qrsim.scenarios.scenario import Scenario
 from qrsim.scenarios.zone_schema import zones_of
 from qrsim.simulation.rollout import Rollout
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 COLOURS = dict(
     zip(
@@ -55,7 +58,7 @@ def _drawn(scenario: Scenario, flown: Rollout, found: list[Outcome]) -> Any:
     return figure
 
 
-def _plan(axes: Any, scenario: Scenario, flown: Rollout) -> None:
+def _plan(axes: Axes, scenario: Scenario, flown: Rollout) -> None:
     """Draw the area, the routes and the places where runs went wrong, seen from above [m]."""
     area = scenario.spec.world.area
     if area.type == "zones":
@@ -93,7 +96,7 @@ def outline(area: Any) -> list[list[float]]:
     return [[area.x_min, area.y_min], [area.x_max, area.y_min], [area.x_max, area.y_max], [area.x_min, area.y_max]]
 
 
-def _bars(axes: Any, found: list[Outcome]) -> None:
+def _bars(axes: Axes, found: list[Outcome]) -> None:
     """Draw the percentage of runs with each outcome and its 95 % interval."""
     names = [outcome.name for outcome in found]
     rows = np.arange(len(found))[::-1]

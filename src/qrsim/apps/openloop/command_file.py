@@ -190,7 +190,7 @@ def _numbers(path: Path, line: int, fields: list[str], header: _Header) -> list[
 
 
 def _number_problem(text: str) -> str:
-    """Return why a field is not a finite number."""
+    """Return the reason, for a message, that a field is not a finite number."""
     if not text:
         return "the field is empty"
     if _NUMBER.fullmatch(text):

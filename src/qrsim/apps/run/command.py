@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from qrsim.apps import OPTIONAL_SECONDS, check_seed, progress_bar, with_duration
+from qrsim.apps import Duration, Repeated, check_seed, progress_bar, with_duration
 from qrsim.errors import RunError, UsageError
 from qrsim.extras import require
 from qrsim.files.interruptions import word
@@ -59,20 +59,14 @@ class Run:
     """Name (see 'qrsim list') or YAML file."""
     seed: int = 0
     """Seed of all randomness."""
-    duration: Annotated[
-        float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior_hint="(default: the scenario's)")
-    ] = None
+    duration: Duration = None
     """Simulated time."""
-    set: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="PATH=VALUE")] = field(
-        default_factory=list
-    )
+    set: Annotated[Repeated, tyro.conf.arg(metavar="PATH=VALUE")] = field(default_factory=list)
     """Change one value of the scenario; can be given several times."""
     inject: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Faults and changes of the weather to inject: a YAML list of entries with target, kind and at, such as
     {target: gnss, kind: 'off', at: 20, end: 30}; or the injections.yaml of a recorded run."""
-    injectable: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="NAME|all")] = field(
-        default_factory=list
-    )
+    injectable: Annotated[Repeated, tyro.conf.arg(metavar="NAME|all")] = field(default_factory=list)
     """Let faults be injected on the page of --view: name of a sensor, rotors, battery, radio, body, or all; can be
     given several times."""
     out: Annotated[
@@ -80,9 +74,7 @@ class Run:
         tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: runs/SCENARIO-seedSEED-TIME)"),
     ] = None
     """Run folder to write; must not exist."""
-    every: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(metavar="[STREAM=]N")] = field(
-        default_factory=list
-    )
+    every: Annotated[Repeated, tyro.conf.arg(metavar="[STREAM=]N")] = field(default_factory=list)
     """Log every Nth tick of truth, measurements, commands, wind, or all of them; can be given several times. All events
     are kept."""
     policy: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="(default: none)")] = None

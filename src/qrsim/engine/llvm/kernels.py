@@ -6,13 +6,14 @@ from functools import cache
 
 import numpy as np
 
+from qrsim.core.operators import make_jaxpr
 from qrsim.core.primitives import KERNELS
 from qrsim.engine.layout import struct
 from qrsim.engine.llvm.graph import Access, Graph, View
 from qrsim.engine.llvm.operations import Emit, Operations
 from qrsim.engine.llvm.simplify import live_nodes
 from qrsim.engine.llvm.text import literal, scalar_type, splat, vector
-from qrsim.engine.llvm.tracing import Tracer, trace
+from qrsim.engine.llvm.tracing import Tracer
 
 
 class Body:
@@ -28,7 +29,7 @@ class Body:
         inputs = [
             graph.node("input", (), (), dtype, (i,), invariant=False, uniform=False) for i, dtype in enumerate(dtypes)
         ]
-        closed = trace(kernel.body, *(struct((), dtype) for dtype in dtypes))
+        closed = make_jaxpr(kernel.body)(*(struct((), dtype) for dtype in dtypes))
         found = Tracer(graph, False).run(closed.jaxpr, closed.consts, [View.whole(node, ()) for node in inputs])
         self.results = [view.access() for view in found]
         live = live_nodes(graph.region, self.results)

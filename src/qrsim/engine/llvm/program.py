@@ -9,6 +9,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr
 
 from qrsim.core.arrays import DType
+from qrsim.core.operators import make_jaxpr
 from qrsim.engine.layout import SPARE, Packer, struct
 from qrsim.engine.llvm import kernels
 from qrsim.engine.llvm.background import packed
@@ -23,7 +24,7 @@ from qrsim.engine.llvm.sharing import Sharing
 from qrsim.engine.llvm.simplify import live_nodes
 from qrsim.engine.llvm.strips import Grouping, Lifetimes, strip_pointer
 from qrsim.engine.llvm.text import stored_bytes
-from qrsim.engine.llvm.tracing import Tracer, trace
+from qrsim.engine.llvm.tracing import Tracer
 from qrsim.engine.llvm.waiting import ALONE, NESTED
 from qrsim.engine.llvm.writing import Place, Writer
 
@@ -91,7 +92,9 @@ def trace_tick(function: Callable[..., object], inputs: Sequence[Input]) -> Clos
         function: called as function(*trees, tick) of one world.
         inputs: the trees; the last one is the state.
     """
-    closed: ClosedJaxpr = trace(function, *(each.layout.template() for each in inputs), struct((), np.dtype(np.int32)))
+    closed: ClosedJaxpr = make_jaxpr(function)(
+        *(each.layout.template() for each in inputs), struct((), np.dtype(np.int32))
+    )
     return closed
 
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 import jax
 import numpy as np
 
+from qrsim.core.operators import make_jaxpr
 from qrsim.engine.layout import Packer, struct
 from qrsim.engine.llvm.program import Input
 from qrsim.engine.llvm.refusal import refusing
@@ -17,9 +18,7 @@ from qrsim.engine.llvm.refusal import refusing
 
 def trace_of(function: Callable[..., object], inputs: Sequence[Input]) -> tuple[object, object]:
     """Return the closed jaxpr of a function of some trees, and the shapes (jax.ShapeDtypeStruct) of what it returns."""
-    found: tuple[object, object] = jax.make_jaxpr(function, return_shape=True)(
-        *(each.layout.template() for each in inputs)
-    )
+    found: tuple[object, object] = make_jaxpr(function, return_shape=True)(*(each.layout.template() for each in inputs))
     return found
 
 

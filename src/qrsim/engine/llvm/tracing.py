@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import chain
 from typing import Any
 
@@ -17,6 +17,7 @@ from jax.extend import source_info_util
 
 from qrsim.core.arrays import DType
 from qrsim.core.nearest import by_all_pairs
+from qrsim.core.operators import make_jaxpr
 from qrsim.core.primitives import KERNELS
 from qrsim.engine.llvm.graph import Access, Graph, Node, Parameters, Region, Shape, View, squeezed
 from qrsim.engine.llvm.indexing import Indexing
@@ -190,7 +191,7 @@ class Tracer(Indexing):
         shape = tuple(out.shape)
         # Cells pay from some size on, and their tables are of one world.
         if not (self.alone and len(shape) == 1 and shape[0] >= MANY_POINTS and not inputs[3].shape):
-            pairs = trace(by_all_pairs, *(jax.ShapeDtypeStruct(view.shape, view.node.dtype) for view in inputs))
+            pairs = make_jaxpr(by_all_pairs)(*(jax.ShapeDtypeStruct(view.shape, view.node.dtype) for view in inputs))
             return self.run(pairs.jaxpr, pairs.consts, inputs)[0]
         accesses = (*(view.access(shape) for view in inputs[:3]), inputs[3].access(()))
         return View.whole(self.graph.node("nearest", accesses, squeezed(shape), out.dtype), shape)
@@ -362,7 +363,7 @@ class Tracer(Indexing):
             first = (jnp.int32(0), *given[constants:])
             return jax.lax.while_loop(lambda state: state[0] < length, body, first)[1:]
 
-        counted = trace(loop, *(jax.ShapeDtypeStruct(view.shape, view.node.dtype) for view in inputs))
+        counted = make_jaxpr(loop)(*(jax.ShapeDtypeStruct(view.shape, view.node.dtype) for view in inputs))
         return self.run(counted.jaxpr, counted.consts, inputs)
 
     def _unknown(self, op: str, args: tuple[Access, ...], like: View, *attributes: object) -> Node:
@@ -393,8 +394,3 @@ class _Products:
 
     def only_here(self, atom: object) -> bool:
         return atom in self._used_once
-
-
-def trace(function: Callable[..., object], *arguments: object) -> jex.ClosedJaxpr:
-    """Return the closed jaxpr of a function for arguments, or their shapes."""
-    return jax.make_jaxpr(function)(*arguments)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from qrsim.errors import ScenarioError, UsageError, did_you_mean
+from qrsim.files import Content
 from qrsim.links.shared.grounding import put_down, standing
 from qrsim.links.shared.motor_frames import FRAMES
 from qrsim.models.vehicles.multirotor.vehicle import Multirotor
@@ -73,13 +73,13 @@ def prepared(
         raise UsageError(f"{where}flown at {rate:g} Hz by {who}: {error}") from None
 
 
-def _has_rotors(fleet: dict[str, Any]) -> bool:
+def _has_rotors(fleet: Content) -> bool:
     """Return whether a fleet's vehicle is a multirotor."""
     kind = fleet["vehicle"]["type"]
     return kind in IDENTIFIED or VEHICLES.get(kind) is Multirotor
 
 
-def _adapt_fleet(fleet: dict[str, Any], model: str, rate: float, inertial_rate: float) -> None:
+def _adapt_fleet(fleet: Content, model: str, rate: float, inertial_rate: float) -> None:
     """Adapt a fleet's content in place: a multirotor model, a cascade, and sensor periods in whole ticks."""
     if fleet["vehicle"]["type"] in IDENTIFIED:
         fleet["vehicle"] = {"type": "multirotor", "model": model}

@@ -95,7 +95,7 @@ def msp_content(received: bytes) -> bytes | None:
 
 
 def arming_reasons(content: bytes) -> list[str]:
-    """Return why the firmware does not arm, from the content of MSP_STATUS_EX.
+    """Return the reasons that the firmware does not arm, from the content of MSP_STATUS_EX.
 
     After 15 bytes there is a count of bytes of modes, these, a count of flags and 32 bits of them.
     """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -55,7 +55,7 @@ class TrueStates:
     def __init__(self, simulation: Simulation, number: int):
         self._simulation = simulation
         layout, _ = simulation.packed
-        state: Any = layout.numbers.fleets[number]
+        state = layout.numbers.fleets[number]
         vehicle = state.vehicle
         place, turn = vehicle.position_ned, vehicle.quaternion
         leaves = [place.x, place.y, place.z, turn.w, turn.x, turn.y, turn.z]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from binascii import crc_hqx
+from collections.abc import Sequence
 
 # The standard library has the same polynomial with its bits in the other order.
 _TURNED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
@@ -13,6 +14,12 @@ _SENT = tuple(bytes((_TURNED[word >> 8], _TURNED[word & 0xFF])) for word in rang
 def check_of(data: bytes) -> bytes:
     """Return the CRC-16/MCRF4XX of bytes as MAVLink sends it: two bytes, low byte first."""
     return _SENT[crc_hqx(data.translate(_TURNED), 0xFFFF)]
+
+
+def checks_of(data: bytes, starts: Sequence[int], stops: Sequence[int]) -> list[bytes]:
+    """Return what ``check_of`` returns, for each part of ``data`` from a start to before its stop."""
+    turned = data.translate(_TURNED)
+    return [_SENT[crc_hqx(turned[start:stop], 0xFFFF)] for start, stop in zip(starts, stops, strict=True)]
 
 
 def x25(data: bytes) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 
 from qrsim.links.mavlink.dialect import LAYOUTS, NUMBERS
 from qrsim.links.mavlink.frames import frame
@@ -46,10 +46,15 @@ class Link:
         """Queue a message for the next ``flush``, which happens at once when a datagram is full."""
         self._queue(frame(number, payload, self.sequence, self.system, COMPONENT))
 
-    def put_frames(self, frames: Iterable[bytes]) -> None:
+    def put_frames(self, frames: Sequence[bytes]) -> None:
         """Queue frames that are numbered from ``sequence`` on, as ``put`` queues a message."""
-        for each in frames:
-            self._queue(each)
+        size = self._size + sum(map(len, frames))
+        if size > LARGEST_DATAGRAM:
+            for each in frames:
+                self._queue(each)
+            return
+        self._parts += frames
+        self._size, self.sequence = size, (self.sequence + len(frames)) & 0xFF
 
     def _queue(self, part: bytes) -> None:
         """Queue the frame with the next number."""

@@ -18,8 +18,6 @@ from qrsim.links.mavlink.telemetry_rows import BY_ROWS, Rows
 MANY = 4
 _NUMBERS = np.array(STREAMED)
 _SIZES = np.array([BY_NUMBER[number].struct.size for number in STREAMED])
-# Payloads up to this size [bytes] are framed together, and longer ones together, so that few bytes are only padding.
-_SHORT = 64
 _ATTITUDE = STREAMED.index(NUMBERS["ATTITUDE"])
 
 
@@ -72,7 +70,8 @@ class Publisher:
         ends = np.cumsum(np.bincount(at, minlength=len(present)))
         # Frames are counted on each link, from its next number on.
         first = np.array([link.sequence for link in present]) - np.append(0, ends[:-1])
-        done = self._framed(at, columns, payloads, (first[at] + np.arange(len(at))) & 0xFF)
+        sequences = (first[at] + np.arange(len(at))) & 0xFF
+        done = frames(_NUMBERS[columns], payloads, sequences, self._numbers[at], COMPONENT)
         begin = 0
         for link, end in zip(present, ends.tolist(), strict=True):
             link.put_frames(done[begin:end])
@@ -88,7 +87,7 @@ class Publisher:
         Returns:
             (m, w) uint8, and which are sent (m,).
         """
-        width = int(_SIZES[columns].max(initial=0))
+        width = int(_SIZES[columns].max(initial=1))
         found, sent = np.zeros((len(columns), width), np.uint8), np.zeros(len(columns), bool)
         rows: Rows | None = None
         order = np.argsort(columns, kind="stable")
@@ -111,16 +110,3 @@ class Publisher:
                 if payload is not None:
                     found[i, :size], sent[i] = np.frombuffer(payload, np.uint8), True
         return found, sent
-
-    def _framed(self, at: NumpyArray, columns: NumpyArray, payloads: NumpyArray, sequences: NumpyArray) -> list[bytes]:
-        """Return the frames of messages (m,) on links ``at`` (m,), see ``bulk_frames.frames``."""
-        numbers, systems = _NUMBERS[columns], self._numbers[at]
-        found: list[bytes] = [b""] * len(at)
-        short = _SIZES[columns] <= _SHORT
-        for group, width in ((short, _SHORT), (~short, payloads.shape[1])):
-            chosen = np.flatnonzero(group)
-            if len(chosen):
-                made = frames(numbers[chosen], payloads[chosen, :width], sequences[chosen], systems[chosen], COMPONENT)
-                for i, each in zip(chosen.tolist(), made, strict=True):
-                    found[i] = each
-        return found

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.errors import UsageError
+from qrsim.files import Content
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.qrsim_pb2 import Message, Step
 from qrsim.links.reference.replies import Claim, Heard, Sensed, SensedVehicle, Status, VehicleStatus, heard_of
@@ -226,7 +227,7 @@ class SharedCalls(ABC):
         pacing = {field.name: value for field, value in found.pacing.ListFields()}
         return Status(found.pace, found.tick, found.t, pacing, vehicles)
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> Content:
         """Return a description of the world: area, obstacles, ground, wind, fleets with sensors and commands."""
         found = self._call(Message(type=Message.DESCRIBE, describe=pb.Describe()), Message.WORLD).world
         parts = {name: _part(getattr(found, name)) for name in ("area", "ground", "wind", "turbulence", "gust")}
@@ -267,7 +268,7 @@ def sensed_of(found: pb.Readings) -> Sensed:
     )
 
 
-def _sensed_vehicle(found: Any) -> SensedVehicle:
+def _sensed_vehicle(found: pb.Readings.Vehicle) -> SensedVehicle:
     """Convert the stamped readings of one vehicle from their message."""
     sensors = {
         sensor.name: {
@@ -326,9 +327,9 @@ def kind_of(name: str) -> Step.Type:
     return KINDS[name]
 
 
-def _part(found: Any) -> dict[str, Any]:
+def _part(found: pb.World.Part) -> Content:
     """Return the description of a component as a dict of its type, its parameters and their "units"."""
-    values: dict[str, Any] = {"type": found.type}
+    values: Content = {"type": found.type}
     for each in found.quantity:
         numbers = list(each.value)
         values[each.name] = each.text if each.HasField("text") else numbers[0] if len(numbers) == 1 else numbers
@@ -336,7 +337,7 @@ def _part(found: Any) -> dict[str, Any]:
     return values
 
 
-def _fleet_description(found: Any) -> dict[str, Any]:
+def _fleet_description(found: pb.World.Fleet) -> dict[str, object]:
     """Convert the description of a fleet from its message to a dict."""
     return {
         "vehicles": list(found.vehicle),

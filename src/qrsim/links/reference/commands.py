@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from qrsim.control import VelocitySetpoint, WaypointSetpoint
-from qrsim.core.arrays import NumpyArray
+from qrsim.core.arrays import DType, NumpyArray
 from qrsim.errors import UsageError
+from qrsim.files import Content
 from qrsim.links.reference.kinds import KINDS, WIDTHS
 from qrsim.links.reference.protocol.qrsim_pb2 import Arrayd, Message, Step
 from qrsim.links.shared.kinds import CONTROL, FIELDS, record_of
@@ -74,7 +75,7 @@ class Commands:
         dtype: of the simulation's numbers.
     """
 
-    def __init__(self, names: Sequence[str], dtype: np.dtype[Any]):
+    def __init__(self, names: Sequence[str], dtype: DType):
         self._names = names
         self._made = {kind: _command_of_array(kind, len(names), dtype) for kind in KINDS}
         # By length, of which there is one at a time.
@@ -142,11 +143,11 @@ class MixedCommands(Commands):
         dtype: of the simulation's numbers.
     """
 
-    def __init__(self, fleets: Sequence[Fleet], dtype: np.dtype[Any]):
+    def __init__(self, fleets: Sequence[Fleet], dtype: DType):
         super().__init__([name for fleet in fleets for name in fleet.vehicle_names], dtype)
         self._fleets, self._dtype = fleets, dtype
 
-    def of(self, request: Step) -> dict[str, Any]:
+    def of(self, request: Step) -> Content:
         """Convert a STEP to commands by fleet; vectors for vehicles that take no commands are ignored.
 
         Raises:
@@ -168,7 +169,7 @@ class MixedCommands(Commands):
 
     def samples(self, start_ned: NumpyArray) -> list[Any]:
         """Return commands of each kind by fleet, to compile them, for vehicles at (n, 3) NED [m]."""
-        found: list[dict[str, Any]] = [{}, {}, {}]
+        found: list[Content] = [{}, {}, {}]
         first = 0
         for fleet in self._fleets:
             place = start_ned[first : first + fleet.size]
@@ -185,14 +186,14 @@ class MixedCommands(Commands):
         """Do nothing: vectors of mixed fleets differ in their lengths."""
 
 
-def commands_of(fleets: Sequence[Fleet], dtype: np.dtype[Any]) -> Commands:
+def commands_of(fleets: Sequence[Fleet], dtype: DType) -> Commands:
     """Return the converter from STEP messages to commands for these fleets, mixed if their command types differ."""
     if all(fleet.vehicle.command_type is Command for fleet in fleets):
         return Commands([name for fleet in fleets for name in fleet.vehicle_names], dtype)
     return MixedCommands(fleets, dtype)
 
 
-def _command_of_array(kind: int, size: int, dtype: np.dtype[Any]) -> tuple[NumpyArray, Any]:
+def _command_of_array(kind: int, size: int, dtype: DType) -> tuple[NumpyArray, object]:
     """Return the array (n, width) for the vectors of a STEP, and the fleet's command, which is a view of it.
 
     The fields of the command are views of the array's columns.

@@ -45,7 +45,7 @@ def hand_over(simulation: Simulation, words: Sequence[Words]) -> None:
 
 
 def heard_by_all(simulation: Simulation) -> list[list[pb.Readings.Heard]]:
-    """Return what each vehicle has heard, the newest message of each sender."""
+    """Return, for each vehicle, the newest message that it has received from each sender."""
     if simulation.world.radio is None:
         return [[] for _ in range(simulation.size)]
     return [[_heard_message(each) for each in heard] for heard in simulation.inboxes()]

@@ -8,6 +8,7 @@ from importlib.metadata import version
 from typing import Any, cast
 
 from qrsim.errors import UsageError
+from qrsim.files import Content
 from qrsim.links.pacing import checked_factor
 from qrsim.links.reference import shared_requests as shared
 from qrsim.links.reference.describing import description
@@ -100,13 +101,13 @@ async def set_state(connection: Client, message: Message) -> None:
     connection.server.broadcast(session)
 
 
-def known_step(connection: Client, payload: bytes) -> tuple[Any, int] | None:
+def known_step(connection: Client, payload: bytes) -> tuple[object, int] | None:
     """Return the command and the ticks of a STEP of a learnt layout, else None."""
     session = connection.session
     return session.commands.known(payload) if isinstance(session, Session) else None
 
 
-def parsed_step(connection: Client, message: Message, payload: bytes) -> tuple[Any, int]:
+def parsed_step(connection: Client, message: Message, payload: bytes) -> tuple[object, int]:
     """Parse the command and the ticks of a STEP.
 
     Raises:
@@ -173,7 +174,7 @@ async def open_session(connection: Client, message: Message) -> None:
     _send_session(connection, session)
 
 
-def _chosen(connection: Client, request: pb.Open | pb.Play) -> dict[str, Any]:
+def _chosen(connection: Client, request: pb.Open | pb.Play) -> Content:
     """Return task, scenario and seeds of a request as keyword arguments of ``_session_options``."""
     if request.HasField("task") and request.HasField("scenario"):
         raise UsageError("give either a task or a scenario")
@@ -319,7 +320,7 @@ async def play(connection: Client, message: Message) -> None:
     connection.server.broadcast(session)
 
 
-def _episode_options(connection: Client, chosen: dict[str, Any]) -> SessionOptions:
+def _episode_options(connection: Client, chosen: Content) -> SessionOptions:
     """Return the options of an episode session; raise UsageError if this server cannot play."""
     options = connection.server.options
     if options.record is not None or options.view is not None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from qrsim.errors import RunError, UsageError, warn_user
+from qrsim.files import Content
 from qrsim.links.pacing import Pacer
 from qrsim.links.reference.commands import Commands, commands_of, rows_of
 from qrsim.links.reference.protocol.qrsim_pb2 import Arrayd, Events
@@ -88,11 +89,11 @@ class Session:
         self.thread = ThreadPoolExecutor(1, thread_name_prefix=f"session-{number}")
         self._options, self._seeds = options, options.seeds
         self._seconds: dict[Any, tuple[float, int]] = {}
-        self._events: deque[dict[str, Any]] = deque()
+        self._events: deque[Content] = deque()
         self._lost_events = 0
         self._writer: RunWriter | None = None
         self._finder: EventFinder | None = None
-        self._columns: dict[str, Any] = {}
+        self._columns: Content = {}
         self._recording: EpisodesWriter | None = None
         self.episode = 0
 
@@ -310,7 +311,7 @@ class Session:
         if self._writer is not None:
             self._writer.note_injection(entry)
 
-    def keep_events(self, found: list[dict[str, Any]]) -> None:
+    def keep_events(self, found: list[Content]) -> None:
         """Store events for GET_EVENTS and in the recording."""
         if self._options.events:
             self._events.extend(found)
@@ -362,7 +363,7 @@ class Session:
         self.thread.shutdown(wait=False)
 
 
-def _command_kind(command: object) -> Any:
+def _command_kind(command: object) -> object:
     """Return the kind of a command, or by fleet the kind of each command."""
     if isinstance(command, Mapping):
         return tuple((name, type(part)) for name, part in command.items())

@@ -148,7 +148,7 @@ class Sharing:
             return
         waiting = self._waiting[client.number] = Waiting(until, asyncio.get_running_loop().create_future())
         self._advance_if_ready()
-        leaving: asyncio.Future[Any] = asyncio.ensure_future(client.leaving.wait())
+        leaving = asyncio.ensure_future(client.leaving.wait())
         try:
             await asyncio.wait({waiting.there, leaving}, return_when=asyncio.FIRST_COMPLETED)
         finally:

@@ -166,7 +166,7 @@ def _refuse_aliases(text: str) -> None:
 
 
 def _upload_problems(content: object) -> Iterator[str]:
-    """Yield what an uploaded scenario must not contain: file names, foreign parents, numbers above the limits."""
+    """Yield each forbidden content of an uploaded scenario: file names, foreign parents, numbers above the limits."""
     if not isinstance(content, dict):
         yield "expected keys and values such as name: hover"
         return

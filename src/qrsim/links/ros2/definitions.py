@@ -16,12 +16,12 @@ Fields = list[tuple[str, Any]]
 EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
 
 
-def definitions_of(*packages: str) -> dict[str, tuple[list[Any], Fields]]:
+def definitions_of(*packages: str) -> dict[str, tuple[list[object], Fields]]:
     """Return the types of packages as a type store of rosbags registers them, by name, such as "std_srvs/srv/Trigger".
 
     A service has a type for its request and one for its response, ``_Request`` and ``_Response``.
     """
-    found: dict[str, tuple[list[Any], Fields]] = {}
+    found: dict[str, tuple[list[object], Fields]] = {}
     for package in packages:
         for file in (files(__package__) / "definitions" / package).iterdir():
             own, _, kind = file.name.rpartition(".")
@@ -35,13 +35,13 @@ def definitions_of(*packages: str) -> dict[str, tuple[list[Any], Fields]]:
     return found
 
 
-def _parsed_fields(text: str, name: str) -> tuple[list[Any], Fields]:
+def _parsed_fields(text: str, name: str) -> tuple[list[object], Fields]:
     """Return constants and fields of a message definition."""
     (found,) = get_types_from_msg(text, name).values()
     return found
 
 
-def service_types(name: str, info: Fields) -> dict[str, tuple[list[Any], Fields]]:
+def service_types(name: str, info: Fields) -> dict[str, tuple[list[object], Fields]]:
     """Return the types from which a service's hash is computed: the service, its event, and ServiceEventInfo.
 
     Args:

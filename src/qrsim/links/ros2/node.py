@@ -22,7 +22,7 @@ class Reader(Protocol):
 
     topic: Topic
 
-    def take(self) -> list[Any]:
+    def take(self) -> list[Message]:
         """Return the messages that have arrived, oldest first."""
 
 

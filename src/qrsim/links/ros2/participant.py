@@ -170,35 +170,35 @@ class Participant:
         )
         return [line] if policy else []
 
-    def _dds_topic(self, topic: Topic) -> tuple[Any, Any]:
+    def _dds_topic(self, topic: Topic) -> tuple[object, object]:
         """Return the sample type and the DDS topic of a ROS topic."""
         sample = self._types.sample(topic.type)
         return sample, DdsTopic(self._participant, f"rt{topic.name}", sample)
 
-    def _endpoint_qos(self, profile: Profile, name: str) -> Any:
+    def _endpoint_qos(self, profile: Profile, name: str) -> object:
         """Return the QoS of an endpoint, with the hash of its type in the user data."""
         known = self._types.hash(name)
         return _dds_qos(profile, *((Policy.Userdata(f"typehash={known};".encode()),) if known else ()))
 
-    def _gid_message(self, guid: bytes) -> Any:
+    def _gid_message(self, guid: bytes) -> object:
         """Return a GUID as a message of rmw_dds_common/Gid."""
         kind = "rmw_dds_common/msg/Gid"
         size = self._types.fields(kind)[0][1][1][1]
         return self._types[kind](np.frombuffer(guid.ljust(size, b"\0"), np.uint8))
 
 
-def _is_best_effort(qos: Any) -> bool:
+def _is_best_effort(qos: Qos) -> bool:
     """Return whether a QoS is best effort, which is the default of a reader."""
     # Of a reader it is the default.
     return Policy.Reliability not in qos or qos[Policy.Reliability] == Policy.Reliability.BestEffort
 
 
-def _is_latched(qos: Any) -> bool:
+def _is_latched(qos: Qos) -> bool:
     """Return whether a QoS keeps samples for late subscribers."""
     return Policy.Durability in qos and qos[Policy.Durability] != Policy.Durability.Volatile
 
 
-def _dds_qos(profile: Profile, *more: object) -> Any:
+def _dds_qos(profile: Profile, *more: object) -> object:
     """Return the QoS of a profile: XCDR1, as ROS uses it, and no waiting for slow readers."""
     latched = (
         Policy.Durability.TransientLocal,
@@ -221,7 +221,7 @@ class Writer:
         lost: messages for which there was no room, because a reader is slow.
     """
 
-    def __init__(self, entity: Any, sample: Message):
+    def __init__(self, entity: DataWriter, sample: Message):
         self.entity = entity
         self._sample = packed(sample, b"")
         self.lost = 0
@@ -243,10 +243,10 @@ class Reader:
         topic: that it reads.
     """
 
-    def __init__(self, types: Types, topic: Topic, entity: Any):
+    def __init__(self, types: Types, topic: Topic, entity: DataReader):
         self._types, self.topic, self.entity = types, topic, entity
 
-    def take(self) -> list[Any]:
+    def take(self) -> list[Message]:
         """Return the messages that have arrived, oldest first; a writer that leaves is an ``InvalidSample``."""
         samples = self.entity.take(_MOST_AT_ONCE)
         return self._types.heard((each.cdr for each in samples if not isinstance(each, InvalidSample)), self.topic.type)
@@ -265,7 +265,7 @@ class Service:
     def __init__(self, types: Types, kind: str, rtps: Services, raw: RawService):
         self._types, self._kind, self._rtps, self._raw = types, kind, rtps, raw
 
-    def take(self) -> list[tuple[Request, Any]]:
+    def take(self) -> list[tuple[Request, Message]]:
         """Return the requests that have arrived, oldest first."""
         self._rtps.spin()
         found = []

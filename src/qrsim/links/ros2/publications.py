@@ -12,6 +12,7 @@ from qrsim.core.arrays import NumpyArray
 from qrsim.links.ros2 import numbers as n
 from qrsim.links.ros2 import topics as t
 from qrsim.links.ros2 import variances
+from qrsim.links.ros2.alike import MANY, Alike
 from qrsim.links.ros2.blank import stamp_of
 from qrsim.links.ros2.names import namespaces
 from qrsim.links.ros2.transforms import Transforms
@@ -73,6 +74,14 @@ class Publications:
                 distance = variances.of_range(sensors(s.RANGE), vehicle)
                 attitude = max((variances.of_attitude(each, vehicle) for each in fleet.sensors), default=0.0)
                 self._noise[:, row] = (*distance, attitude)
+        # Of many vehicles the messages that differ in their numbers alone are made together.
+        forms: dict[tuple[object, ...], list[tuple[int, int, Publication]]] = {}
+        for row, each in enumerate(self._vehicles):
+            for topic, own in each:
+                forms.setdefault(own.form, []).append((topic, row, own))
+        groups = [tuple(zip(*group, strict=True)) for group in forms.values() if len(group) >= MANY]
+        self._alike = [(owns[0], topics, Alike(owns, rows)) for topics, rows, owns in groups]
+        self._together = {topic for _, topics, _ in self._alike for topic in topics}
         self.columns = sorted({own.sensor for each in self._vehicles for _, own in each if own.sensor is not None})
 
     def add(self, topic: t.Topic) -> int:
@@ -110,21 +119,50 @@ class Publications:
         numbers, stamps = self._filled_numbers(values), [stamp_of(time) for time in believed]
         if due:
             yield 0, self._transforms.message(numbers, stamps)
+        made: dict[int, bytes | None] = {}
+        for publication, topics, alike in self._alike:
+            column = publication.sensor
+            if column is None and due and self._is_due(tick, publication.kind.every):
+                made.update(zip(topics, alike.messages(numbers, stamps), strict=True))
+            elif column is not None and any(news[column][0]):
+                fresh, times = news[column]
+                messages = alike.messages(numbers, [stamp_of(time) for time in times])
+                rows = zip(topics, alike.rows.tolist(), messages, strict=True)
+                made.update((topic, message if fresh[row] else None) for topic, row, message in rows)
         for row, (own, own_numbers) in enumerate(zip(self._vehicles, numbers.tolist(), strict=True)):
             for topic, publication in own:
-                stamp = stamps[row]
-                if publication.sensor is not None:
-                    fresh, times = news[publication.sensor]
-                    if not fresh[row]:
-                        continue
-                    stamp = stamp_of(times[row])
-                elif not (due and self._is_due(tick, publication.kind.every)):
-                    continue
-                message = publication.message(own_numbers, *stamp)
+                message = made.get(topic)
+                if message is None and topic not in self._together:
+                    message = self._alone(publication, row, own_numbers, (tick, due), stamps[row], news)
                 if message is not None:
                     yield topic, message
         if due and true is not None:
             yield from self._true_messages(true, stamp_of(tick * self._dt))
+
+    def _alone(
+        self,
+        publication: Publication,
+        row: int,
+        numbers: Sequence[float],
+        now: tuple[int, bool],
+        stamp: tuple[int, int],
+        news: Mapping[int, News],
+    ) -> bytes | None:
+        """Return the message of one vehicle's topic; None if it is not sent at this tick.
+
+        Args:
+            publication: of the vehicle.
+            row: of it.
+            numbers: (WIDTH,) of it.
+            now: the tick, and whether estimates are due.
+            stamp: when its estimate held.
+            news: of sensors by column.
+        """
+        if publication.sensor is not None:
+            fresh, times = news[publication.sensor]
+            return publication.message(numbers, *stamp_of(times[row])) if fresh[row] else None
+        tick, due = now
+        return publication.message(numbers, *stamp) if due and self._is_due(tick, publication.kind.every) else None
 
     def _filled_numbers(self, values: NumpyArray) -> NumpyArray:
         """Return the message values (n, WIDTH), with the variances of sensors filled in."""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.interface.messages import checked_message
+from qrsim.links.ros2 import Message
 from qrsim.links.ros2.blank import empty
 from qrsim.links.ros2.topics import Topic
 from qrsim.links.ros2.typestore import Types
@@ -62,7 +62,7 @@ class Inboxes:
                 yield row, self._types.encode(message)
 
 
-def hand_over(simulation: Simulation, namespaces: Sequence[str], said: Sequence[tuple[int, Any]]) -> list[Checked]:
+def hand_over(simulation: Simulation, namespaces: Sequence[str], said: Sequence[tuple[int, Message]]) -> list[Checked]:
     """Pass messages to the vehicles' radios, and return them: sender, numbers (D,), receiver or -1.
 
     Args:

@@ -125,7 +125,7 @@ class Recorded:
         Args:
             columns: whose sensors' news are wanted.
         """
-        before: dict[tuple[int, int], Any] = {}
+        before: dict[tuple[int, int], object] = {}
         for begin in range(0, len(self._ticks), MOST_AT_ONCE):
             ticks = self._ticks[begin : begin + MOST_AT_ONCE]
             values, true = self._values(ticks), self._true_numbers(ticks)
@@ -193,7 +193,7 @@ class Recorded:
         )
         return numbers.reshape(len(ticks), len(self.names), n.WIDTH)
 
-    def _news(self, column: int, tick: int, values: NumpyArray, before: dict[tuple[int, int], Any]) -> News:
+    def _news(self, column: int, tick: int, values: NumpyArray, before: dict[tuple[int, int], object]) -> News:
         """Return, for each vehicle, whether a column's sensor has a new reading in this tick, and its time [s]."""
         fresh: list[bool] = []
         times: list[float] = []

@@ -62,7 +62,7 @@ class Template:
         runs: list[tuple[int, str]] = []
         end = -1
         for path in paths:
-            offset, code, count = self._slot_of(path)
+            offset, code, count = self.slot(path)
             gap = offset - end
             if runs and 0 <= gap < 8 and not any(at in self._taken for at in range(end, offset)):
                 runs[-1] = (runs[-1][0], f"{runs[-1][1]}{'x' * gap}{count}{code}")
@@ -71,7 +71,7 @@ class Template:
             end = offset + count * struct.calcsize(f"<{code}")
         return _putter(self.cdr, runs)
 
-    def _slot_of(self, path: str) -> tuple[int, str, int]:
+    def slot(self, path: str) -> tuple[int, str, int]:
         """Return offset, struct code and count of a path, such as "pose.x" or "covariance[4]"; raises KeyError."""
         if path in self.places:
             return self.places[path]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.interface.arrays import quaternion_of
+from qrsim.links.ros2 import Message
 from qrsim.links.ros2 import numbers as n
 from qrsim.links.ros2.blank import empty
 from qrsim.links.ros2.frames import enu_of, flu_of
@@ -82,7 +82,7 @@ class Transforms:
 
 def transform(
     types: Types, parent: str, child: str, place: Sequence[float] = (0.0, 0.0, 0.0), turn: Sequence[float] = _LEVEL
-) -> Any:
+) -> Message:
     """Return a transform of a child frame in its parent: translation [m] and rotation (x, y, z, w)."""
     found = empty(types, ONE)
     found.header.frame_id, found.child_frame_id = parent, child
@@ -91,7 +91,7 @@ def transform(
     return found
 
 
-def static_transforms(types: Types, world: World, namespaces: Sequence[str], site: Site) -> Any:
+def static_transforms(types: Types, world: World, namespaces: Sequence[str], site: Site) -> Message:
     """Return the message of /tf_static: the map on the Earth (REP-105), beacons, and some sensors of vehicles."""
     found, rest = [on_earth(types, site), *_beacons(types, world)], iter(namespaces)
     for fleet in world.fleets:

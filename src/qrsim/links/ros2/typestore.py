@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.links.ros2 import Message
-from qrsim.links.ros2.definitions import EVENT_INFO, definitions_of, service_types
+from qrsim.links.ros2.definitions import EVENT_INFO, Fields, definitions_of, service_types
 
 DISTROS = ("humble", "iron", "jazzy", "kilted", "lyrical")
 # Humble knows no type hashes.
@@ -90,7 +90,7 @@ class Types:
         """Decode CDR bytes to a message of a type."""
         return self.store.deserialize_cdr(cdr, name)
 
-    def heard(self, samples: Iterable[bytes], name: str) -> list[Any]:
+    def heard(self, samples: Iterable[bytes], name: str) -> list[Message]:
         """Return the decoded messages that another node has sent as CDR, without invalid ones."""
         found = []
         for cdr in samples:
@@ -99,10 +99,9 @@ class Types:
                 found.append(self.decode(cdr, name))
         return found
 
-    def fields(self, name: str) -> list[tuple[str, Any]]:
+    def fields(self, name: str) -> Fields:
         """Return the fields of a type with their descriptions, in order."""
-        found: list[tuple[str, Any]] = self.store.fielddefs[name][1]
-        return found
+        return self.store.fielddefs[name][1]
 
     def sample(self, name: str) -> Any:
         """Return the DDS type of a message: a class whose instances have ``cdr``, XCDR1 bytes.
@@ -142,7 +141,7 @@ class Types:
         return idl.sequence[self._dds_type(element), count] if count else idl.sequence[self._dds_type(element)]
 
 
-def _serialized(sample: Message, *args: Any, **options: Any) -> bytes:
+def _serialized(sample: Message, *args: object, **options: object) -> bytes:
     """Return the CDR bytes of a sample; replaces the library's serialisation."""
     cdr: bytes = sample.cdr
     return cdr

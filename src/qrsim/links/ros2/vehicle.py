@@ -42,6 +42,8 @@ class Publication:
         kind, topic: what it is.
         needs: columns without whose numbers nothing is published.
         sensor: column whose sensor sets the pace, or None.
+        cdr: the last message, with the header of CDR.
+        stamp, puts, status: slots of ``Template`` for the time, for numbers with their columns, and for a fix's status.
     """
 
     def __init__(self, types: Types, kind: Kind, namespace: str, sensors: Sensors, number: int):
@@ -68,8 +70,11 @@ class Publication:
         order = [column for _, columns in puts for column in columns]
         self._pick = itemgetter(*order) if len(order) > 1 else lambda row: (row[order[0]],)
         self._put = template.putter(*(STAMP if stamped else ()), *(path for path, _ in puts))
-        self._stamped, self._cdr = stamped, template.cdr
+        self._stamped, self.cdr = stamped, template.cdr
         self._status = template.putter("status.status") if "status.status" in template.places else None
+        self.stamp = [template.slot(path) for path in STAMP] if stamped else []
+        self.puts = [(template.slot(path), columns) for path, columns in puts]
+        self.status = template.places.get("status.status")
 
     def message(self, row: Sequence[float], sec: int, nanosec: int) -> bytes | None:
         """Return the message of a row of numbers at a time; None where a number that it needs is unknown."""
@@ -82,7 +87,13 @@ class Publication:
             self._put(*self._pick(row))
         if self._status is not None:
             self._status(int(row[n.FIX_STATUS]))
-        return bytes(self._cdr)
+        return bytes(self.cdr)
+
+    @property
+    def form(self) -> tuple[object, ...]:
+        """Equal where messages differ in bytes, but not in the places and columns of their numbers."""
+        puts = tuple((slot, tuple(columns)) for slot, columns in self.puts)
+        return self.kind.topic, len(self.cdr), tuple(self.stamp), puts, self.status, tuple(self.needs), self.sensor
 
 
 def kinds_of(sensors: Sensors, drains: bool, windy: bool) -> list[Kind]:
@@ -161,7 +172,7 @@ def _set_battery(message: Message, sensors: Sensors, number: int) -> None:
     message.power_supply_technology, message.present = _LIPO, True
 
 
-_CONSTANTS: dict[str, Callable[[Any, Sensors, int], None]] = {
+_CONSTANTS: dict[str, Callable[[Message, Sensors, int], None]] = {
     t.FIX.topic: _set_fix,
     t.IMU.topic: _set_inertial,
     t.MAG.topic: _set_field,

@@ -10,7 +10,6 @@ import hashlib
 import json
 import struct
 import time
-from typing import Any
 
 import zenoh
 import zenoh.ext
@@ -205,7 +204,7 @@ class ZenohWriter:
         lost: always 0, because zenoh does not say what it drops.
     """
 
-    def __init__(self, publisher: Any, gid: bytes):
+    def __init__(self, publisher: zenoh.Publisher | zenoh.ext.AdvancedPublisher, gid: bytes):
         self._publisher, self._gid = publisher, _length_prefixed("source_gid") + bytes([len(gid)]) + gid
         self._number, self.lost = 0, 0
 
@@ -222,10 +221,10 @@ class ZenohReader:
         topic: that it reads.
     """
 
-    def __init__(self, types: Types, topic: Topic, subscriber: Any):
+    def __init__(self, types: Types, topic: Topic, subscriber: zenoh.Subscriber | zenoh.ext.AdvancedSubscriber):
         self._types, self.topic, self._subscriber = types, topic, subscriber
 
-    def take(self) -> list[Any]:
+    def take(self) -> list[Message]:
         """Return the messages that have arrived, oldest first."""
         found = []
         for _ in range(_MOST_AT_ONCE):
@@ -240,10 +239,10 @@ class ZenohReader:
 class ZenohService:
     """Answers requests; as ``participant.Service``."""
 
-    def __init__(self, types: Types, kind: str, key: str, queryable: Any):
+    def __init__(self, types: Types, kind: str, key: str, queryable: zenoh.Queryable):
         self._types, self._kind, self._key_expression, self._queryable = types, kind, key, queryable
 
-    def take(self) -> list[tuple[Any, Any]]:
+    def take(self) -> list[tuple[zenoh.Query, Message]]:
         """Return the requests that have arrived, oldest first: the query, and the message."""
         found = []
         for _ in range(_MOST_AT_ONCE):

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any
 
 import numpy as np
 
+from qrsim.files import Content
 from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 from qrsim.world.state import World
 
 
-def put_down(content: dict[str, Any], world: World, fleets: Collection[str]) -> None:
+def put_down(content: Content, world: World, fleets: Collection[str]) -> None:
     """Move the starts of the fleets' vehicles to the ground below, standing on it; changes ``content`` in place.
 
     Args:
@@ -30,7 +30,7 @@ def put_down(content: dict[str, Any], world: World, fleets: Collection[str]) -> 
             vehicle["position_ned"] = [north, east, float(height) - feet]
 
 
-def standing(fleet: dict[str, Any], has_ground: bool) -> None:
+def standing(fleet: Content, has_ground: bool) -> None:
     """Remove route, legs and initial speed of a fleet's content in place, so that its vehicles stay at the start.
 
     Args:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from qrsim.errors import UsageError, did_you_mean
+from qrsim.files import Content
 from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 from qrsim.scenarios.catalogue import BATTERIES, VEHICLES
 from qrsim.scenarios.scenario import Scenario, load_scenario
@@ -22,7 +22,7 @@ PARTS = ("all", *WITHOUT)
 DELAY_MAX = 0.5
 
 
-def may_fail(content: dict[str, Any], names: Sequence[str]) -> None:
+def may_fail(content: Content, names: Sequence[str]) -> None:
     """Declare sensors and parts of all fleets as injectable; changes a scenario's content in place.
 
     Args:
@@ -47,7 +47,7 @@ def may_fail(content: dict[str, Any], names: Sequence[str]) -> None:
         spec = fleet["injectable"] or {}
         before = spec.get("sensors", [])
         sensors = [name for name in fleet["sensors"] if before == ["all"] or name in {*names, *before}]
-        more: dict[str, Any] = {"sensors": sensors}
+        more: Content = {"sensors": sensors}
         # Of what a fleet does not have nothing can fail.
         more |= {
             part: "all" if part == "rotors" else True
@@ -57,7 +57,7 @@ def may_fail(content: dict[str, Any], names: Sequence[str]) -> None:
         fleet["injectable"] = spec | more
 
 
-def _has_part(content: dict[str, Any], fleet: dict[str, Any], part: str) -> bool:
+def _has_part(content: Content, fleet: Content, part: str) -> bool:
     """Return whether a fleet of a scenario's content has a part, such as a battery, that is no sensor."""
     if part == "rotors":
         return issubclass(VEHICLES[fleet["vehicle"]["type"]], Multirotor)

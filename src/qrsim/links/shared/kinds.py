@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.control.setpoints import SETPOINTS
-from qrsim.core.arrays import NumpyArray
+from qrsim.core.arrays import DType, NumpyArray
 from qrsim.core.tree import field_info
 from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError, did_you_mean
@@ -109,7 +109,7 @@ def record_of(kind: str, columns: NumpyArray, command: type) -> Any:
     return record(*columns)
 
 
-def checked(order: Order, kinds: Mapping[str, tuple[Field, ...]], dtype: np.dtype[Any]) -> Order:
+def checked(order: Order, kinds: Mapping[str, tuple[Field, ...]], dtype: DType) -> Order:
     """Return an order unchanged; raises UsageError if the vehicle does not take its kind or a number is invalid.
 
     Raises:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.core.arrays import NumpyArray
+from qrsim.core.arrays import DType, NumpyArray
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.links.contracts import Order
 from qrsim.links.shared.kinds import NAMES, Field, checked, kinds_of, record_of
@@ -33,7 +33,7 @@ class Latches:
         numbers: (n, V) of each order; NaN beyond those of its kind.
     """
 
-    def __init__(self, fleets: Sequence[Fleet], dtype: np.dtype[Any]):
+    def __init__(self, fleets: Sequence[Fleet], dtype: DType):
         self.names = [name for fleet in fleets for name in fleet.vehicle_names]
         self._dtype = dtype
         kinds = [kinds_of(fleet) for fleet in fleets]
@@ -83,7 +83,7 @@ class Latches:
 class _FleetParts:
     """Arrays of one fleet, allocated once: for each kind whom it is for and its numbers."""
 
-    def __init__(self, fleet: Fleet, kinds: Mapping[str, tuple[Field, ...]], own: slice, dtype: np.dtype[Any]):
+    def __init__(self, fleet: Fleet, kinds: Mapping[str, tuple[Field, ...]], own: slice, dtype: DType):
         self.name, self._own = fleet.name, own
         self._parts = []
         for kind, fields in kinds.items():

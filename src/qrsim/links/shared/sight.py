@@ -213,7 +213,7 @@ def _has_estimator(fleet: Fleet, state: Any) -> bool:
     return state.belief is not None and fleet.controller.feed != "truth"
 
 
-def _unsensed_leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any]]:
+def _unsensed_leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, object]]:
     """Yield (column, leaf) of the quantities that no sensor measures."""
     own = _has_estimator(fleet, state)
     estimate = state.belief.estimate if own else state.estimate
@@ -231,7 +231,7 @@ def _unsensed_leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any]]:
         yield CHARGE, state.battery.charge
 
 
-def _reading_leaves(reading: object) -> Iterator[tuple[int, Any]]:
+def _reading_leaves(reading: object) -> Iterator[tuple[int, object]]:
     """Yield (column, leaf) of the fields of a sensor's reading."""
     fix = isinstance(reading, GnssReading)
     vectors, scalars = (FIX_VECTORS, FIX_SCALARS) if fix else (VECTORS, SCALARS)
@@ -253,7 +253,7 @@ def _axes(column: int, vector: Any) -> Iterator[tuple[int, Any]]:
     return zip(range(column, column + 3), (vector.x, vector.y, vector.z), strict=True)
 
 
-def _angles(column: int, angles: Any) -> Iterator[tuple[int, Any]]:
+def _angles(column: int, angles: Any) -> Iterator[tuple[int, object]]:
     """Yield (column, leaf) of roll, pitch and yaw, in columns that follow each other."""
     return zip(range(column, column + 3), (angles.roll, angles.pitch, angles.yaw), strict=True)
 

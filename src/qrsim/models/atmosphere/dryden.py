@@ -30,7 +30,11 @@ from qrsim.models.atmosphere.turbulence import (
     NearGround,
     blocked,
     carrying_speed,
+    crossing_speed,
+    driving_speed,
+    high_severity,
     low_altitude_scales,
+    own_axes,
 )
 from qrsim.models.atmosphere.wind import FEET_PER_METRE, wind_to_ned
 
@@ -287,33 +291,13 @@ class DrydenState:
 class Dryden(Turbulence):
     """Linear and angular gusts with the Dryden spectra of MIL-F-8785C, discretised exactly."""
 
-    speed_20ft: Array = parameter(
-        default=None,
-        unit="m/s",
-        doc="wind speed 20 ft above ground that drives the turbulence below 2000 ft",
-        minimum=0.0,
-        maximum=50.0,
-        inherits="world.wind.speed_20ft",
-    )
-    wind_from_rad: Array = parameter(
-        default=None,
-        unit="rad",
-        doc="bearing of the turbulence's own axes",
-        minimum=-2 * math.pi,
-        maximum=2 * math.pi,
-        inherits="world.wind.wind_from_rad",
-    )
+    speed_20ft: Array = driving_speed(" below 2000 ft")
+    wind_from_rad: Array = own_axes()
     span: Array = parameter(
         default=0.6, unit="m", doc="span of the vehicle, over which angular gusts are averaged", minimum=0.01
     )
-    severity: int = setting(
-        default=3, unit="1", doc="MIL-F-8785C figure 7, above 1000 ft: 1 light to 7 extreme", minimum=1, maximum=7
-    )
-    airspeed: Literal["relative", "ground"] = setting(
-        default="relative",
-        doc="speed at which the vehicle crosses the gusts: relative to the mean wind, or 'ground': 0.5 "
-        "m/s plus the speed over ground",
-    )
+    severity: int = high_severity()
+    airspeed: Literal["relative", "ground"] = crossing_speed()
     near_ground: NearGround = setting(default="blocked", doc=NEAR_GROUND)
 
     normals: ClassVar[int] = 8

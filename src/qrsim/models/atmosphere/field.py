@@ -29,7 +29,14 @@ from qrsim.models.atmosphere.contracts import CONVECTION_HEIGHT, Turbulence, Win
 from qrsim.models.atmosphere.dryden import HIGH_LENGTH_FT, dryden_scales
 from qrsim.models.atmosphere.field_modes import SEGMENTS, Floats, Modes, modes
 from qrsim.models.atmosphere.field_waves import FieldWaves, draw_ages, waves_at, whole_turns
-from qrsim.models.atmosphere.turbulence import NEAR_GROUND, NearGround, StillState, carrying_speed
+from qrsim.models.atmosphere.turbulence import (
+    NEAR_GROUND,
+    NearGround,
+    StillState,
+    carrying_speed,
+    driving_speed,
+    high_severity,
+)
 
 # Above 2000 ft the von Karman form has a longer length (MIL-F-8785C, 3.7.2.1), and 1.339 is its (k L)'s factor.
 VON_KARMAN_HIGH_LENGTH_FT = 2500.0
@@ -62,14 +69,7 @@ class Sums(NamedTuple):
 class DrydenField(Turbulence):
     """One turbulent field that all vehicles of a world share, with Dryden or von Karman spectra at each vehicle."""
 
-    speed_20ft: Array = parameter(
-        default=None,
-        unit="m/s",
-        doc="wind speed 20 ft above ground that drives the turbulence below 2000 ft",
-        minimum=0.0,
-        maximum=50.0,
-        inherits="world.wind.speed_20ft",
-    )
+    speed_20ft: Array = driving_speed(" below 2000 ft")
     convection_ned: Array | None = parameter(
         default=None,
         unit="m/s",
@@ -106,9 +106,7 @@ class DrydenField(Turbulence):
         "hovering vehicle feels steady tones",
     )
     near_ground: NearGround = setting(default="blocked", doc=NEAR_GROUND)
-    severity: int = setting(
-        default=3, unit="1", doc="MIL-F-8785C figure 7, above 1000 ft: 1 light to 7 extreme", minimum=1, maximum=7
-    )
+    severity: int = high_severity()
     spectrum: Literal["dryden", "von_karman"] = setting(default="dryden", doc="form of the spectra of MIL-F-8785C")
     residual: Literal["none", "filter"] = setting(
         default="none",

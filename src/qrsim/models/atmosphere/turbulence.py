@@ -25,6 +25,32 @@ NEAR_GROUND = (
 )
 
 
+def driving_speed(where: str = "") -> Array:
+    """Return the declaration of the wind speed [m/s] that drives a turbulence; ``where`` ends its description."""
+    doc = f"wind speed 20 ft above ground that drives the turbulence{where}"
+    return parameter(default=None, unit="m/s", doc=doc, minimum=0.0, maximum=50.0, inherits="world.wind.speed_20ft")
+
+
+def own_axes() -> Array:
+    """Return the declaration of the bearing [rad] of a turbulence's axes."""
+    doc, turn = "bearing of the turbulence's own axes", 2 * math.pi
+    return parameter(
+        default=None, unit="rad", doc=doc, minimum=-turn, maximum=turn, inherits="world.wind.wind_from_rad"
+    )
+
+
+def crossing_speed() -> Literal["relative", "ground"]:
+    """Return the declaration of the speed at which a vehicle crosses the gusts; see ``carrying_speed``."""
+    doc = "speed at which the vehicle crosses the gusts: relative to the mean wind, or 'ground': 0.5 "
+    return setting(default="relative", doc=doc + "m/s plus the speed over ground")
+
+
+def high_severity() -> int:
+    """Return the declaration of the severity above 1000 ft, a curve of figure 7 of MIL-F-8785C."""
+    doc = "MIL-F-8785C figure 7, above 1000 ft: 1 light to 7 extreme"
+    return setting(default=3, unit="1", doc=doc, minimum=1, maximum=7)
+
+
 @record
 class StillState:
     """Nothing to remember."""
@@ -94,30 +120,12 @@ class GustState:
 class DrydenFirstOrder(Turbulence):
     """First-order gusts of Symington 2014, eqs. 7-8: a Gauss-Markov process per axis with tau = L/V."""
 
-    speed_20ft: Array = parameter(
-        default=None,
-        unit="m/s",
-        doc="wind speed 20 ft above ground that drives the turbulence",
-        minimum=0.0,
-        maximum=50.0,
-        inherits="world.wind.speed_20ft",
-    )
-    wind_from_rad: Array = parameter(
-        default=None,
-        unit="rad",
-        doc="bearing of the turbulence's own axes",
-        minimum=-2 * math.pi,
-        maximum=2 * math.pi,
-        inherits="world.wind.wind_from_rad",
-    )
+    speed_20ft: Array = driving_speed()
+    wind_from_rad: Array = own_axes()
     discretisation: Literal["exact", "euler"] = setting(
         default="exact", doc="'euler' is the published recursion; its variance is 0.8 to 22 % too large"
     )
-    airspeed: Literal["relative", "ground"] = setting(
-        default="relative",
-        doc="speed at which the vehicle crosses the gusts: relative to the mean wind, or 'ground': 0.5 "
-        "m/s plus the speed over ground",
-    )
+    airspeed: Literal["relative", "ground"] = crossing_speed()
 
     normals: ClassVar[int] = 3
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from qrsim import extras
 from qrsim.core.arrays import Floats
 from qrsim.errors import UsageError, did_you_mean, readable
 from qrsim.files.user_files import LARGEST_DATA, open_file
+
+if TYPE_CHECKING:
+    import xarray
 
 SPEED_UNITS = ("m s-1", "m/s", "m s^-1", "m s**-1", "m.s-1", "meter second-1", "metre second-1", "meters/second")
 LENGTH_UNITS = ("m", "meter", "meters", "metre", "metres")
@@ -106,7 +110,7 @@ def _read(file: str, layout: Layout, changed: int, size: int) -> GridFile:
         if len(shapes) > 1:
             raise UsageError(
                 f"{file}: its velocities are on different grids: "
-                + "; ".join(f"'{each.name}' over {', '.join(each.dims) or 'nothing'}" for each in variables)
+                + "; ".join(f"'{each.name}' over {', '.join(map(str, each.dims)) or 'nothing'}" for each in variables)
             )
         axes = _axes(file, variables[0], content)
         points = {name: _coordinate(file, content, axes[name], name) for name in "xyz"}
@@ -136,7 +140,7 @@ def _check_axes(file: str, path: str) -> None:
                 raise UsageError(f"{file}: '{name}' has {len(dimension)} values; allowed: {LONGEST_AXIS}")
 
 
-def _variable(file: str, content: Any, name: str, which: int) -> Any:
+def _variable(file: str, content: xarray.Dataset, name: str, which: int) -> xarray.DataArray:
     """Return a velocity variable; raise UsageError if it is missing or has other units or another direction."""
     variables = [str(each) for each in content.data_vars]
     if name not in content.data_vars:
@@ -162,7 +166,7 @@ def _towards(which: int) -> str:
     return "upwards" if which == 2 else f"to the {DIRECTIONS[which]}"
 
 
-def _check_units(file: str, name: str, attributes: Any, allowed: tuple[str, ...], best: str) -> None:
+def _check_units(file: str, name: str, attributes: Mapping[str, object], allowed: tuple[str, ...], best: str) -> None:
     """Raise UsageError unless the attribute ``units`` is one of ``allowed``."""
     units = attributes.get("units")
     if units is None:
@@ -171,7 +175,7 @@ def _check_units(file: str, name: str, attributes: Any, allowed: tuple[str, ...]
         raise UsageError(f"{file}: '{name}' has the units '{units!s:.40}'; expected '{best}'")
 
 
-def _axes(file: str, variable: Any, content: Any) -> dict[str, str]:
+def _axes(file: str, variable: xarray.DataArray, content: xarray.Dataset) -> dict[str, str]:
     """Return the variable's dimension for each axis, by "x", "y", "z" and perhaps "t"; raise UsageError."""
     found: dict[str, str] = {}
     for dimension in map(str, variable.dims):
@@ -193,7 +197,7 @@ def _axes(file: str, variable: Any, content: Any) -> dict[str, str]:
     return found
 
 
-def _coordinate(file: str, content: Any, name: str, axis: str) -> Floats:
+def _coordinate(file: str, content: xarray.Dataset, name: str, axis: str) -> Floats:
     """Return the coordinate of an axis [m], z positive upwards; raise UsageError for other units."""
     values = _numbers(file, content, name)
     attributes = content[name].attrs
@@ -204,7 +208,7 @@ def _coordinate(file: str, content: Any, name: str, axis: str) -> Floats:
     return -values if axis == "z" and str(attributes.get("positive", "up")).lower() == "down" else values
 
 
-def _times(file: str, content: Any, name: str) -> Floats:
+def _times(file: str, content: xarray.Dataset, name: str) -> Floats:
     """Return times [s] since the first; raise UsageError for unknown units or times that do not increase."""
     values = _numbers(file, content, name, least=1)
     units = content[name].attrs.get("units")
@@ -220,7 +224,7 @@ def _times(file: str, content: Any, name: str) -> Floats:
     return np.round((values - values[0]) * second, 3) if second > 1.0 else (values - values[0]) * second
 
 
-def _numbers(file: str, content: Any, name: str, least: int = 2) -> Floats:
+def _numbers(file: str, content: xarray.Dataset, name: str, least: int = 2) -> Floats:
     """Return a coordinate (k,) as float64; raise UsageError for fewer than ``least`` finite numbers."""
     if name not in content.coords:
         raise UsageError(f"{file}: '{name}' is a dimension without coordinates; expected a variable '{name}'({name})")

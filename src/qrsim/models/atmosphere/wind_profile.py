@@ -63,7 +63,7 @@ class ProfileTable:
         return self._summed(height, logarithm, 0, (north, east), [at(axis) for axis in self.slopes])
 
     def _summed(
-        self, height: Array, logarithm: Array, row: Any, lowest: tuple[Array, Array], slopes: list[Array]
+        self, height: Array, logarithm: Array, row: object, lowest: tuple[Array, Array], slopes: list[Array]
     ) -> tuple[Array, Array]:
         """Return north and east wind [m/s] at heights: the lowest layer's wind plus the change in each layer above."""
         own = row if self.heights.shape[0] > 1 else 0

@@ -224,7 +224,13 @@ def geometry_of(
 ) -> Geometry:
     """Return the geometry of receivers (a ``Gnss``) that see satellites (K, m) for a time (K, m) [s].
 
-    Of satellites that are not seen the age does not count; ``jam`` (n,) is what jammers add to their weakness.
+    Args:
+        receiver: its parameters.
+        slots: satellites of the sky, K of them.
+        seen: (K, m) bool: the satellite is tracked.
+        age: (K, m) [s] for which it has been tracked; does not count if it is not.
+        view: effect of obstacles on its signals; None: an open sky.
+        jam: (n,) weakening of all signals by jammers; None: no jammer.
     """
     age = jnp.where(seen, age, 0.0)
     ramp = jnp.clip((age - across(receiver.acquisition)) / across(receiver.entry), 0.0, 1.0)

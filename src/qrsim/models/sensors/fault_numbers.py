@@ -151,7 +151,7 @@ def fault_numbers(
     # Delays are rounded up to whole readings; the on and off times of intermittent faults to whole ticks.
     counts = (number("every", 1.0), number("by", 0.0) / dt / ticks, number("on", 0.0) / dt, number("off", 0.0) / dt)
     every, late, on, off = (np.array(min(math.ceil(count - 1e-6), 2**30 - 1), np.int32) for count in counts)
-    parts: list[Any] = [amounts, scales, number("limit", math.inf), number("share", 0.0), every, late, on, off]
+    parts = [amounts, scales, number("limit", math.inf), number("share", 0.0), every, late, on, off]
     return record_of(FaultNumbers, *parts)
 
 

@@ -295,7 +295,7 @@ class FaultSlot(_Fault):
         return self._delivered(reading, memory, tick, late, choose)
 
 
-def _dtype(reading: Any) -> Any:
+def _dtype(reading: object) -> Any:
     """Return the dtype of the first array in a reading."""
     return jax.tree.leaves(reading)[0].dtype
 

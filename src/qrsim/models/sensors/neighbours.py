@@ -247,13 +247,20 @@ def _own_velocity(position_ned: Vec3, traffic: Traffic) -> Vec3:
 
 
 def _relative_positions(who: Array, direction: Rotation, position_ned: Vec3, traffic: Traffic) -> Vec3:
-    """Return positions of others (K, n) relative to the sensor, in its axes [m]."""
+    """Return the positions (K, n) [m] of others relative to the sensors of vehicles (n,), in the sensors' axes.
+
+    Args:
+        who: (K, n) int32 indices of the others in ``traffic``.
+        direction: of the sensors' axes.
+        position_ned: of the observing vehicles (n,) [m].
+        traffic: positions and velocities of all vehicles.
+    """
     pairs = zip(traffic.position_ned.axes, position_ned.axes, strict=True)
     return _in_axes(direction, Vec3(*(axis[who] - own[None, :] for axis, own in pairs)))
 
 
 def _relative_velocities(who: Array, direction: Rotation, velocity_ned: Vec3, traffic: Traffic) -> Vec3:
-    """Return velocities of others (K, n) relative to the observing vehicles, in the sensor's axes [m/s]."""
+    """Return the velocities (K, n) [m/s] of others relative to the observing vehicles; see ``_relative_positions``."""
     pairs = zip(traffic.velocity_ned.axes, velocity_ned.axes, strict=True)
     return _in_axes(direction, Vec3(*(axis[who] - own[None, :] for axis, own in pairs)))
 

@@ -7,6 +7,7 @@ Signs are those of MAVLink's OPTICAL_FLOW_RAD: a right-handed turn about an axis
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import ClassVar, Literal, Unpack
 
 import jax.numpy as jnp
@@ -66,8 +67,62 @@ class OpticalFlowState:
     rates: Vec3 = quantity(unit="rad/s", doc="rates of the sensor")
 
 
+class _Flow(Sensor):
+    """Base of both sensors: their inputs and first readings."""
+
+    reads: ClassVar[tuple[str, ...]] = (
+        "position_ned",
+        "attitude",
+        "velocity_body",
+        "rates_body",
+        "obstacles",
+        "ground",
+    )
+
+    @abstractmethod
+    def _reach(self, position_ned: Vec3) -> Array:
+        """Return the longest distance (n,) [m] that is seen, or () for all vehicles."""
+
+    @abstractmethod
+    def _reading(
+        self, state: OpticalFlowState, draw: Noise, distance: Array, now: tuple[Array, Array], rates_body: Vec3
+    ) -> OpticalFlowReading:
+        """Return the reading for a distance (n,) [m] to the surface and present rates (n,) [rad/s] of flow and body."""
+
+    def init(
+        self,
+        draw: Noise,
+        position_ned: Vec3,
+        attitude: Euler,
+        velocity_body: Vec3,
+        rates_body: Vec3,
+        obstacles: Obstacles,
+        ground: Ground,
+    ) -> tuple[OpticalFlowState, OpticalFlowReading]:
+        """Return state and first reading, as if the present motion had lasted a period."""
+        distance = distance_along_z(obstacles, ground, position_ned, attitude, self._reach(position_ned))
+        state = OpticalFlowState(flow_rates(distance, velocity_body, rates_body), rates_body)
+        return self.step(state, draw, position_ned, attitude, velocity_body, rates_body, obstacles, ground)
+
+    def step(
+        self,
+        state: OpticalFlowState,
+        draw: Noise,
+        position_ned: Vec3,
+        attitude: Euler,
+        velocity_body: Vec3,
+        rates_body: Vec3,
+        obstacles: Obstacles,
+        ground: Ground,
+    ) -> tuple[OpticalFlowState, OpticalFlowReading]:
+        """Return state and reading: flow and rotation (n,) [rad] integrated since the last one."""
+        distance = distance_along_z(obstacles, ground, position_ned, attitude, self._reach(position_ned))
+        now = flow_rates(distance, velocity_body, rates_body)
+        return OpticalFlowState(now, rates_body), self._reading(state, draw, distance, now, rates_body)
+
+
 @record
-class OpticalFlow(Sensor):
+class OpticalFlow(_Flow):
     """Flow and rotation since the last reading; the quality depends on distance and light."""
 
     preset: Literal["pmw3901", "paa3905"] = setting(
@@ -98,52 +153,23 @@ class OpticalFlow(Sensor):
     period: float = setting(
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
-    reads: ClassVar[tuple[str, ...]] = (
-        "position_ned",
-        "attitude",
-        "velocity_body",
-        "rates_body",
-        "obstacles",
-        "ground",
-    )
     normals: ClassVar[int] = 5
     presets: ClassVar[Presets] = PRESETS
 
-    def init(
-        self,
-        draw: Noise,
-        position_ned: Vec3,
-        attitude: Euler,
-        velocity_body: Vec3,
-        rates_body: Vec3,
-        obstacles: Obstacles,
-        ground: Ground,
-    ) -> tuple[OpticalFlowState, OpticalFlowReading]:
-        """Return state and first reading, as if the present motion had lasted a period."""
-        distance = distance_along_z(obstacles, ground, position_ned, attitude, self.range_max)
-        state = OpticalFlowState(flow_rates(distance, velocity_body, rates_body), rates_body)
-        return self.step(state, draw, position_ned, attitude, velocity_body, rates_body, obstacles, ground)
+    def _reach(self, position_ned: Vec3) -> Array:
+        """Return the longest distance (n,) [m] that is seen."""
+        return self.range_max
 
-    def step(
-        self,
-        state: OpticalFlowState,
-        draw: Noise,
-        position_ned: Vec3,
-        attitude: Euler,
-        velocity_body: Vec3,
-        rates_body: Vec3,
-        obstacles: Obstacles,
-        ground: Ground,
-    ) -> tuple[OpticalFlowState, OpticalFlowReading]:
-        """Return state and reading: flow and rotation (n,) [rad] integrated since the last one."""
+    def _reading(
+        self, state: OpticalFlowState, draw: Noise, distance: Array, now: tuple[Array, Array], rates_body: Vec3
+    ) -> OpticalFlowReading:
+        """Return flow and rotation (n,) [rad] integrated since the last reading."""
         normals = draw.normals(5)
-        distance = distance_along_z(obstacles, ground, position_ned, attitude, self.range_max)
         seen = jnp.isfinite(distance)
         away = jnp.where(seen, distance, 0.0)
         part = away / self.range_half
         light = self.illuminance / (self.illuminance + self.illuminance_half)
         quality = jnp.where(seen, light / (1.0 + part * part), 0.0)
-        now = flow_rates(distance, velocity_body, rates_body)
         mean = [0.5 * (a + b) for a, b in zip(state.flow, now, strict=True)]
         whole = jnp.isfinite(mean[0]) & seen
         mean = [jnp.where(whole, rate, 0.0) for rate in mean]
@@ -158,63 +184,31 @@ class OpticalFlow(Sensor):
             for rate, noise in zip(mean, normals[:2], strict=True)
         ]
         turned = (state.rates + rates_body) * 0.5 + Vec3(*normals[2:]) * self.gyroscope_noise
-        reading = OpticalFlowReading(flow[0], flow[1], turned * self.period, quality, status)
-        return OpticalFlowState(now, rates_body), reading
+        return OpticalFlowReading(flow[0], flow[1], turned * self.period, quality, status)
 
 
 @record
-class IdealOpticalFlow(Sensor):
+class IdealOpticalFlow(_Flow):
     """The true flow and rotation since the last reading, up to a kilometre."""
 
     period: float = setting(
         default=0.02, unit="s", doc="interval between readings, a multiple of the time step", above=0.0
     )
-    reads: ClassVar[tuple[str, ...]] = (
-        "position_ned",
-        "attitude",
-        "velocity_body",
-        "rates_body",
-        "obstacles",
-        "ground",
-    )
 
-    def init(
-        self,
-        draw: Noise,
-        position_ned: Vec3,
-        attitude: Euler,
-        velocity_body: Vec3,
-        rates_body: Vec3,
-        obstacles: Obstacles,
-        ground: Ground,
-    ) -> tuple[OpticalFlowState, OpticalFlowReading]:
-        """Return state and first reading, as if the present motion had lasted a period."""
-        reach = jnp.full_like(position_ned.x, FARTHEST)
-        distance = distance_along_z(obstacles, ground, position_ned, attitude, reach)
-        state = OpticalFlowState(flow_rates(distance, velocity_body, rates_body), rates_body)
-        return self.step(state, draw, position_ned, attitude, velocity_body, rates_body, obstacles, ground)
+    def _reach(self, position_ned: Vec3) -> Array:
+        """Return the longest distance (n,) [m] that is seen."""
+        return jnp.full_like(position_ned.x, FARTHEST)
 
-    def step(
-        self,
-        state: OpticalFlowState,
-        draw: Noise,
-        position_ned: Vec3,
-        attitude: Euler,
-        velocity_body: Vec3,
-        rates_body: Vec3,
-        obstacles: Obstacles,
-        ground: Ground,
-    ) -> tuple[OpticalFlowState, OpticalFlowReading]:
-        """Return state and reading: flow and rotation (n,) [rad] integrated since the last one."""
-        reach = jnp.full_like(position_ned.x, FARTHEST)
-        distance = distance_along_z(obstacles, ground, position_ned, attitude, reach)
-        now = flow_rates(distance, velocity_body, rates_body)
+    def _reading(
+        self, state: OpticalFlowState, draw: Noise, distance: Array, now: tuple[Array, Array], rates_body: Vec3
+    ) -> OpticalFlowReading:
+        """Return flow and rotation (n,) [rad] integrated since the last reading."""
         flow = [(a + b) * (0.5 * self.period) for a, b in zip(state.flow, now, strict=True)]
         seen = jnp.isfinite(flow[0])
         status = jnp.where(seen, MEASURED, NOTHING).astype(distance.dtype)
         turned = (state.rates + rates_body) * (0.5 * self.period)
         quality = seen.astype(distance.dtype)
-        return OpticalFlowState(now, rates_body), OpticalFlowReading(flow[0], flow[1], turned, quality, status)
+        return OpticalFlowReading(flow[0], flow[1], turned, quality, status)
 
 
 def distance_along_z(obstacles: Obstacles, ground: Ground, position_ned: Vec3, attitude: Euler, reach: Array) -> Array:

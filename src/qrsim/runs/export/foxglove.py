@@ -5,9 +5,9 @@ Written from the published descriptions of Foxglove's message schemas, with the 
 
 from __future__ import annotations
 
-from typing import Any
+from qrsim.files import Content
 
-Schema = dict[str, Any]
+Schema = Content
 
 NUMBER, INTEGER, TEXT = {"type": "number"}, {"type": "integer"}, {"type": "string"}
 
@@ -33,7 +33,7 @@ def _list_schema(items: Schema) -> Schema:
     return {"type": "array", "items": items}
 
 
-_SOLID: dict[str, Any] = {"pose": BODY, "size": _vector_schema(), "color": COLOUR}
+_SOLID: Content = {"pose": BODY, "size": _vector_schema(), "color": COLOUR}
 _ENTITY = _object_schema(
     timestamp=TIME,
     frame_id=TEXT,

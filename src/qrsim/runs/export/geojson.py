@@ -7,7 +7,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from qrsim.runs.export.output import Written, replacing
 from qrsim.runs.export.place import Floats
@@ -33,7 +32,7 @@ def write(content: Tracks, path: Path) -> Written:
     return Written(path, content.counts)
 
 
-def _features(content: Tracks) -> Iterator[dict[str, Any]]:
+def _features(content: Tracks) -> Iterator[dict[str, object]]:
     """Yield the GeoJSON features of all tracks and events."""
     for track in content.tracks:
         for number, segment in enumerate(track.segments):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from qrsim.runs.colours import VEHICLES
 from qrsim.runs.export.output import Written, replacing
 from qrsim.runs.export.place import Floats
 from qrsim.runs.export.tracks import Mark, Track, Tracks, said_in_xml
+
+if TYPE_CHECKING:
+    import simplekml
 
 # As in the figure of a run: a colour per vehicle, the true track thick and the reported one thin.
 WIDTHS = {"true": 3, "gnss": 1}
@@ -69,7 +72,7 @@ def _track_style(simplekml: Any, number: int, kind: str) -> object:
     return style
 
 
-def _add_track(folder: Any, track: Track, style: object, heights: Heights) -> None:
+def _add_track(folder: simplekml.Folder, track: Track, style: object, heights: Heights) -> None:
     """Add the segments of a vehicle's track to a folder."""
     found = folder.newgxmultitrack(name=said_in_xml(track.title), gxinterpolate=0)
     found.style = style
@@ -79,7 +82,7 @@ def _add_track(folder: Any, track: Track, style: object, heights: Heights) -> No
         piece.newgxcoord(_coordinates(segment.geodetic, segment.above_ground, heights))
 
 
-def _add_event(folder: Any, mark: Mark, heights: Heights) -> None:
+def _add_event(folder: simplekml.Folder, mark: Mark, heights: Heights) -> None:
     """Add an event as a point to a folder."""
     said = {"name": said_in_xml(mark.title), "description": said_in_xml(mark.event.message)}
     # Without a place it has no geometry, which is not the same as one at 0, 0.

@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -279,10 +278,10 @@ def _event_marks(run: Run, place: Place, ground: Ground) -> list[Mark]:
     return marks
 
 
-def _true_places(run: Run, ticks: set[int]) -> dict[tuple[int, Any], Floats]:
+def _true_places(run: Run, ticks: set[int]) -> dict[tuple[int, object], Floats]:
     """Return (tick, vehicle) -> true position NED (3,) [m] at the given ticks, without NaN."""
     wanted = np.array(sorted(ticks), np.int64)
-    found: dict[tuple[int, Any], Floats] = {}
+    found: dict[tuple[int, object], Floats] = {}
     for samples in read_samples(run, "truth", axes("position_ned"), lambda there: np.isin(there, wanted)):
         for vehicle, tick, position in zip(samples.vehicles, samples.ticks, samples.values, strict=True):
             if np.isfinite(position).all():

@@ -102,7 +102,7 @@ def _begin_of(path: str, part: object, begins: Mapping[int, int]) -> int | None:
     return begin
 
 
-def _without_twins(pairs: list[tuple[str, Any]]) -> Content:
+def _without_twins(pairs: list[tuple[str, object]]) -> Content:
     """Return the pairs of a JSON object as a dict; raise PlanFaultError for a key that occurs twice."""
     found: Content = {}
     for key, value in pairs:

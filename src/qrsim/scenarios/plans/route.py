@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
+from qrsim.files import Content
 from qrsim.scenarios.legs import LONGEST_HOLD
 from qrsim.scenarios.plans import commands as known
 from qrsim.scenarios.plans.jumps import SimpleItem, in_order
@@ -110,7 +110,7 @@ class Route:
             )
         where = self._way_back(path) if command == known.RETURN else self._target(item, command, params, path)
         asked = self._note_params(item, row, params, path)
-        more: dict[str, Any] = {**self._asked, **self._heading, **asked}
+        more: Content = {**self._asked, **self._heading, **asked}
         side = self._item.side_deg if len(self.waypoints) else None
         self.waypoints.append(
             Waypoint(**where, item=number, command=row.name, side_deg=side, until=self._until, path=path, **more)
@@ -121,7 +121,7 @@ class Route:
 
     # ---- places ----
 
-    def _way_back(self, path: str) -> dict[str, Any]:
+    def _way_back(self, path: str) -> Content:
         """Return place and height of a return as waypoint fields: home, or the nearest rally point."""
         if not self.waypoints:
             raise PlanFaultError(f"{path}: NAV_RETURN_TO_LAUNCH has no waypoint before it to take a height from")
@@ -135,7 +135,7 @@ class Route:
             found = _at(nearest.latitude_deg, nearest.longitude_deg, height, "home", height) | {"climbs": True}
         return found
 
-    def _target(self, item: Mapping[str, object], command: int, params: Sequence[object], path: str) -> dict[str, Any]:
+    def _target(self, item: Mapping[str, object], command: int, params: Sequence[object], path: str) -> Content:
         """Return place and height of an item as waypoint fields."""
         last = self.waypoints[-1] if self.waypoints else None
         places = [f"{path}.params.{i}" for i in (4, 5, 6)]
@@ -301,7 +301,7 @@ def checked_param(name: str, number: float, where: str) -> float:
     return number
 
 
-def _at(latitude: float, longitude: float, altitude: float, above: Above, height: float) -> dict[str, Any]:
+def _at(latitude: float, longitude: float, altitude: float, above: Above, height: float) -> Content:
     """Return the waypoint fields of a place [deg] and its heights [m]."""
     return {
         "latitude_deg": latitude,
@@ -329,7 +329,7 @@ def _not_flown(asked: list[str]) -> str:
 
 
 def _why_refused(command: int, number: int) -> str:
-    """Return why a mission command cannot be flown, for a message."""
+    """Return the reason, for a message, that a mission command cannot be flown."""
     row = known.COMMANDS.get(command)
     name = f"{command} ({row.name})" if row else str(command)
     if row and row.why:

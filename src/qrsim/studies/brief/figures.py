@@ -9,8 +9,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.projections.polar import PolarAxes
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.runs.picture import colours_of, new_figure
@@ -110,7 +112,7 @@ def _route(vehicle: Any) -> NumpyArray:
     return np.array(places)
 
 
-def _number_legs(axes: Any, vehicle: Any, line: NumpyArray) -> None:
+def _number_legs(axes: Axes, vehicle: Any, line: NumpyArray) -> None:
     """Write the number of each leg next to its middle, several numbers together where legs share it."""
     middles: dict[tuple[int, int], list[str]] = {}
     for number, (one, other) in enumerate(itertools.pairwise(line), 1):
@@ -185,7 +187,7 @@ def time_figure(
     return figure
 
 
-def _draw_sky(axes: Any, sky: Sky, last_s: float) -> None:
+def _draw_sky(axes: PolarAxes, sky: Sky, last_s: float) -> None:
     place, hours = sky.worst_place(), sky.seconds / 3600.0
     axes.axvspan(0.0, last_s / 3600.0, color="#dddddd", lw=0)
     axes.plot(hours, sky.count[:, place], color="#1f4e8c", lw=1.0)

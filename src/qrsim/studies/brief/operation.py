@@ -48,7 +48,7 @@ class MissionSpec(Part):
     )
     vehicle: str = Field(description="a built-in multirotor, or a .yaml file with a vehicle")
     name: str | None = Field(None, description="of the vehicle; default: of the plan's file", pattern=NAME)
-    battery: dict[str, Any] = Field({}, description="numbers of the pack, as of a scenario's battery 'lithium_cells'")
+    battery: Content = Field({}, description="numbers of the pack, as of a scenario's battery 'lithium_cells'")
     delay: Finite = Field(0.0, description="time before its take-off [s]", ge=0.0, le=3600.0)
 
 
@@ -186,7 +186,7 @@ class OperationSpec(Part):
     )
     site: SiteSpec = SiteSpec.model_validate({})
     energy: bool = Field(True, description="whether the charge is judged", strict=True)
-    world: dict[str, Any] = Field({}, description="keys of a scenario's world but its wind: buildings, ground, area")
+    world: Content = Field({}, description="keys of a scenario's world but its wind: buildings, ground, area")
     uncertain: UncertainSpec = UncertainSpec.model_validate({})
     contingency: ContingencySpec = ContingencySpec.model_validate({})
     faults: list[Fault] = Field(FAULTS, description="faults to fly, each at 25, 50 and 75 % of the mission")
@@ -195,7 +195,7 @@ class OperationSpec(Part):
 
     @field_validator("world")
     @classmethod
-    def _without_wind(cls, world: dict[str, Any]) -> dict[str, Any]:
+    def _without_wind(cls, world: dict[str, object]) -> dict[str, object]:
         """Raise ValueError if ``world`` has a wind; otherwise return it."""
         if "wind" in world:
             raise ValueError(

@@ -6,7 +6,6 @@ import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from qrsim.files import Content
 from qrsim.files.atomic import write_atomically
 from qrsim.files.yaml_text import dump_yaml
 from qrsim.scenarios.scenario import Scenario, load_scenario
+from qrsim.scenarios.schema import ScenarioSpec
 from qrsim.scenarios.wind_limits import gust_sigma, limits_of, mean_wind
 from qrsim.studies.brief.boundary import SEEDS, Boundary, Point, Trial, explore
 from qrsim.studies.brief.flights import Flights, bearing_deg, speed_20ft
@@ -147,7 +147,7 @@ def _trials(path: Path, points: Sequence[Point], reserve: float | None) -> list[
     return found
 
 
-def _gusty(spec: Any, height: float) -> float:
+def _gusty(spec: ScenarioSpec, height: float) -> float:
     """Return the mean wind plus SIGMAS standard deviations of its gusts at a height [m/s]."""
     heights = np.array([height])
     return float((mean_wind(spec, heights) + SIGMAS * gust_sigma(spec, heights))[0])

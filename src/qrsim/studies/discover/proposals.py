@@ -110,7 +110,7 @@ def varied(first: object, second: object, law: str) -> object:
     return library.PrimitiveTree(first)
 
 
-def symbolic(tree: object, constants: Floats) -> Any:
+def symbolic(tree: object, constants: Floats) -> object:
     """Convert a tree with its constants to a SymPy expression, expanded if it is a polynomial."""
     sympy = extras.load("identify", "printing laws", "sympy")
     return sympy.expand(sympy.sympify(text_of(tree, constants)))

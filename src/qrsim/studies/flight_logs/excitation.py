@@ -210,7 +210,7 @@ def correlation(first: Floats, second: Floats) -> float:
 def _missing_excitation(
     name: str, movements: Mapping[str, Movement], follows: Mapping[str, float], part: Mapping[str, Floats], dt: float
 ) -> tuple[str, bool]:
-    """Return why an aspect is not shown, "" if it is, and whether no fit can use its channels."""
+    """Return the reason that a log does not show an aspect ("" if it does), and whether no fit can use its channels."""
     aspect = ASPECTS[name]
     missing = [each for each in (aspect.command, *aspect.channels) if each and each not in movements]
     if missing:
@@ -242,7 +242,7 @@ def _missing_excitation(
 
 
 def _lift_objection(part: Mapping[str, Floats], movements: Mapping[str, Movement], dt: float) -> tuple[str, bool]:
-    """Return why throttle and vertical velocity cannot be those of a flight, "" if they can."""
+    """Return the reason that throttle and vertical velocity cannot be those of a flight; "" if they can."""
     rows = max(1, round(LIFT_S / dt))
     down, throttle = part["velocity_down"], part["throttle"]
     lift = float(np.nanstd((down[rows:] - down[:-rows]) / (rows * dt)))

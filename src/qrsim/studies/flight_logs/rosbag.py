@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from qrsim import extras
 from qrsim.errors import LogError, RunError, UsageError, did_you_mean
 from qrsim.studies.flight_logs.preparing import prepare
 from qrsim.studies.flight_logs.signals import FlightLog, Floats, Track
+
+if TYPE_CHECKING:
+    from qrsim.links.ros2 import Message
 
 MOST_SHOWN = 12
 # Of mavros, which bags of SQLite do not describe.
@@ -50,17 +53,17 @@ class Samples:
     rows: list[tuple[float, ...]] = field(default_factory=list)
 
 
-def _quaternion(given: Any) -> tuple[float, ...]:
+def _quaternion(given: Message) -> tuple[float, ...]:
     """Return x, y, z, w of a message."""
     return given.x, given.y, given.z, given.w
 
 
-def _vector(given: Any) -> tuple[float, ...]:
+def _vector(given: Message) -> tuple[float, ...]:
     """Return x, y, z of a message."""
     return given.x, given.y, given.z
 
 
-def _odometry_values(message: Any) -> tuple[float, ...]:
+def _odometry_values(message: Message) -> tuple[float, ...]:
     """Return attitude, velocity and rates of an Odometry; NaN for unknown rates."""
     motion = message.twist.twist
     # A variance of -1 says that the rates are not known.
@@ -69,7 +72,7 @@ def _odometry_values(message: Any) -> tuple[float, ...]:
     return (*_quaternion(message.pose.pose.orientation), *_vector(motion.linear), *rates)
 
 
-def _imu_values(message: Any) -> tuple[float, ...]:
+def _imu_values(message: Message) -> tuple[float, ...]:
     """Return attitude and rates of an Imu; NaN for an unknown attitude."""
     # By sensor_msgs/Imu -1 there says that the orientation is not known.
     known = message.orientation_covariance[0] != -1.0
@@ -77,7 +80,7 @@ def _imu_values(message: Any) -> tuple[float, ...]:
     return (*orientation, *_vector(message.angular_velocity))
 
 
-def _target_values(message: Any) -> tuple[float, ...]:
+def _target_values(message: Message) -> tuple[float, ...]:
     """Return attitude, yaw rate and thrust of a mavros set-point; NaN for fields to be ignored."""
     ignored = message.type_mask
     attitude = (math.nan,) * 4 if ignored & _ATTITUDE else _quaternion(message.orientation)
@@ -97,7 +100,7 @@ class Source:
 
     topic: str
     types: tuple[str, ...]
-    numbers: Callable[[Any], tuple[float, ...]]
+    numbers: Callable[[Message], tuple[float, ...]]
 
 
 _POSE, _TWIST = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped"
@@ -183,7 +186,7 @@ def _check_is_bag(path: Path) -> None:
     )
 
 
-def _default_types() -> Any:
+def _default_types() -> object:
     """Return the message types for bags that do not contain their own definitions."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -193,7 +196,7 @@ def _default_types() -> Any:
     return store
 
 
-def _stamp_s(message: Any) -> float:
+def _stamp_s(message: Message) -> float:
     """Return the stamp of a message [s], NaN for types without one."""
     if message.__msgtype__ == _PLAIN:
         return math.nan

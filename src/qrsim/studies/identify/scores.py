@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import scipy
@@ -75,7 +74,10 @@ def lower(before: Mapping[str, float], after: Mapping[str, float]) -> dict[str, 
 
 
 def _velocity_error(
-    log: FlightLog, share: tuple[float, float], cases: Mapping[str, tuple[Any, Any]], separate: bool
+    log: FlightLog,
+    share: tuple[float, float],
+    cases: Mapping[str, tuple[Mapping[str, float], Mapping[str, float]]],
+    separate: bool,
 ) -> Content:
     """Return the mean squared error of the horizontal velocity [(m/s)^2] within 5 s of starts from the record."""
     try:

@@ -128,7 +128,13 @@ def _shaped_as(truth: Floats, values: npt.ArrayLike) -> Floats:
 
 
 def why_not_determined(landmark: int, ranges: int, std: float) -> str:
-    """Return why a number of ranges, which leave it uncertain by ``std`` [m], do not determine a landmark."""
+    """Return, as text, the reason that a landmark is not determined.
+
+    Args:
+        landmark: its number, from 0.
+        ranges: number of ranges to it.
+        std: largest standard deviation of its place [m].
+    """
     why = f"{ranges} range{'s' if ranges != 1 else ''}, at least {FEWEST_RANGES} needed"
     if ranges >= FEWEST_RANGES:
         why = f"its {ranges} ranges leave it uncertain by {std:.0f} m"

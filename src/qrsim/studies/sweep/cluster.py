@@ -7,11 +7,14 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from qrsim.errors import RunError, UsageError, did_you_mean_file
 from qrsim.files.interruptions import calling
 from qrsim.studies.sweep.provenance import differences, network_versions
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 WAIT_S = 10.0
 
@@ -108,7 +111,7 @@ def _reason(error: Exception) -> str:
     return str(error).partition("\n")[0] or type(error).__name__
 
 
-def check_workers(client: Any, address: str) -> None:
+def check_workers(client: Client, address: str) -> None:
     """Raise an error if a worker of the scheduler has other versions, which could give other numbers.
 
     Raises:

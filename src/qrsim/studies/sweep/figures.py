@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 
 from qrsim.core.arrays import NumpyArray
@@ -62,7 +63,7 @@ def edges(parameter: Parameter) -> NumpyArray:
     return parameter.uneven(found) if parameter.numeric else found
 
 
-def _name_levels(axis: Any, parameter: Parameter) -> None:
+def _name_levels(axis: Axis, parameter: Parameter) -> None:
     """Label an axis with the levels of a parameter that is not numeric."""
     if not parameter.numeric:
         texts = [text if len(text) < 24 else f"{text[:21]}..." for text in parameter.levels]

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,10 @@ from qrsim.studies.sweep.job import Job, goals
 from qrsim.studies.sweep.metrics import METRICS, Metric, of_episodes
 from qrsim.studies.sweep.plan import TRACK
 from qrsim.world.state import period_ticks
+
+if TYPE_CHECKING:
+    from qrsim.studies.sweep.groups import Group
+    from qrsim.world.state import State
 
 # The engine keeps its programs in one place for a process.
 _ALONE = threading.Lock()
@@ -46,7 +50,7 @@ def fly(job: Job, threads: int = 1) -> dict[str, NumpyArray] | str:
 
 
 @lru_cache(maxsize=8)
-def _group(dumped: bytes) -> Any:
+def _group(dumped: bytes) -> Group:
     """Unpickle a group in a worker, with its components from outside; kept for the next batches."""
     from qrsim.errors import UsageError
     from qrsim.scenarios.providing import provide_components
@@ -60,7 +64,7 @@ def _group(dumped: bytes) -> Any:
         raise UsageError(f"a worker has another file of a component from outside, or it was changed: {error}") from None
 
 
-def dumped(group: Any) -> bytes:
+def dumped(group: Group) -> bytes:
     """Serialise a ``Group`` to bytes for another process."""
     return pickle.dumps((group.content, pickle.dumps(group)))
 
@@ -147,7 +151,7 @@ def _recorder(dumped: bytes) -> Any:
 
     world = _group(dumped).world
 
-    def place(state: Any) -> Any:
+    def place(state: State) -> object:
         """Return north, east, down [m] and charge of all vehicles."""
         positions = [fleet.vehicle.position_ned for fleet in state.fleets]
         axes = [jnp.concatenate([getattr(position, axis) for position in positions]) for axis in "xyz"]
@@ -163,7 +167,7 @@ def _until_the_end(tracks: NumpyArray, flown_s: NumpyArray, every: float) -> Num
     return np.where(late[..., None, None], np.nan, tracks).astype(np.float32)
 
 
-def _stacked(group: Any, job: Job, functions: dict[str, Any]) -> Any:
+def _stacked(group: Group, job: Job, functions: dict[str, Any]) -> Any:
     """Return the set-up of a rollout, shared leaves and varied leaves, without one World per episode."""
     from dataclasses import replace
 

@@ -237,7 +237,7 @@ def _places_together(
     World belongs to the one number that has its three values.
     """
     parts = np.arange(1, len(axes) + 1) / (len(axes) + 1.0)
-    given: list[list[Any]] = [[lowest[axis.path] for axis in axes]]
+    given = [[lowest[axis.path] for axis in axes]]
     for part in (0.5 * parts, 0.5 + 0.5 * parts[::-1]):
         chosen = zip(axes, part, strict=True)
         given.append(

@@ -88,8 +88,8 @@ class StudySpec(Part):
 
     name: str = Field(description="short name, used for stores", pattern=NAME, max_length=100)
     description: str = Field("", description="one or two sentences")
-    scenario: str | dict[str, Any] = Field(description="a built-in name, a .yaml file, or the content of one")
-    set: dict[str, Any] = Field({}, description="values of the scenario for the whole study, by path")
+    scenario: str | Content = Field(description="a built-in name, a .yaml file, or the content of one")
+    set: Content = Field({}, description="values of the scenario for the whole study, by path")
     policy: Annotated[str | None, BeforeValidator(_in_one_line)] = Field(
         None,
         description="MODULE:NAME or FILE.py:NAME, one for each fleet or vehicle by name, or 'baseline', the task's",

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from qrsim.files import Content
 from qrsim.scenarios.component_schema import Finite
 from qrsim.scenarios.schema import NAME
 
@@ -30,7 +31,7 @@ class Condition(str):
         return made
 
     def __getnewargs__(self) -> tuple[str, dict[str, object]]:  # type: ignore[override]
-        """Return what a copy is made of."""
+        """Return the arguments from which a copy is made."""
         return str(self), self.settings
 
 
@@ -46,7 +47,7 @@ class VarySpec(Part):
     values: list[Any] | None = Field(
         None, description="the values, numbers or whatever may stand there", min_length=1, max_length=MOST_VALUES
     )
-    conditions: dict[str, dict[str, Any]] | None = Field(
+    conditions: dict[str, Content] | None = Field(
         None, description="in place of values: names, each with the values that it sets, by path", min_length=1
     )
     low: Finite | None = Field(None, description="smallest value")

@@ -47,7 +47,7 @@ class Chips(NamedTuple):
 
 
 @partial(quick_jit, static_argnames="count")
-def _simulate_readings(sensor: Imu, inputs: dict[str, Any], begin: Stream, source: Stream, count: int) -> Any:
+def _simulate_readings(sensor: Imu, inputs: dict[str, Any], begin: Stream, source: Stream, count: int) -> object:
     """Simulate ``count`` readings of IMUs at rest."""
     like = jnp.zeros((), jnp.float32)
 

@@ -100,7 +100,7 @@ def run_parts(
 
 
 def _missing_reason(missing: Sequence[str]) -> str:
-    """Return why a part is skipped: its recordings, and how to get them."""
+    """Return the reason that a part is skipped: the missing recordings, and the command that fetches them."""
     folder = recordings.data_folder()
     return (
         f"{', '.join(missing)} not found in {folder}; 'qrsim data fetch' gets the recordings"

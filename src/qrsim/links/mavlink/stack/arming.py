@@ -29,7 +29,7 @@ class ArmingChecks:
             self._fix_since = craft.seen.time
 
     def reasons(self, craft: Craft) -> list[str]:
-        """Return why a vehicle cannot be armed; empty where it can."""
+        """Return the reason that a vehicle cannot be armed; empty if it can."""
         seen, values = craft.seen, craft.parameters.values
         if seen.stopped:
             return [seen.end]

@@ -19,7 +19,7 @@ from qrsim.control.failsafes import (
 )
 from qrsim.links.mavlink.stack.codes import FIXED_WING, Breach, Severity
 from qrsim.links.mavlink.stack.craft import Craft
-from qrsim.links.mavlink.stack.modes import BY_STICKS, Mode
+from qrsim.links.mavlink.stack.modes import Mode
 from qrsim.links.mavlink.stack.offboard import Offboard
 from qrsim.links.mavlink.stack.orbits import can_turn
 from qrsim.links.mavlink.stack.path import VERTICAL, braking_way
@@ -93,9 +93,9 @@ class Failsafes:
             asked = graver(asked, _OFFBOARD[int(values["COM_OBL_RC_ACT"])])
         return asked
 
-    def look_at_sticks(self, craft: Craft, mode: Mode, fresh: bool) -> int:
+    def look_at_sticks(self, craft: Craft, fresh: bool) -> int:
         """Return the failsafe action of a mode flown by sticks once ``fresh`` is False; NOTHING otherwise."""
-        if mode not in BY_STICKS or fresh:
+        if fresh:
             return NOTHING
         craft.say(Severity.CRITICAL, "Failsafe: no manual control input")
         # To fly on without them is no choice.

@@ -99,14 +99,14 @@ class Flight:
         self.checks.look(craft)
         if craft.home is None and seen.valid and seen.fix_type >= 3:
             craft.home_here()
-        if not self.armed:
-            return craft.idle()
-        if seen.stopped:
+        if self.armed and seen.stopped:
             craft.say(Severity.EMERGENCY, f"Flight has ended: {seen.stopped}")
             self.disarm("")
+        if not self.armed:
             return craft.idle()
         asked = self.failsafes.look(craft, self.mode, self.offboard, self.factor)
-        asked = max(asked, self.failsafes.look_at_sticks(craft, self.mode, self._has_sticks))
+        if self.mode in BY_STICKS:
+            asked = max(asked, self.failsafes.look_at_sticks(craft, self._has_sticks))
         if asked:
             self._fail_over(asked)
         order, landed = self._fly() if self.armed else (craft.idle(), False)
@@ -201,7 +201,7 @@ class Flight:
     def _look_at_ground(self, landed: bool) -> None:
         """Update the landed state, and disarm a vehicle that has landed or never took off."""
         craft, now = self.craft, self.craft.seen.time
-        self._took_off = self._took_off or craft.flies
+        self._took_off |= craft.flies
         if not self.armed:
             return
         if landed and self._took_off and self._landed_at is None:

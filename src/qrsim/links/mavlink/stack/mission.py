@@ -84,7 +84,7 @@ class Mission:
         return result, -1
 
     def why_not(self, craft: Craft) -> str:
-        """Return why the mission cannot be flown, and warn clients; "" if it can."""
+        """Return the reason that the mission cannot be flown, and warn clients; "" if it can."""
         why = "no mission" if not self.items else ""
         seq = self._outside(craft)
         if seq is not None:

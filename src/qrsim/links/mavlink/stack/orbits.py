@@ -33,7 +33,7 @@ def tightest(speed: float) -> float:
 
 
 def why_no_radius(radius: float, speed: float) -> str:
-    """Return why a circle's radius [m] cannot be flown at a speed [m/s]; "" if it can, and for NaN."""
+    """Return the reason that a radius [m] cannot be flown at a speed [m/s]; "" if it can, and for NaN."""
     least = tightest(speed)
     if abs(radius) < least:
         return f"a radius of {abs(radius):g} m is too tight, at least {math.ceil(least)} m"

@@ -128,14 +128,14 @@ def radius_of(item: Item, craft: Craft) -> float:
 
 
 def why_no_speed(kind: float, speed: float, craft: Craft) -> str:
-    """Return why a fixed wing cannot obey a DO_CHANGE_SPEED; "" if it can."""
+    """Return the reason that a fixed wing cannot obey a DO_CHANGE_SPEED; "" if it can."""
     if kind not in (0.0, 1.0):
         return "a fixed wing changes its airspeed only"
     return why_no_airspeed(speed, craft) if speed >= 0.0 else ""
 
 
 def why_no_airspeed(speed: float, craft: Craft) -> str:
-    """Return why an airspeed [m/s] cannot be flown; "" if it can."""
+    """Return the reason that an airspeed [m/s] cannot be flown; "" if it can."""
     least, most = craft.facts.airspeed_min, FASTEST * craft.facts.airspeed
     if speed > most:
         return f"{speed:g} m/s is too fast, at most {most:g} m/s"

@@ -176,7 +176,7 @@ class WingStack(FlightStack):
         return ack
 
     def _why_not(self, command: Command) -> str:
-        """Return why a fixed wing cannot obey a command; "" if it can, or if another check decides."""
+        """Return the reason that a fixed wing cannot obey a command; "" if it can, or if another check decides."""
         params = command.params
         if any(map(math.isinf, params)):
             return ""
@@ -191,7 +191,7 @@ class WingStack(FlightStack):
         return ""
 
     def _why_not_there(self, command: Command) -> str:
-        """Return why the vehicle cannot circle at the place of a DO_REPOSITION; "" if it can."""
+        """Return the reason that the vehicle cannot circle at the place of a DO_REPOSITION; "" if it can."""
         craft, speed, radius = self.craft, command.params[0], _signed_radius(command)
         if speed > 0.0 and why_no_airspeed(speed, craft):
             return why_no_airspeed(speed, craft)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 from qrsim.links.mavlink.view import View
+from qrsim.links.ros2 import Message
 from qrsim.links.ros2.topics import Topic
 
 # Returns a message as CDR; None where there is none.
@@ -38,7 +38,7 @@ class Heard:
     """A topic that is subscribed to, and the function that takes its messages."""
 
     topic: Topic
-    take: Callable[[Any], None]
+    take: Callable[[Message], None]
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Answered:
 
     name: str
     type: str
-    answer: Callable[[Any], Any]
+    answer: Callable[[Message], Message]
 
 
 @dataclass

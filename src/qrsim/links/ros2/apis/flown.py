@@ -5,11 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Literal
 
 from qrsim.errors import UsageError
 from qrsim.links.mavlink.system import System
 from qrsim.links.mavlink.world import FlownWorld
+from qrsim.links.ros2 import Message
 from qrsim.links.ros2.apis import mavros, mavros_asked, px4, px4_asked
 from qrsim.links.ros2.apis.contracts import EACH, Answered, Heard, Interface, Told
 from qrsim.links.ros2.apis.modes import name_of
@@ -141,7 +142,7 @@ class Flown:
                 yield from each.due(tick, system)
 
 
-def _unless_muted(system: System, does: Callable[[Any], Any]) -> Callable[[Any], Any]:
+def _unless_muted(system: System, does: Callable[[Message], Message]) -> Callable[[Message], Message]:
     """Return a function that returns None while the link of a vehicle is off."""
     return lambda message: None if system.muted else does(message)
 

@@ -44,7 +44,7 @@ def _vector(message: Message) -> Triple:
     return message.x, message.y, message.z
 
 
-def _attitude(turn: Any) -> Quadruple:
+def _attitude(turn: Message) -> Quadruple:
     """Convert an orientation FLU to ENU into (w, x, y, z) FRD to NED; four zeros are the identity, as in mavros."""
     numbers = turn.x, turn.y, turn.z, turn.w
     return f.ned_attitude(*numbers) if any(numbers) else f.ned_attitude(0.0, 0.0, 0.0, 1.0)
@@ -186,7 +186,7 @@ class Asked:
         """Return a response message of a mavros service, built from its field values."""
         return self._types[f"mavros_msgs/srv/{kind}_Response"](*values)
 
-    def _command_response(self, kind: str, command: int, *params: float) -> Any:
+    def _command_response(self, kind: str, command: int, *params: float) -> object:
         """Send a command to the stack, and return the response with its result."""
         whole = (*params, *[0.0] * (7 - len(params)))
         result = self._stack.command(Command(command, whole)).result  # type: ignore[arg-type]

@@ -48,12 +48,12 @@ class Asked:
 
     def restart(self) -> None:
         """Forget all received set-points at the start of an episode."""
-        self._mode: Any = None
+        self._mode: Message = None
         self._mode_at = -math.inf
         # By kind, the set-point that came last.
-        self._motion: Any = None
-        self._attitude: Any = None
-        self._rates: Any = None
+        self._motion: Message = None
+        self._attitude: Message = None
+        self._rates: Message = None
         self._here: Triple | None = None
 
     def heard(self) -> Iterator[Heard]:
@@ -136,7 +136,7 @@ class Asked:
             self._here = view.local(view.seen.position_ned)
         return LocalTarget(_LOCAL, 0, position=self._here)
 
-    def _motion_target(self, mode: Any) -> Target:
+    def _motion_target(self, mode: Message) -> Target:
         """Return the set-point of the last trajectory message, with only the parts that the mode uses."""
         if self._motion is None:
             return self._hold_target()
@@ -163,7 +163,7 @@ class Asked:
         """Return the service of commands, whose response has the acknowledgement."""
         response = self._types["px4_msgs/srv/VehicleCommand_Response"]
 
-        def answer(request: Message) -> Any:
+        def answer(request: Message) -> Message:
             """Execute a requested command, and return the service's response."""
             return response(self._acknowledged(request.request))
 

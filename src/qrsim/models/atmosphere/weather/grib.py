@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from functools import partial
-from typing import Any, NamedTuple
+from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -78,7 +79,7 @@ def grib_values(file: str, path: str, request: Request) -> Values:
         raise UsageError(f"{file}: cannot be read: {str(error).strip()[:200]}") from None
 
 
-def _messages(eccodes: Any, file: str, path: str) -> Iterator[tuple[int, Any]]:
+def _messages(eccodes: ModuleType, file: str, path: str) -> Iterator[tuple[int, int]]:
     """Yield number (from 1) and ecCodes handle of each message; raise UsageError for a file with none or too many."""
     with open(path, "rb") as opened:
         number = 0
@@ -94,7 +95,7 @@ def _messages(eccodes: Any, file: str, path: str) -> Iterator[tuple[int, Any]]:
         raise UsageError(f"{file}: has no message of GRIB")
 
 
-def _headers(eccodes: Any, file: str, path: str) -> Iterator[_Message]:
+def _headers(eccodes: ModuleType, file: str, path: str) -> Iterator[_Message]:
     """Yield the headers of messages with a quantity that is used."""
     for number, handle in _messages(eccodes, file, path):
         quantity = _quantity(eccodes, handle)
@@ -107,7 +108,7 @@ def _headers(eccodes: Any, file: str, path: str) -> Iterator[_Message]:
         yield _Message(Key(name, time, kind, level), analysis, member, number)
 
 
-def _quantity(eccodes: Any, handle: Any) -> tuple[str, str, float, float] | None:
+def _quantity(eccodes: ModuleType, handle: int) -> tuple[str, str, float, float] | None:
     """Return name, kind of level, level and unit factor of a message; None for a quantity that is not used."""
     where = eccodes.codes_get(handle, "typeOfLevel", str)
     kind, names = KNOWN.get(where, ("", {}))
@@ -130,7 +131,7 @@ def _time(file: str, date: int, clock: int) -> float:
     return plausible_time(file, when.timestamp())
 
 
-def _optional(eccodes: Any, handle: Any, name: str, default: int) -> int:
+def _optional(eccodes: ModuleType, handle: int, name: str, default: int) -> int:
     """Return an integer of a GRIB message, or a default where it has none."""
     try:
         return int(eccodes.codes_get(handle, name, int))
@@ -158,7 +159,9 @@ def _check_winds(file: str, messages: list[_Message]) -> None:
             raise UsageError(f"{file}: has {own}, but no {other}")
 
 
-def _decoded(eccodes: Any, file: str, path: str, chosen: dict[int, Key], values: Values, request: Request) -> Values:
+def _decoded(
+    eccodes: ModuleType, file: str, path: str, chosen: dict[int, Key], values: Values, request: Request
+) -> Values:
     """Return ``values`` filled with the chosen messages' values at the place; u and v turned to true east and north.
 
     Args:
@@ -194,7 +197,7 @@ def _decoded(eccodes: Any, file: str, path: str, chosen: dict[int, Key], values:
     return values
 
 
-def _at_place(eccodes: Any, file: str, handle: Any, place: Place) -> float:
+def _at_place(eccodes: ModuleType, file: str, handle: int, place: Place) -> float:
     """Return a message's value, interpolated between the four points around the place, in the unit of its key."""
     count = eccodes.codes_get_size(handle, "values")
     if count > MOST_POINTS or max(place.points) >= count:
@@ -207,7 +210,7 @@ def _at_place(eccodes: Any, file: str, handle: Any, place: Place) -> float:
     return float(np.dot(values, place.weights)) * quantity[3]
 
 
-def _grid_section(eccodes: Any, handle: Any) -> str:
+def _grid_section(eccodes: ModuleType, handle: int) -> str:
     """Return a text that identifies a message's grid: equal texts, equal grids."""
     names = (
         "gridType",

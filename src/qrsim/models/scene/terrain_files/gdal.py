@@ -6,13 +6,15 @@ import os
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError, shortened
 from qrsim.extras import require
+from qrsim.files import Content
 from qrsim.files.in_child import MEMORY, Child, ChildError
 from qrsim.models.scene.terrain_files import gdal_requests
 
@@ -58,7 +60,7 @@ class Gdal:
     def __exit__(self, *_: object) -> None:
         self.child.__exit__()
 
-    def describe(self, file: str, driver: str) -> dict[str, Any]:
+    def describe(self, file: str, driver: str) -> Content:
         """Return a file's bands, dtype, shape, transform, crs (WKT), unit, overviews and palette."""
         return self._ask(file, gdal_requests.describe, _path(file), driver)
 
@@ -72,7 +74,7 @@ class Gdal:
         coarse: bool,
         metres: float = 1.0,
         nodata: tuple[float, ...] = (),
-    ) -> npt.NDArray[Any]:
+    ) -> NumpyArray:
         """Return the heights [m] of a window, NaN where they are missing.
 
         Args:
@@ -87,7 +89,7 @@ class Gdal:
         """
         return self._ask(file, gdal_requests.read, _path(file), driver, rows, columns, coarse, metres, nodata)
 
-    def crs(self, file: str, text: str, site: tuple[float, float], esri: bool = False) -> dict[str, Any]:
+    def crs(self, file: str, text: str, site: tuple[float, float], esri: bool = False) -> Content:
         """Return wkt, name, kind, wgs84 and accuracy of a reference system (EPSG:n or WKT) near a site [deg]."""
         return self._ask(file, gdal_requests.crs, text, site, esri)
 

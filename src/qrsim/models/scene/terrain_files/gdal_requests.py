@@ -26,7 +26,7 @@ def dataset(file: str, driver: str) -> Any:
 
 
 @lru_cache(maxsize=OPEN_FILES)
-def opened(file: str, driver: str, changed: int, size: int) -> Any:
+def opened(file: str, driver: str, changed: int, size: int) -> object:
     """Return the rasterio dataset of a file; ``changed`` and ``size`` are the cache's key for its version."""
     import rasterio
 
@@ -117,7 +117,7 @@ def crs(text: str, site: tuple[float, float], esri: bool) -> dict[str, Any]:
     }
 
 
-def accuracy(base: dict[str, Any], latitude: float, longitude: float) -> float | None:
+def accuracy(base: dict[str, object], latitude: float, longitude: float) -> float | None:
     """Return the accuracy [m] of the best gridless shift from a datum to WGS 84, by PROJ's database; None if unknown.
 
     0: its coordinates are those of WGS 84 to 1 m or 2 (ETRS89 and NAD83 among them).

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import UsageError
 
 Float64 = npt.NDArray[np.float64]
-Heights = npt.NDArray[Any]
+Heights = NumpyArray
 
 
 @dataclass(frozen=True)

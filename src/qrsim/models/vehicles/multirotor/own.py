@@ -116,7 +116,7 @@ def own_parameters(
     thrust_to_weight: float,
     attitude_bandwidth: float,
     geometry: str | None = None,
-    known: Mapping[str, Any] | None = None,
+    known: Mapping[str, object] | None = None,
     curve: float | None = None,
 ) -> dict[str, Any]:
     """Return the parameters of a multirotor, derived by the rules of docs/explanation/models/multirotor.md.
@@ -198,7 +198,7 @@ def own_multirotor(
     attitude_bandwidth: float,
     hover_throttle: float | None = None,
     thrust_to_weight: float | None = None,
-    motor_table: Mapping[str, Any] | None = None,
+    motor_table: Mapping[str, object] | None = None,
     geometry: str | None = None,
     warn: Callable[[str], None] = warn_user,
     **parameters: object,

@@ -19,9 +19,8 @@ import scipy
 
 from qrsim.core.arrays import Floats
 from qrsim.core.noise import Key, Stream, ou_decay, ou_step
-from qrsim.studies.validate.statistics import CONFIDENCE, Statistic, against, family_summary, p_values  # noqa: F401 (tests use p_values)
+from qrsim.studies.validate.statistics import Statistic, against, family_summary
 
-DOC = "standard normals and Ornstein-Uhlenbeck processes against their theory"
 SEED = 20140914
 
 STREAMS = ("process", "gust", "gyroscope", "accelerometer")
@@ -214,11 +213,9 @@ def decay_precision(points: int = 20001) -> dict[str, Any]:
     return results
 
 
-def run(full: bool) -> dict[str, Any]:
-    """Return all statistics; the full form draws many times as much."""
+def family(full: bool) -> dict[str, Any]:
+    """Return the statistics of normals and of processes; the full form draws many times as many."""
     return {
-        "confidence": CONFIDENCE,
         "normals": normals((4, 4096, 256) if full else (4, 1024, 64)),
         "ornstein_uhlenbeck": ornstein_uhlenbeck(4096, 4000) if full else ornstein_uhlenbeck(512, 2000),
-        "ou_decay": decay_precision(),
     }
