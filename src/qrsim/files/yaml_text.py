@@ -7,7 +7,6 @@ by PyYAML's constructors, which follow YAML 1.1, recurse, and expand aliases wit
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -221,7 +220,7 @@ def _scalar(event: Any) -> object:
     kind = tag.removeprefix(_TAG)
     if kind == "str":
         return text
-    readers: dict[str, tuple[tuple[re.Pattern[str], ...], Callable[[str, Any], Any]]] = {
+    readers = {
         "null": ((_NULL,), _plain),
         "bool": ((_BOOL,), _plain),
         "int": ((_INT,), _plain),

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from qrsim.core.arrays import Floats
+from qrsim.files import Content
 from qrsim.models.gnss.geometry import LOST
 from qrsim.models.gnss.interference import strength
 from qrsim.models.gnss.slots import SlottedSky
@@ -76,7 +76,7 @@ def of_world(world: World) -> tuple[Interferer, ...]:
     return tuple(_parsed_interferer(kind, vars(item)) for kind, items in parts.items() for item in items)
 
 
-def _parsed_interferer(kind: str, values: Mapping[str, Any]) -> Interferer:
+def _parsed_interferer(kind: str, values: Content) -> Interferer:
     """Return an interferer from its recorded values."""
 
     def number(name: str, instead: float) -> float:

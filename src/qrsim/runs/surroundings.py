@@ -6,7 +6,6 @@ and are drawn again; who was found when, the events say.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -67,7 +66,7 @@ class Surroundings:
     outline: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     zones: tuple[Zone, ...] = ()
     down: tuple[float, float] = (np.nan, np.nan)
-    obstacles: tuple[Mapping[str, Any], ...] = ()
+    obstacles: tuple[Content, ...] = ()
     interference: tuple[Interferer, ...] = ()
     persons: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     found: Floats = field(default_factory=lambda: np.zeros(0))
@@ -120,7 +119,7 @@ def surroundings_of(run: Run) -> Surroundings:
         return Surroundings(**known, unknown=f"the recorded scenario cannot be built: {error}")
 
 
-def fixed_parts(world: Mapping[str, Any]) -> Content:
+def fixed_parts(world: Content) -> Content:
     """Return the attributes of ``Surroundings`` that follow from a scenario's world alone, in NED.
 
     Raises:

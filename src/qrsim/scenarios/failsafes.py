@@ -121,8 +121,8 @@ def _level_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
 
 def _floor_problems(path: str, scenario: ScenarioSpec) -> Iterator[str]:
     """Yield a problem if a vehicle that lands would leave the area."""
-    area: Any = scenario.world.area
-    ground: Any = scenario.world.ground
+    area = scenario.world.area
+    ground = scenario.world.ground
     if area.type in ("box", "polygon", "zones") and ground.type == "flat" and area.z_max < -ground.height:
         yield (
             f"{path}: they land, but the area ends {-ground.height - area.z_max:g} m above the ground; give world.area "

@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from qrsim.core.arrays import is_number
 from qrsim.errors import LONGEST_NAME, ScenarioError, UsageError, did_you_mean, did_you_mean_file
@@ -266,7 +265,7 @@ def _request(scenario: Scenario, where: str, entry: Content) -> Injection:
     return Injection(0, target, entry["kind"], vehicles, start, last, _numbers(entry), by, tick)
 
 
-def _make_room(content: Content, entry: Mapping[str, Any], fleets: list[tuple[str, list[str] | None]]) -> None:
+def _make_room(content: Content, entry: Content, fleets: list[tuple[str, list[str] | None]]) -> None:
     """Declare in a scenario's content, in place, the slots that a request needs."""
     target, rotor = entry["target"], _rotor(entry["target"])
     if target == WORLD and entry["kind"] in TAKES and (entry["kind"] != WIND or entry.get("over")):

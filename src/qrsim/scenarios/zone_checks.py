@@ -26,7 +26,7 @@ SAMPLES = 24
 
 def zone_problems(scenario: ScenarioSpec) -> list[str]:
     """Return the problems of the zones of a scenario; [] for an area of another type."""
-    area: Any = scenario.world.area
+    area = scenario.world.area
     if area.type != "zones":
         return []
     found = list(_own_problems(area))
@@ -43,7 +43,7 @@ def zone_problems(scenario: ScenarioSpec) -> list[str]:
 
 def zone_warnings(scenario: ScenarioSpec) -> Iterator[str]:
     """Yield a warning for each leg through an exclusion zone, if the scenario allows such legs."""
-    area: Any = scenario.world.area
+    area = scenario.world.area
     if area.type == "zones" and area.allow_crossing:
         yield from _crossings(scenario, zones_with_ground(scenario))
 

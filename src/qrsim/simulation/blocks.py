@@ -101,7 +101,7 @@ class Engine:
         placed = jax.tree.map(np.asarray, flight.get(lambda carry: carry.state.placed))
         refuse_unplaced(self.example, placed)
         lock_step = LockStep(self, rows[:real])
-        found: list[Any] = []
+        found: list[object] = []
         self._keep(flight, 0, rows[:real], found)
         tick = 0
         for after in self.schedule.stops(lock_step.asked_every):

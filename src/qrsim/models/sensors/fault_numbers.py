@@ -71,7 +71,7 @@ def number_problems(
     field: str | None,
     given: Mapping[str, float | None],
     fields: Sequence[str],
-    white: Mapping[str, Any] | None = None,
+    white: Mapping[str, object] | None = None,
 ) -> Iterator[tuple[str, str]]:
     """Yield (name, problem as text) for each number, and for the field, that does not suit a kind of fault.
 
@@ -118,7 +118,7 @@ def fault_numbers(
     fields: Sequence[str],
     dt: float,
     ticks: int,
-    white: Mapping[str, Any] | None = None,
+    white: Mapping[str, object] | None = None,
 ) -> FaultNumbers:
     """Return the numbers of a fault as the tick uses them, missing ones by default.
 

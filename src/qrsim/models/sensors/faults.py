@@ -148,7 +148,7 @@ class _Fault:
             first = (self.start_tick + (self.ticks - 1)) // self.ticks
             skipped = (tick // self.ticks - first) % jnp.maximum(numbers.every, 1) != 0
             output = select(self._is("stuck") | (self._is("slow") & skipped), memory.passed_on, output)
-        lost: Any = self._is("off")
+        lost = self._is("off")
         if self._is("intermittent") is not False:
             whole = numbers.on_ticks + numbers.off_ticks
             timed = (tick - self.start_tick) % jnp.maximum(whole, 1) >= numbers.on_ticks
@@ -171,7 +171,7 @@ class _Fault:
 
         def change(x: Array, i: int) -> Array:
             """Return field number ``i`` scaled, with the fault's amount added."""
-            times: Any = _pick(drift, seconds, 1.0)
+            times = _pick(drift, seconds, 1.0)
             if normals is not None:
                 times = _pick(noisy, normals[i], times)
             if chances is not None:

@@ -109,7 +109,7 @@ def _name(properties: Content) -> str:
 
 def _geometries(source: str, content: Content) -> Iterator[tuple[str, Content, Content]]:
     """Yield (place in the file, properties, geometry) of each feature."""
-    features: Any = [content]
+    features = [content]
     if content["type"] == "FeatureCollection":
         features = _listed(source, "features", content.get("features"), counts=False)
     for number, feature in enumerate(features):

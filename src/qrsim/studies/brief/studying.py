@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -24,9 +24,6 @@ from qrsim.studies.sweep.provenance import differences, versions
 from qrsim.studies.sweep.store import Store
 from qrsim.studies.sweep.study import load_study
 from qrsim.studies.sweep.sweeping import sweep, sweep_here
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 SCENARIO = "scenario.yaml"
 # Interval of the tracks [s], runs of a batch, and the share of runs that may not finish.
@@ -166,7 +163,7 @@ class Flyer:
         told: called after each batch, with the study's name, and its episodes done and planned.
     """
 
-    def __init__(self, folder: Path, client: Client, minutes: float, told: Callable[[str, int, int], None]):
+    def __init__(self, folder: Path, client: Any, minutes: float, told: Callable[[str, int, int], None]):
         self.folder, self.client, self.minutes, self.told = folder, client, minutes, told
         self.begun = time.monotonic()
         self._first: Plan | None = None

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import RunError
 from qrsim.studies.sweep.flying import dumped, fly
 from qrsim.studies.sweep.job import Job
@@ -90,7 +91,7 @@ class Jobs:
         )
 
 
-def _result(future: Any, batch: Batch, store: Store) -> dict[str, Any]:
+def _result(future: Any, batch: Batch, store: Store) -> dict[str, NumpyArray]:
     """Return the results of a batch from its future; raises RunError if it could not be flown.
 
     Raises:
@@ -106,7 +107,7 @@ def _result(future: Any, batch: Batch, store: Store) -> dict[str, Any]:
     return _checked(found, batch, store)
 
 
-def _checked(found: dict[str, Any] | str, batch: Batch, store: Store) -> dict[str, Any]:
+def _checked(found: dict[str, NumpyArray] | str, batch: Batch, store: Store) -> dict[str, NumpyArray]:
     """Return the results of a batch; raises RunError if the worker returned a text instead."""
     if isinstance(found, str):
         raise RunError(f"batch {batch.index + 1}: {found}; {_kept(store)}")

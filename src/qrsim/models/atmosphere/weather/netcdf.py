@@ -251,7 +251,7 @@ class _Reader:
     def _at_place(self, variable: str, source: Any, factor: float) -> Floats:
         """Return the values (times, levels) of a variable at the place; one level where it has none."""
         axes: list[str] = []
-        parts: list[Any] = []
+        parts: list[object] = []
         for dimension in source.dimensions:
             axis = self.axis_of.get(dimension)
             if axis is None and source.shape[source.dimensions.index(dimension)] > 1:
