@@ -15,6 +15,7 @@ import numpy as np
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.envs.arguments import checked_arguments
+from qrsim.envs.drawing import RENDER_MODES
 from qrsim.envs.functional import Functional
 from qrsim.envs.objective import objective_of
 from qrsim.envs.single import SingleTask
@@ -45,6 +46,9 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
         UsageError: the task is not one that ``qrsim train`` takes, or it has several vehicles.
     """
 
+    # A dict of the class, because Gymnasium before 1.4 reads it before there is an environment.
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # type: ignore[assignment]  # noqa: RUF012
+
     @checked_arguments
     def __init__(
         self,
@@ -61,6 +65,7 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
         self.view = view_of(functional)
         task = SingleTask(scenario, [*given, f"task.period={self.view.seconds!r}"], precision, render_mode)
         super().__init__(task)
+        self.metadata = task.metadata
         self._batch = task.batch
         self._objective = objective_of(task.batch, discount)
         acts = len(self.view.flown)

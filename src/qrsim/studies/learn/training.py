@@ -230,14 +230,14 @@ class Training:
         found = []
         for normals in noise:
             decision = self.algorithm.decide(weights, self._pair, flights.seen, flights.last, normals)
-            features, outputs, action = map(np.asarray, decision)
+            features, outputs, density, action = map(np.asarray, decision)
             reward, terminated, ended = flights.decide(outputs, action)
             beyond = np.zeros_like(reward)
             cut = ended & ~terminated
             if cut.any():
                 last = np.asarray(self.algorithm.value(weights, self._pair, flights.features()))
                 beyond = np.where(cut, last, beyond)
-            found.append((features, outputs, reward, ended, beyond))
+            found.append((features, outputs, density, reward, ended, beyond))
             flights.follow(ended)
         inputs, *others = zip(*found, strict=True)
         rows = np.stack([*inputs, flights.features()])
