@@ -24,24 +24,25 @@ def test_the_small_form_trains_and_flies() -> None:
 
 def test_the_full_form_found_what_the_page_says() -> None:
     found = json.loads(REPORT.read_text("utf-8"))["results"]
+    baseline = found["keep_spot"]["baseline"]["mean"]
     kept = [found[f"keep_spot_seed_{seed}"] for seed in range(10)]
-    assert all(each["flown_to_the_end"] >= 0.99 for each in kept)
-    assert all(each["mean"] > found["keep_spot"]["baseline"]["mean"] for each in kept)
-    reached = [found[f"goto_waypoint_seed_{seed}"]["near"] for seed in range(10)]
-    assert sorted(reached)[:2] == [0.39, 0.975]
-    assert sorted(reached)[2:] == [1.0] * 8
+    assert all(each["flown_to_the_end"] == 1.0 for each in kept)
+    assert [seed for seed in range(10) if kept[seed]["mean"] < baseline] == [7]
+    reached = [found[f"goto_waypoint_seed_{seed}"] for seed in range(10)]
+    assert all(each["near"] >= 0.98 for each in reached)
     # No seed has learned to crash.
-    assert all(found[f"goto_waypoint_seed_{seed}"]["flown_to_the_end"] == 1.0 for seed in range(10))
+    assert all(each["flown_to_the_end"] == 1.0 for each in reached)
 
 
 def test_velocities_and_landings_are_learned_better_than_the_baselines_fly() -> None:
     found = json.loads(REPORT.read_text("utf-8"))["results"]
-    kept = [found[f"keep_velocity_seed_{seed}"] for seed in range(7)]
+    kept = [found[f"keep_velocity_seed_{seed}"] for seed in range(10)]
     assert all(each["flown_to_the_end"] == 1.0 for each in kept)
     assert all(each["mean"] > found["keep_velocity"]["baseline"]["mean"] for each in kept)
-    landed = [found[f"land_on_pad_seed_{seed}"] for seed in range(5)]
-    assert all(each["near"] >= 0.98 for each in landed)
-    assert all(each["mean"] > found["land_on_pad"]["baseline"]["mean"] for each in landed)
+    landed = [found[f"land_on_pad_seed_{seed}"] for seed in range(10)]
+    assert all(each["near"] >= 0.97 for each in landed)
+    worse = [seed for seed in range(10) if landed[seed]["mean"] < found["land_on_pad"]["baseline"]["mean"]]
+    assert worse == [seed for seed in range(10) if landed[seed]["flown_to_the_end"] < 1.0] == [2, 3]
 
 
 def test_cats_come_nearer_than_the_baseline_but_collide() -> None:

@@ -38,7 +38,8 @@ class Settings:
         most_gradient: norm at which gradients are clipped.
         spread: first standard deviation of the outputs.
         width: of the two hidden layers.
-        last_rate: learning rate at the end of a training, as a share of ``rate``; it changes linearly with the decisions.
+        last_rate: share of the learning rate that is left at the end of a training; it falls linearly with the
+            decisions.
         averaged: weight of the iterations before in the running mean of the policies that is flown and kept; 0: the
             last policy.
         whole_first: whether the best policy is chosen by the part of an episode that is flown to the end before the

@@ -37,5 +37,5 @@ def plan_of(task: Any, overrides: tuple[str, ...] = (), envs: int | None = None,
     settings = PURSUIT if pursues else LANDING if isinstance(kind, Land) else Settings()
     if envs is None:
         envs = PURSUIT_ENVS if pursues else ENVS
-    suited = {"settings": settings, "tries": PURSUIT_TRIES if pursues else TRIES}
+    suited: dict[str, Any] = {"settings": settings, "tries": PURSUIT_TRIES if pursues else TRIES}
     return Plan(task, overrides, envs=envs, **(suited | changes))
