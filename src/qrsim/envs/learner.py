@@ -47,7 +47,7 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
     """
 
     # A dict of the class, because Gymnasium before 1.4 reads it before there is an environment.
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # type: ignore[assignment]  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
 
     @checked_arguments
     def __init__(
