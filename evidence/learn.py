@@ -36,7 +36,7 @@ STEPS = {
     "goto_waypoint": 2_000_000,
     "keep_velocity": 1_200_000,
     "land_on_pad": 2_000_000,
-    PURSUIT: 4_000_000,
+    PURSUIT: 5_000_000,
 }
 SEEDS = 10
 # What training changes of a task [s].

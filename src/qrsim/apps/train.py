@@ -7,7 +7,7 @@ import math
 import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -27,10 +27,10 @@ class Train:
     """Train a policy for a task by proximal policy optimisation.
 
     Many episodes are flown side by side, all agents with the same policy. Training has cycles of the length of an
-    episode. After each cycle the policy flies 64 episodes, in a pursuit 256, that it does not learn from; their mean
-    return and the part flown to the end are printed. The best policy is kept in DIR/policy.npz, for 'qrsim score',
-    'qrsim run' and 'qrsim check'. DIR/curve.csv has a row for each cycle. Ctrl-C ends a training, and --resume
-    continues it from its last cycle.
+    episode. After each cycle the policy flies 64 episodes that it does not learn from; their mean return and the part
+    flown to the end are printed. The best policy is kept in DIR/policy.npz, for 'qrsim score', 'qrsim run' and 'qrsim
+    check'. DIR/curve.csv has a row for each cycle. Ctrl-C ends a training, and --resume continues it from its last
+    cycle.
 
     Example:
       qrsim train keep_spot --steps 1000000
@@ -157,7 +157,7 @@ def _name_of(plan: Plan) -> str:
     return Functional.of(plan.task, plan.overrides).name.replace("/", "_")
 
 
-def _shown(best: Any) -> str:
+def _shown(best: tuple[object, Tried] | None) -> str:
     """Return the scores of the best policy as text."""
     if best is None:
         return "none yet"

@@ -13,7 +13,7 @@ import pytest
 
 from qrsim.envs.objective import Scaled, _velocity_ned
 from qrsim.studies.learn.ppo import Algorithm, Rows, Samples, Settings, _advantages, _loss, _rows_of
-from qrsim.studies.learn.training import Moments, Tried
+from qrsim.studies.learn.training import Moments
 from qrsim.tasks.learned import View
 
 
@@ -61,33 +61,6 @@ def test_a_decision_is_the_mean_and_its_noise() -> None:
     np.testing.assert_allclose(found.log_density, [-2.0 + np.log(2.0)], rtol=1e-6)
     # 0.25 + 0.5 * 1.625, limited.
     np.testing.assert_allclose(found.action, [[1.0]])
-
-
-@pytest.mark.long
-def test_the_learning_rate_falls_linearly_to_its_last_share() -> None:
-    view = View("made", 0, 0.1, ("a", "b"), ("c",), (0, 1), (), None, (0,), (0.25,), (0.5,))
-    algorithm = Algorithm(view, Settings(epochs=1, minibatches=1, width=2, last_rate=0.2))
-    before = algorithm.begin(0)
-    seen = np.random.default_rng(0).normal(size=(3, 2, 3)).astype(np.float32)
-    ended = np.zeros((2, 2), bool)
-    outputs, rest = np.ones((2, 2, 1), np.float32), np.ones((2, 2), np.float32)
-    samples = Samples(seen, outputs, -rest, np.array([[1.0, 2.0], [-1.0, 3.0]], np.float32), ended, 0.0 * rest)
-    scaling = np.zeros(3, np.float32), np.ones(3, np.float32)
-    orders = np.arange(4, dtype=np.int32)[None, None]
-    moved = []
-    for done in (0.0, 0.5, 1.0):
-        after, _ = algorithm.improve(before, scaling, samples, orders, np.float32(done))
-        moved.append(np.array(after.weights["value"][0][0] - before.weights["value"][0][0]))
-    # The first step of Adam is the learning rate, 0.001, in each weight with a slope.
-    assert np.abs(moved[0]).max() == pytest.approx(0.001, rel=0.02)
-    np.testing.assert_allclose(moved[1], 0.6 * moved[0], atol=1e-6)
-    np.testing.assert_allclose(moved[2], 0.2 * moved[0], atol=1e-6)
-
-
-def test_a_policy_that_never_crashes_is_the_best_unless_the_mean_return_counts_alone() -> None:
-    whole, nearer = (Tried(1, 1, 0.0, mean, part, 0.0, 0.0) for mean, part in ((-40.0, 1.0), (-12.0, 0.99)))
-    assert whole.rank(True) > nearer.rank(True)
-    assert whole.rank(False) < nearer.rank(False)
 
 
 def test_moments_are_those_of_all_rows() -> None:

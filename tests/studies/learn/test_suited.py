@@ -13,7 +13,7 @@ from qrsim.studies.learn.suited import plan_of
 
 def test_a_task_of_one_vehicle_has_the_defaults() -> None:
     plan = plan_of("keep_spot", ("duration=5",), seed=7, steps=1000)
-    assert (plan.task, plan.overrides, plan.envs, plan.tries) == ("keep_spot", ("duration=5",), 512, 64)
+    assert (plan.task, plan.overrides, plan.envs) == ("keep_spot", ("duration=5",), 512)
     assert (plan.seed, plan.steps) == (7, 1000)
     assert plan.settings == Settings()
     assert plan_of("land_on_pad").settings == Settings(spread=0.4)
@@ -21,9 +21,7 @@ def test_a_task_of_one_vehicle_has_the_defaults() -> None:
 
 def test_a_pursuit_has_its_own() -> None:
     plan = plan_of("cats_and_mouse/1A")
-    assert (plan.envs, plan.tries, plan.settings.discount, plan.settings.spread) == (128, 256, 0.97, 0.3)
-    assert (plan.settings.last_rate, plan.settings.whole_first) == (0.0, False)
-    assert plan_of("cats_and_mouse/1A", tries=5).tries == 5
+    assert (plan.envs, plan.settings.discount, plan.settings.spread) == (128, 0.97, 0.3)
     assert plan_of("cats_and_mouse/1A", envs=3).envs == 3
     # Asked for, the settings are those.
     assert plan_of("cats_and_mouse/1A", settings=Settings(rate=0.5)).settings.rate == 0.5

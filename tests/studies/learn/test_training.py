@@ -16,7 +16,7 @@ from qrsim.studies.learn.training import Plan, Training
 from qrsim.tasks.learned import forward, read_policy
 
 # A cycle is one iteration of 128 decisions of 16 episodes, 2 s long.
-SETTINGS = Settings(width=8, epochs=2, minibatches=8, last_rate=0.5, averaged=0.75)
+SETTINGS = Settings(width=8, epochs=2, minibatches=8, averaged=0.75)
 SMALL = Plan("keep_spot", ("duration=2",), seed=3, envs=16, steps=4096, tries=16, settings=SETTINGS)
 
 

@@ -38,12 +38,8 @@ class Settings:
         most_gradient: norm at which gradients are clipped.
         spread: first standard deviation of the outputs.
         width: of the two hidden layers.
-        last_rate: share of the learning rate that is left at the end of a training; it falls linearly with the
-            decisions.
         averaged: weight of the iterations before in the running mean of the policies that is flown and kept; 0: the
             last policy.
-        whole_first: whether the best policy is chosen by the part of an episode that is flown to the end before the
-            mean return.
     """
 
     discount: float = 0.98
@@ -57,9 +53,7 @@ class Settings:
     most_gradient: float = 0.5
     spread: float = 1.0
     width: int = 32
-    last_rate: float = 1.0
     averaged: float = 0.0
-    whole_first: bool = True
 
 
 class Learner(NamedTuple):
@@ -180,18 +174,8 @@ class Algorithm:
         density = _log_density(weights, mean, outputs)
         return Decision(features, outputs, density, self.view.action(outputs.clip(-LIMIT, LIMIT), seen))
 
-    def _improve(
-        self, learner: Learner, scaling: Pair, samples: Samples, orders: Array, done: Any
-    ) -> tuple[Learner, Array]:
-        """Return the learner after all passes over an iteration's samples, and the last pass's divergence ().
-
-        Args:
-            learner: before.
-            scaling: of the inputs.
-            samples: of the iteration.
-            orders: as of ``orders``.
-            done: () part of the training that is over, in [0, 1].
-        """
+    def _improve(self, learner: Learner, scaling: Pair, samples: Samples, orders: Array) -> tuple[Learner, Array]:
+        """Return the learner after all passes over an iteration's samples, and the last pass's divergence ()."""
         samples = samples._replace(inputs=_scaled(scaling, samples.inputs))
         settings, rows = self.settings, _rows_of(learner.weights, samples, self.settings)
 
@@ -201,9 +185,6 @@ class Algorithm:
             slope, divergence = jax.grad(partial(_loss, settings), has_aux=True)(learner.weights, part)
             with _usual_promotion():
                 change, optimiser = self._adam.update(slope, learner.optimiser, learner.weights)
-                if settings.last_rate != 1.0:
-                    share = 1.0 + (settings.last_rate - 1.0) * done
-                    change = jax.tree.map(lambda leaf: share * leaf, change)
                 return Learner(self._apply(learner.weights, change), optimiser), divergence
 
         learner, divergence = jax.lax.scan(minibatch, learner, orders.reshape(-1, orders.shape[-1]))

@@ -6,19 +6,16 @@ from typing import Any
 
 from qrsim.envs.functional import Functional
 from qrsim.studies.learn.ppo import Settings
-from qrsim.studies.learn.training import TRIES, Plan
+from qrsim.studies.learn.training import Plan
 from qrsim.tasks.landing import Land
 from qrsim.tasks.pursuit import Pursuit
 
-# Decisions of 1 s, whose consequences are fewer; noise that cats a few metres from each other survive. A crash costs so
-# much that the mean return alone ranks policies.
-PURSUIT = Settings(discount=0.97, epochs=4, minibatches=8, spread=0.3, last_rate=0.0, averaged=0.9, whole_first=False)
+# Decisions of 1 s, whose consequences are fewer; noise that cats a few metres from each other survive.
+PURSUIT = Settings(discount=0.97, epochs=4, minibatches=8, spread=0.3, averaged=0.9)
 # Noise with which a vehicle near the ground seldom tips over.
 LANDING = Settings(spread=0.4)
 # Episodes side by side: fewer of a team, so that the policy is improved more often for the same decisions.
 ENVS, PURSUIT_ENVS = 512, 128
-# Episodes that a pursuit's policies are tried in: a few crashes decide which is the best.
-PURSUIT_TRIES = 256
 
 
 def plan_of(task: Any, overrides: tuple[str, ...] = (), envs: int | None = None, **changes: Any) -> Plan:
@@ -37,5 +34,4 @@ def plan_of(task: Any, overrides: tuple[str, ...] = (), envs: int | None = None,
     settings = PURSUIT if pursues else LANDING if isinstance(kind, Land) else Settings()
     if envs is None:
         envs = PURSUIT_ENVS if pursues else ENVS
-    suited: dict[str, Any] = {"settings": settings, "tries": PURSUIT_TRIES if pursues else TRIES}
-    return Plan(task, overrides, envs=envs, **(suited | changes))
+    return Plan(task, overrides, envs=envs, **({"settings": settings} | changes))

@@ -81,9 +81,10 @@ class Tried:
     reward: float
     divergence: float
 
-    def rank(self, whole_first: bool) -> tuple[float, float]:
-        """Return the sort key of policies: by mean return, and before it, if asked, by the part flown to the end."""
-        return self.flown_to_the_end if whole_first else 0.0, self.mean_return
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Sort key of policies: first by the share of an episode that is flown to the end."""
+        return self.flown_to_the_end, self.mean_return
 
 
 class Moments:
@@ -159,14 +160,13 @@ class Training:
         limit = np.inf if self.plan.seconds is None else self.plan.seconds
         while self.steps < self.plan.steps and time.monotonic() - begun < limit:
             rng = np.random.default_rng([self.plan.seed, self.cycle])
-            begin = LEARNED + APART * (self.plan.seed % 10**6) + self.cycle * self.plan.envs
-            self.flights.begin(begin + np.arange(self.plan.envs))
+            first = LEARNED + APART * (self.plan.seed % 10**6) + self.cycle * self.plan.envs
+            self.flights.begin(first + np.arange(self.plan.envs))
             rewards, divergences = [], []
             for _ in range(self.iterations):
                 samples = self._fly(rng)
                 orders = self.algorithm.orders(rng, samples.reward.size)
-                done = np.float32(min(1.0, self.steps / self.plan.steps))
-                self.learner, divergence = self.algorithm.improve(self.learner, self._pair, samples, orders, done)
+                self.learner, divergence = self.algorithm.improve(self.learner, self._pair, samples, orders)
                 self._average()
                 rewards.append(float(samples.reward.mean()))
                 divergences.append(self._finite(float(divergence)))
@@ -191,8 +191,7 @@ class Training:
                 float(np.mean(divergences)),
             )
             self.curve.append(row)
-            first = self.plan.settings.whole_first
-            if self.best is None or row.rank(first) > self.best[1].rank(first):
+            if self.best is None or row.rank > self.best[1].rank:
                 self.best = policy, row
             yield row
 
