@@ -125,6 +125,7 @@ class Serve:
                 log.say(f"page: {options.view.address}")
 
         async def serve() -> None:
+            """Run the server until it is stopped."""
             await Server(options, tasks, log.say).serve(ready)
 
         try:

@@ -315,6 +315,7 @@ def _write(path: Path, result: Mapping[str, object]) -> None:
 
 
 def _print_json(result: Mapping[str, object]) -> None:
+    """Print the result of a study as JSON."""
     import json
 
     print(json.dumps(result, indent=2, allow_nan=False))

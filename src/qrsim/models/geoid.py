@@ -34,15 +34,18 @@ SLOPE_OVER = 2500.0
 
 
 @overload
-def undulation(latitude_deg: float, longitude_deg: float) -> float: ...
+def undulation(latitude_deg: float, longitude_deg: float) -> float:
+    """Return the undulation [m] of one place as a float."""
 
 
 @overload
-def undulation(latitude_deg: Arrays, longitude_deg: npt.ArrayLike) -> Float64: ...
+def undulation(latitude_deg: Arrays, longitude_deg: npt.ArrayLike) -> Float64:
+    """Return the undulations [m] of arrays of places; either argument may be a scalar."""
 
 
 @overload
-def undulation(latitude_deg: npt.ArrayLike, longitude_deg: Arrays) -> Float64: ...
+def undulation(latitude_deg: npt.ArrayLike, longitude_deg: Arrays) -> Float64:
+    """Return the undulations [m] of arrays of places; either argument may be a scalar."""
 
 
 def undulation(latitude_deg: npt.ArrayLike, longitude_deg: npt.ArrayLike) -> float | Float64:

@@ -82,6 +82,7 @@ def _ground(ground: object) -> Any:
         return None
 
     def down(north: float, east: float) -> float:
+        """Return the ground's z coordinate [m, down] at a position [m]."""
         place = record_of(Vec3, *(np.array([value], np.float32) for value in (north, east, 0.0)))
         return float(down_at(ground, place)[0])
 

@@ -74,6 +74,7 @@ def onnx_model(file: PolicyFile) -> bytes:
     graph.limited(moved, 1.0, ACTION)
 
     def numbers(name: str, size: int) -> Any:
+        """Return ONNX's description of a float array with ``size`` numbers for each vehicle."""
         return helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, ["vehicles", size])
 
     given = [numbers(OBSERVATION, len(view.observed)), numbers(LAST, len(view.flown))]

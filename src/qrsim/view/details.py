@@ -93,6 +93,7 @@ class RecordedDetails:
 
     @cached_property
     def _truth(self) -> Columns:
+        """Return the columns of the true state: velocity, attitude and single quantities."""
         truth = self._run["truth"]
         ones = {name: (column,) if column in truth else None for name, column in _OF_TRUTH.items()}
         parts = {"velocity": ("velocity_body", AXES), "attitude": ("attitude", ANGLES)}
@@ -100,6 +101,7 @@ class RecordedDetails:
 
     @cached_property
     def _commands(self) -> Columns:
+        """Return the columns of the estimate and of the waypoint that the vehicle flies to."""
         columns = self._run["commands"].columns() if "commands" in self._run else ()
         parts = {"believed": "estimate.position_ned", "std": "estimate_std.position_ned"}
         found = {name: vector(self._run, "commands", of, AXES) for name, of in parts.items()}

@@ -114,6 +114,7 @@ class Px4:
         logs = folder.with_name(f"{folder.name}-px4")
 
         def flown_by(simulation: Simulation) -> Px4Flight:
+            """Return PX4's flight of a started simulation, and print the TCP port of each vehicle."""
             flight = Px4Flight(
                 simulation,
                 fleets,

@@ -85,6 +85,7 @@ def function(name: str, lanes: int) -> tuple[tuple[str, ...], frozenset[str]]:
     kernel, lines, declarations = KERNELS[name], list[str](), set[str]()
 
     def emit(instruction: str) -> str:
+        """Append an instruction to the function's lines and return the name of its value."""
         lines.append(f"  %v{len(lines)} = {instruction}")
         return f"%v{len(lines) - 1}"
 

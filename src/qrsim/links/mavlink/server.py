@@ -135,6 +135,7 @@ class _Datagrams(asyncio.DatagramProtocol):
         self._transport: Any = None
 
     def connection_made(self, transport: object) -> None:
+        """Keep the transport, and add this address to the links of the system."""
         self._transport = transport
         self._system.links.append(self._link)
 

@@ -56,6 +56,7 @@ class ProfileTable:
             return north, east
 
         def at(axis: Array) -> Array:
+            """Return one component of the velocity, interpolated between the two heights of the table."""
             axis = jnp.asarray(axis)
             return axis[row] + share * (axis[row + 1] - axis[row])
 

@@ -129,7 +129,7 @@ class GaussianPlume(Plume):
 
     @property
     def ids(self) -> int:
-        """Number of sources drawn."""
+        """Number of ids for random draws: one for each of at most ``most`` sources."""
         return self.most
 
     def init(self, draw: Draw, area: object) -> GaussianState:
@@ -191,7 +191,7 @@ class DispersionPlume(Plume):
 
     @property
     def ids(self) -> int:
-        """Number of sources drawn."""
+        """Number of ids for random draws: one for each of at most ``most`` sources."""
         return self.most
 
     def init(self, draw: Draw, area: object) -> Sources:
@@ -254,7 +254,7 @@ class PuffPlume(Plume):
 
     @property
     def ids(self) -> int:
-        """Number of sources drawn."""
+        """Number of ids for random draws: one for each of at most ``most`` sources."""
         return self.most
 
     def init(self, draw: Draw, area: object) -> PuffState:

@@ -128,7 +128,7 @@ class PatchyGround(GroundCover):
         return found[0], found[1], found[2]
 
     def _jumped(self, centre: Array, chance: tuple[Array, Array, Array]) -> Array:
-        """Return the cell after a random jump from ``centre``, wrapped around at the edges."""
+        """Return the cell after a random jump from ``centre``, wrapped at the edges; ``chance``: uniforms in (0, 1)."""
         length = -self.jump * log(chance[0])
         sine, cosine = sincos(2.0 * math.pi * chance[1])
         steps = jnp.round(jnp.stack([length * cosine, length * sine])).astype(jnp.int32)

@@ -82,6 +82,7 @@ class Route:
         self.ignored.append(Ignored(flight.jump.number, "DO_JUMP", "", "repeated once, not endlessly"))
 
     def _add_one(self, item: SimpleItem) -> None:
+        """Add one mission item to the route; a fault in it becomes a problem of the plan."""
         self._item = item
         try:
             self._add(item.content, item.path)

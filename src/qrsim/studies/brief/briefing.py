@@ -196,6 +196,7 @@ class Brief:
 
 
 def _share(hits: int, total: int) -> Content:
+    """Return a number of runs as a share of all, with its Wilson interval."""
     low, high = wilson(hits, total)
     return {"runs": hits, "share": hits / total, "low": low, "high": high}
 
@@ -299,6 +300,7 @@ def _read(brief: Brief, look: int | None) -> None:
 
 
 def _store(brief: Brief, part: Piece) -> Path:
+    """Return the path of a study's store of runs."""
     return brief.folder / f"{part.name}.zarr"
 
 

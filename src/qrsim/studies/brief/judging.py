@@ -276,4 +276,5 @@ def _empty(value: float) -> str:
 
 
 def _percent(share: float) -> str:
+    """Return a share as a percentage in text."""
     return f"{100.0 * share:.2g} %" if share < 0.1 else f"{100.0 * share:.0f} %"

@@ -214,6 +214,7 @@ class Flyer:
         done = sum(plan.batch(i).episodes for i, known in enumerate(store.done) if known)
 
         def progress(batch: Batch) -> None:
+            """Report a flown batch; raises OutOfTimeError if the deadline has passed and batches are missing."""
             nonlocal done, begun
             now = time.monotonic()
             self.batch_s, begun = max(self.batch_s, now - begun), now

@@ -187,7 +187,7 @@ def _from_start(flight: Outdoor, position: Floats) -> Floats:
 
 
 def _summarise(numbers: Content) -> str:
-    """Return the conclusion of this part."""
+    """Return the text that concludes the comparison of the translation model with the recorded flight."""
     share, windy = numbers["velocity_explained_share"], numbers["fitted_wind"]["velocity_explained_share"]
     lost = numbers["horizontal_position_error_m"]["still_air"]["after_160_s"]
     return (
