@@ -87,7 +87,7 @@ class Brief:
     """Print the JSON instead of the summary."""
 
     def run(self) -> int:
-        """Check, fly, write the page, print the verdict."""
+        """Check the operation, fly it, write the page, and print the verdict."""
         self._check()
         operation = self._operation()
         if self.write is not None:

@@ -83,7 +83,7 @@ class Identify:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check, read, fit, write, print."""
+        """Check the options, read the logs, fit the parameters, and write and print the result."""
         if self.imu:
             from qrsim.studies.identify.imu_noise import checked_imu, identify_imu
 

@@ -66,7 +66,7 @@ class Score:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Fly, print, draw."""
+        """Fly the episodes of all policies, then print and draw the scores."""
         if not 1 <= self.seeds <= MOST_SEEDS:
             raise UsageError(f"--seeds {self.seeds}: expected 1 to {MOST_SEEDS}")
         if not 0 <= self.first_seed < 2**62:

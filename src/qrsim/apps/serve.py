@@ -101,7 +101,7 @@ class Serve:
     is needed to view and control the page; nothing is encrypted."""
 
     def run(self) -> None:
-        """Check, compile, serve."""
+        """Check the scenarios, compile them, and serve clients until the end."""
         options = self._options()
         scenario = self._scenario()
         import asyncio

@@ -74,7 +74,7 @@ class SlamCommand:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check, fly, solve, report."""
+        """Check the options, fly, solve for the trajectory and landmarks, and report the errors."""
         self._check()
         if self.run_folder is not None:
             self._solve_run(self.run_folder)

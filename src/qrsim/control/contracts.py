@@ -93,7 +93,7 @@ class Guidance(Protocol):
 
     @abstractmethod
     def setpoint(self, state: Any, route: Any) -> object:
-        """Return the set-point (n,) of a state."""
+        """Return the set-point (n,) that vehicles fly to in this state of the guidance."""
 
 
 @record

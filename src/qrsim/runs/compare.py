@@ -315,7 +315,7 @@ class _Tally:
 
     @property
     def largest_difference(self) -> float:
-        """The largest difference so far, NaN where there is none."""
+        """The largest difference of all rows compared; NaN if there is none."""
         if self.largest is None:
             return math.nan
         x, y = self.largest.values

@@ -76,7 +76,7 @@ class Scenario(Tabled):
 
     @property
     def name(self) -> str:
-        """Short name."""
+        """Short name of the scenario."""
         return self.spec.name
 
     @property

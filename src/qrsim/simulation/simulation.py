@@ -123,7 +123,7 @@ class Simulation(Radios, Injecting, Tabled):
 
     @property
     def precision(self) -> str:
-        """float32 or float64."""
+        """Floating-point type of the simulation: float32 or float64."""
         return self.dtype.name
 
     @property

@@ -34,7 +34,7 @@ class _Graph:
         return name
 
     def apply(self, operator: str, *inputs: str, name: str = "", **attributes: Any) -> str:
-        """Add an operator."""
+        """Add an operator to the graph, and return the name of its result."""
         result = name or f"{operator.lower()}_{len(self.nodes)}"
         self.nodes.append(self._node(operator, list(inputs), [result], **attributes))
         return result

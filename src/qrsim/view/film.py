@@ -42,7 +42,7 @@ Progress = Callable[[int, int], None]
 
 
 def untold(done: int, total: int) -> None:
-    """Ignore the progress."""
+    """Ignore the progress of a film; the default of ``progress``."""
 
 
 def export(

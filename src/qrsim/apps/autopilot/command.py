@@ -72,7 +72,7 @@ class Betaflight:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check, start and arm the firmware, fly, summarise."""
+        """Check the options, start and arm the firmware, fly, and print a summary."""
         check_rate(self.rate)
         check(self)
         from qrsim.links.autopilot.firmware import binary, configured
@@ -146,7 +146,7 @@ class Ardupilot:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check, open the ports, fly, summarise."""
+        """Check the options, open the ports, fly, and print a summary."""
         check_rate(self.rate)
         check(self)
         if not 1024 <= self.port <= LAST_PORT:

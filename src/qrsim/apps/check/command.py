@@ -63,7 +63,7 @@ class Check:
     """Print the result as JSON."""
 
     def run(self) -> int:
-        """Check, fly, report."""
+        """Check the scenario, fly it with several seeds, and print the outcomes."""
         from qrsim.apps.check.outcomes import outcomes
 
         if self.seeds < 1:

@@ -104,7 +104,7 @@ class Run:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check, fly, summarise."""
+        """Check the scenario, fly it, and print a summary."""
         # Importing and compiling make many objects and no garbage worth looking for; ``fly`` turns this on again.
         gc.disable()
         try:

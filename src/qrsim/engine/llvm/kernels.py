@@ -65,7 +65,7 @@ body = cache(Body)
 
 
 def types(names: tuple[str, ...], lanes: int) -> list[str]:
-    """Return LLVM's types of vectors."""
+    """Return the LLVM types of vectors of ``lanes`` numbers, for NumPy's names of dtypes."""
     return [vector(scalar_type(np.dtype(name)), lanes) for name in names]
 
 

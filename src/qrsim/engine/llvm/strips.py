@@ -266,7 +266,7 @@ class Lifetimes:
 
 
 def _independent(late: Sequence[Late], places: Mapping[int, Place]) -> bool:
-    """Return whether no set of copies reads what another one writes."""
+    """Return whether no set of copies reads an array that another set writes."""
     written = [{(to.pointer, to.offset) for _, _, to in each.moves} for each in late]
     for i, each in enumerate(late):
         elsewhere = set().union(*(targets for j, targets in enumerate(written) if j != i))

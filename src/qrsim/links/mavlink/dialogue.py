@@ -143,7 +143,7 @@ def _take(system: System, link: Link, target: Target) -> None:
 
 
 def _local_target(system: System, link: Link, frame: Frame) -> None:
-    """Take SET_POSITION_TARGET_LOCAL_NED."""
+    """Pass the set-point of SET_POSITION_TARGET_LOCAL_NED to the stack."""
     m = frame.message()
     target = LocalTarget(
         m.coordinate_frame,
@@ -158,7 +158,7 @@ def _local_target(system: System, link: Link, frame: Frame) -> None:
 
 
 def _global_target(system: System, link: Link, frame: Frame) -> None:
-    """Take SET_POSITION_TARGET_GLOBAL_INT."""
+    """Pass the set-point of SET_POSITION_TARGET_GLOBAL_INT to the stack."""
     m = frame.message()
     target = GlobalTarget(
         m.coordinate_frame,
@@ -175,7 +175,7 @@ def _global_target(system: System, link: Link, frame: Frame) -> None:
 
 
 def _attitude_target(system: System, link: Link, frame: Frame) -> None:
-    """Take SET_ATTITUDE_TARGET."""
+    """Pass the set-point of SET_ATTITUDE_TARGET to the stack."""
     m = frame.message()
     rates = _axes(m, "body_roll_rate", "body_pitch_rate", "body_yaw_rate")
     _take(system, link, AttitudeTarget(m.type_mask, m.q, rates, m.thrust))

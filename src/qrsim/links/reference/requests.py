@@ -35,7 +35,7 @@ MOST_TICKS_OF_ACT = 10_000
 
 
 async def init(connection: Client, message: Message) -> None:
-    """Start a task."""
+    """Start a task for the client, and send the first states and TASKINFO."""
     server, request = connection.server, message.init
     realtime = server.options.realtime or float(request.realTime)
     session_options = await server.run_in_thread(lambda: _session_options(connection, request.task, realtime=realtime))
@@ -352,7 +352,7 @@ async def act(connection: Client, message: Message) -> None:
 
 
 async def say(connection: Client, message: Message) -> None:
-    """Queue messages for the radios of vehicles, and acknowledge it."""
+    """Queue a client's messages for the radios of vehicles, and acknowledge the request."""
     session, words = connection.required_session(), words_of(message.say)
     if isinstance(session, SharedSession):
         session.plant.say(connection.number, words)

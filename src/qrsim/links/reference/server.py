@@ -208,7 +208,7 @@ class Server:
     # ---- requests ----
 
     async def answer(self, connection: Connection, message: Message) -> None:
-        """Answer a request.
+        """Answer a request of a connection.
 
         Raises:
             QrsimError: it was wrong; nothing was sent.

@@ -99,7 +99,7 @@ class Session:
 
     @property
     def size(self) -> int:
-        """Number of vehicles."""
+        """Number of vehicles of the session."""
         return self.simulation.size
 
     @property

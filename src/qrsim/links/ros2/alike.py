@@ -52,7 +52,7 @@ class Alike:
         return np.ndarray((length, count), kind, self._bytes, offset, (size, kind.itemsize))
 
     def messages(self, numbers: NumpyArray, stamps: Sequence[tuple[int, int]]) -> list[bytes | None]:
-        """Return what ``Publication.message`` returns for each.
+        """Return the serialised message of each publication, or None for no message.
 
         Args:
             numbers: (n, WIDTH) of all vehicles.

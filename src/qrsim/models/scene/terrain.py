@@ -97,7 +97,7 @@ class PatchyGround(GroundCover):
         start = _Pouring(cells, corner, corner, nothing, nothing, first + 1)
 
         def step(now: _Pouring) -> _Pouring:
-            """Return the state after one more draw: a drop moves on, or a new drop starts."""
+            """Return the state after one more draw of random numbers: a drop moves on, or a new drop starts."""
             chance = self._uniforms(draw, now.draws)
             place = now.cells[now.drop[0], now.drop[1]] == number
             pouring = now.left > 0

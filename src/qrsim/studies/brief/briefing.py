@@ -273,14 +273,14 @@ def _read_others(brief: Brief, stages: Sequence[str]) -> None:
 
 
 def keep(brief: Brief) -> None:
-    """Read the runs stored before an interruption; the verdicts of the last look hold."""
+    """Read the runs stored before an interruption; the verdicts of the last interim analysis hold."""
     _read(brief, look=None)
     if brief.winds is not None:
         _winds(brief, None, polar=True)
 
 
 def _read(brief: Brief, look: int | None) -> None:
-    """Read the nominal runs stored up to a look and judge them; None: all of them, keeping the last verdicts."""
+    """Read and judge the nominal runs up to an interim analysis (``look``); None: all, with the last verdicts kept."""
     stores = []
     starts = len(brief.flights.starts)
     for piece in pieces(brief.operation.criteria.p_loss):
@@ -305,7 +305,7 @@ def _store(brief: Brief, part: Piece) -> Path:
 
 
 def _nominal(brief: Brief, flyer: Flyer | None) -> bool:
-    """Fly the nominal stage look by look, or without a flyer only read it; return whether it reached a verdict."""
+    """Fly the nominal stage up to a verdict, or without a flyer only read it; return whether it reached one."""
     for piece in pieces(brief.operation.criteria.p_loss):
         parts = piece.parts(len(brief.flights.starts))
         if flyer is None:

@@ -73,7 +73,7 @@ class Piece:
 
 
 def pieces(p_loss: float) -> Iterator[Piece]:
-    """Yield the parts of the nominal stage, without end; the totals double from the second look on."""
+    """Yield the parts of the nominal stage, without end; from the second interim analysis on, the total doubles."""
     first = first_look(min(p_loss, UNFINISHED))
     done = 0
     if first > FEWEST:

@@ -180,7 +180,7 @@ class Algorithm:
         settings, rows = self.settings, _rows_of(learner.weights, samples, self.settings)
 
         def minibatch(learner: Learner, chosen: Array) -> tuple[Learner, Array]:
-            """Take a step of the gradient."""
+            """Update the learner by one gradient step on a minibatch of samples."""
             part = jax.tree.map(lambda leaf: leaf[chosen], rows)
             slope, divergence = jax.grad(partial(_loss, settings), has_aux=True)(learner.weights, part)
             with _usual_promotion():

@@ -40,7 +40,7 @@ def _over(reduce: Callable[..., NumpyArray], name: str) -> Callable[[Found], Num
     """Return a function that reduces a per-vehicle metric to one value per episode, ignoring NaN."""
 
     def of(found: Found) -> NumpyArray:
-        """Return the metric (W,) of the worlds; NaN without any vehicle that has a value."""
+        """Return the metric (W,) of W worlds, reduced over the vehicles; NaN if no vehicle has a value."""
         with warnings.catch_warnings():
             # A vehicle without a value does not count; an episode in which nobody has one has none.
             warnings.simplefilter("ignore", RuntimeWarning)

@@ -83,7 +83,7 @@ def simulate(name: str, orbits: Path, record: Recorded, seeds: int) -> tuple[Sim
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Compare the recorded receiver with simulated ones, and return the outcome of this part."""
+    """Compare the recorded receiver with simulated ones, and return the outcome for the report's part on GNSS."""
     record = recorded_receiver(paths[RECORDING])
     seeds = SEEDS if full else FEW_SEEDS
     runs, used = {}, (0, 0)
@@ -244,7 +244,7 @@ def _model_findings(numbers: Content) -> list[Finding]:
 
 
 def _summarise(numbers: Content) -> str:
-    """Return the conclusion of this part in one sentence."""
+    """Return one sentence that concludes the comparison of GNSS error models with the recording."""
     share = numbers[PAPER]["inside_share"]
     return (
         "The simulation has the Allan deviation that its model should have; the recording is within the paper's model's"

@@ -139,7 +139,7 @@ def _part_tables(result: Result) -> Iterator[Line]:
 
 
 def _finding_lines(found: Finding) -> Iterator[Line]:
-    """Yield the lines of a finding."""
+    """Yield the printed lines of one finding of the report."""
     yield from _wrapped_lines(f"{found.verdict}: {found.name}: {found.number}", "    ", bold=True)
     yield from _wrapped_lines(f"    {found.reading}", "    ")
 

@@ -113,7 +113,7 @@ def consistency(flight: Outdoor) -> dict[str, float]:
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Compare the outdoor flight with the model, and return the outcome of this part."""
+    """Compare the outdoor flight with the model, and return the outcome for the report's part on translation."""
     flight = fly_recorded(paths[RECORDING])
     match, force = velocity_match(flight), specific_force_errors(flight)
     winds, own = fly_winds(flight), consistency(flight)

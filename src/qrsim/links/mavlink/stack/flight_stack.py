@@ -93,7 +93,7 @@ class FlightStack(Flight):
             self.switch(Mode.POSITION)
 
     def follow_target(self, target: FollowTarget) -> None:
-        """Take the position of the target of follow-me."""
+        """Take the position of the moving target that the mode FOLLOW_TARGET follows."""
         self.follow.take(target, self.craft)
 
     def modes(self) -> tuple[ModeInfo, ...]:
