@@ -40,7 +40,7 @@ class Controller(Protocol):
         return self
 
     def estimator(self) -> Estimator | None:
-        """Return the controller's own estimator, run in flight; None without one."""
+        """Return the estimator that the controller runs in flight; None if it has none."""
         return None
 
     def idle_command(self, command: Any) -> object:

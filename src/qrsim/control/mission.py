@@ -377,7 +377,7 @@ def _quintic(leg: Mission, time: Array, ramped: tuple[Array, Array, Array]) -> t
 
 
 def _round(leg: Mission, circle: Orbits, way: Array, speed: Array, along: Array, due: PathSetpoint) -> PathSetpoint:
-    """Return the set-point on a circle, where the leg is one, else ``due``."""
+    """Return the set-point on the circle for vehicles on a circular leg, else ``due``."""
     angle = wrap_angle(way * circle.curvature)
     sine, cosine = sincos(angle)
     north = circle.arm_north * cosine - circle.arm_east * sine

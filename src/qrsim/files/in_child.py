@@ -59,7 +59,7 @@ class Child:
 
     @property
     def number(self) -> int | None:
-        """Process id of the running child; None without."""
+        """Process id of the running child; None if none runs."""
         return self._process.pid if self._process else None
 
     def call(self, function: Callable[..., T], *arguments: object) -> T:

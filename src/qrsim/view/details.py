@@ -64,7 +64,7 @@ def _of_fleet(fleet: Any, state: FleetState) -> dict[str, Floats]:
         return np.stack([np.broadcast_to(np.asarray(axis), (size,)) for axis in vars(value).values()], axis=-1)
 
     def one(value: object) -> Floats:
-        """Return a number for each vehicle."""
+        """Return a value as one number (n,) for each vehicle of the fleet."""
         return np.broadcast_to(np.asarray(value, np.float64), (size,))
 
     pose = fleet.vehicle.pose(state.vehicle)

@@ -260,7 +260,7 @@ def _file(system: System, link: Link, frame: Frame) -> None:
 
 
 def _logs(system: System, link: Link, frame: Frame) -> None:
-    """Send an empty LOG_ENTRY: the vehicle has no logs."""
+    """Answer a request for the list of logs with an empty LOG_ENTRY: the vehicle has no logs."""
     link.say("LOG_ENTRY")
 
 

@@ -223,7 +223,7 @@ def _still(connection: Client, what: str = "") -> contextlib.AbstractAsyncContex
 
 
 def _send_session(connection: Client, session: Session) -> None:
-    """Send the client its session, and its state to those that watch."""
+    """Send a client the description of its session, and the state to all who watch it."""
     simulation = session.simulation
     message = pb.Session(
         id=session.number,

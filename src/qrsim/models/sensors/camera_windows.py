@@ -105,7 +105,7 @@ def _persons(own: Any, view: Any, around: Surroundings, tick: Array, size: Array
 
 
 def _present(shown: _Shown, row: Array, column: Array) -> Array:
-    """Return (C,) bool: a missing person is nearest in a window of row ``row`` ()."""
+    """Return (C,) bool: in a window of row ``row`` () a missing person is the nearest object."""
 
     def compare() -> Array:
         """Return (C,) bool by comparing each window with those of all persons."""

@@ -314,7 +314,7 @@ def _at(latitude: float, longitude: float, altitude: float, above: Above, height
 
 
 def _is_placeless(params: Sequence[object]) -> bool:
-    """Return whether an item has no place, so that it is at the one before: both coordinates null or 0."""
+    """Return whether an item has no position and takes that of the item before: both coordinates null or 0."""
     return (params[4] is None and params[5] is None) or (params[4] == 0.0 and params[5] == 0.0)
 
 

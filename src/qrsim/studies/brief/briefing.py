@@ -106,7 +106,7 @@ class Brief:
         return found
 
     def missing_text(self) -> str:
-        """Return the text that the brief is incomplete; "" for a complete one."""
+        """Return the reason, as text, that the brief is incomplete; "" for a complete one."""
         if self.left_out:
             return f"not flown, because no time was left: {', '.join(self.left_out)}"
         return "" if self.complete else "the brief was stopped before it was complete"

@@ -229,7 +229,7 @@ def _advantages(reward: Array, value: Array, after: Array, ended: Array, setting
     error = reward + settings.discount * after - value
 
     def back(later: Array, row: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Add the later errors of the same episode."""
+        """Return the sum of temporal-difference errors, discounted, one step further back in the same episode."""
         error, ended = row
         now = error + jnp.where(ended, 0.0, settings.discount * settings.trace) * later
         return now, now
