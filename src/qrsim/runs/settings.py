@@ -33,7 +33,7 @@ def setting_differences(first: Run, second: Run) -> list[Setting]:
 
 
 def _scenario(run: Run) -> object:
-    """Return the scenario of a run."""
+    """Return the recorded scenario of a run, as content."""
     return run.scenario
 
 

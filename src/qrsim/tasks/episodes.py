@@ -171,6 +171,6 @@ class Episodes:
         return replace(step, observation=_merged(step.observation, late)), truth
 
     def episode(self, row: int) -> Episode:
-        """Return the episode in a row."""
+        """Return the episode in a row of the batch."""
         found: Episode = jax.tree.map(lambda leaf: leaf[row], self._worlds.get(lambda progress: progress.episode))
         return found

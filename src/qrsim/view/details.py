@@ -109,7 +109,7 @@ class RecordedDetails:
 
     @cached_property
     def modes(self) -> list[tuple[float, int, str]]:
-        """Return times [s], vehicles and words of changes of failsafes, in order."""
+        """Return (time [s], vehicle, text) of each change of a failsafe, in order of time."""
         numbers = {name: i for i, name in enumerate(self._run.vehicles)}
         try:
             events = self._run.events if EVENTS in self._run else []

@@ -92,7 +92,7 @@ class Paints:
         self._kept: dict[str, Paint] = {}
 
     def of(self, name: str) -> Paint:
-        """Return the colours of a quantity.
+        """Return the colours by which vehicles show a quantity.
 
         Raises:
             UsageError: the run has no such quantity.

@@ -63,7 +63,7 @@ def own_error(now: Geometry, bias: tuple[Array, ...], position_ned: Vec3, fast: 
 def step_multipath(
     receiver: ReceiverParameters, state: GnssState, draw: Draw, slots: Slots, same: Array, velocity_ned: Vec3
 ) -> tuple[Array, Array]:
-    """Return fast and slow part of the multipath (K, n) a period later; it is drawn again for satellites in new slots."""
+    """Return fast and slow parts of the multipath (K, n) a period later, drawn again for satellites in new slots."""
     # Not normal, which would take half of a fix's time: the sums over time and satellites are.
     drawn = draw.uniform_pairs(slots.ids + jnp.uint32(MULTIPATH_PAIRS))
     way = velocity_ned.norm() * (receiver.period / receiver.multipath_length)

@@ -47,7 +47,7 @@ class Group(NamedTuple):
 
     @property
     def schema(self) -> str:
-        """Name of the schema."""
+        """Name of the schema of the group's messages."""
         return f"qrsim.{self.name}"
 
     def describe(self) -> foxglove.Schema:

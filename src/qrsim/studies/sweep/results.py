@@ -59,7 +59,7 @@ class Parameter:
 
     @property
     def label(self) -> str:
-        """Name and unit, for an axis."""
+        """Name and unit of the parameter, for the axis of a figure."""
         return f"{self.name} [{self.unit}]" if self.unit and self.unit != "1" else self.name
 
 
@@ -125,7 +125,7 @@ class Results:
         return self.positions // self.dataset.sizes["seed"]
 
     def metric(self, name: str) -> NumpyArray:
-        """Return a metric (E,).
+        """Return the values (E,) of a metric in all E episodes.
 
         Raises:
             UsageError: the store does not have it.
