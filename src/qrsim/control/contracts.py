@@ -155,7 +155,7 @@ class Estimator(Protocol):
         """
 
     def std(self, state: Any) -> Estimate | None:
-        """Return the standard deviations (n,) that the estimator reports, None without."""
+        """Return the standard deviations (n,) that the estimator reports; None if it reports none."""
         return None
 
     def inner(self, state: Any) -> tuple[object, object] | None:

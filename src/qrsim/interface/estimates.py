@@ -41,7 +41,7 @@ def estimate_of(state: FleetState, rows: slice) -> EstimateReading:
 
 
 def std_of(state: FleetState, rows: slice) -> EstimateReading | None:
-    """Return the standard deviations that the estimator reports, None without."""
+    """Return the standard deviations that the fleet's estimator reports; None if it reports none."""
     if state.belief is None or state.belief.std is None:
         return None
     return EstimateReading(state.belief.std, rows)

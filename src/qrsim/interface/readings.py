@@ -40,7 +40,7 @@ class FleetReading(Tabled):
 
     @property
     def estimate_std(self) -> EstimateReading | None:
-        """Standard deviations that the estimator reports, None without."""
+        """Standard deviations that the fleet's estimator reports; None if it reports none."""
         return std_of(self._source.now, self._source.rows)
 
     def __getattr__(self, sensor: str) -> SensorReading:

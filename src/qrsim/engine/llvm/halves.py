@@ -98,7 +98,7 @@ class _Half:
         return _Rows(self.writer.address(self._moved(self.place), axes), self.place.strides[0], self.width)
 
     def _moved(self, place: Place) -> Place:
-        """Return a place offset to the present part of the lanes."""
+        """Return a place in memory, offset to the lanes that the present turn of the loop computes."""
         if self.parts == 1 or not place.own:
             return place
         size = self.width * self.dtype.itemsize

@@ -200,7 +200,7 @@ class DispersionPlume(Plume):
         return Sources(position, jnp.where(there, uniform(draw, 4, self.rate_min, self.rate_max), 0.0))
 
     def concentration(self, state: Sources, position_ned: Vec3, wind: Wind, area: object, since: Array) -> Array:
-        """Return the concentration at positions (n,)."""
+        """Return the concentration at positions (n,), zero at positions upwind of all sources."""
         along, across = wind.along_across(_offsets(position_ned, state.position_ned))
         spread = _spread_at(self.spread_factor, self.spread_exponent, along)
         vertical = _reflected(position_ned, state.position_ned, spread)
