@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 from jax import Array
@@ -11,7 +11,6 @@ from qrsim.core.fastmath import exp
 from qrsim.core.tree import parameter, record
 from qrsim.core.vectors import Vec3
 from qrsim.models.atmosphere.contracts import Updraft
-from qrsim.models.scene.contracts import Ground
 
 # Half of the way over which the slope is taken: by the height above ground, at the ground and at most [m].
 PER_HEIGHT, AT_GROUND, FARTHEST = 0.8, 16.0, 300.0
@@ -39,7 +38,7 @@ class RidgeLift(Updraft):
         seconds: Array,
         fraction: Array,
         *,
-        ground: Ground,
+        ground: Any,
         **reads: object,
     ) -> Vec3:
         """Return the vertical velocity (n,) [m/s].
