@@ -58,6 +58,7 @@ run: $(STAMP)  ## run the default scenario (ARGS='...' is handed to 'qrsim run')
 	@$(BIN)/qrsim run $(ARGS)
 
 # Linters run during the tests, and their output follows that of the tests. mypy needs a core for a minute: long tests have it.
+# Long tests wait for browsers, clients and clocks for a fifth of their time, so three processes use two cores.
 test: $(TOOLS)  ## all checks, and all tests but the long ones
 	@echo "== pytest"
 	@{ $(LINT); } > .lint.log 2>&1 & linters=$$!; \
@@ -68,7 +69,7 @@ test: $(TOOLS)  ## all checks, and all tests but the long ones
 test-long: $(TOOLS)  ## mypy, and the long tests: real clients, browsers, small forms of the studies
 	@echo "== pytest (long)"
 	@{ $(TYPES); } > .types.log 2>&1 & types=$$!; \
-		$(BIN)/python -m pytest -n 2 --dist loadfile -m "long and not nightly" $(ARGS); tests=$$?; \
+		$(BIN)/python -m pytest -n 3 --dist loadfile -m "long and not nightly" $(ARGS); tests=$$?; \
 		wait $$types; types=$$?; cat .types.log; rm -f .types.log; \
 		[ $$types -eq 0 ] && exit $$tests; exit $$types
 

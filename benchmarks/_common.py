@@ -38,6 +38,17 @@ def options(description: str, arguments: Sequence[str] | None = None, **more: st
     return parser.parse_args(arguments)
 
 
+def count_of(text: str) -> int:
+    """Return a count that was given as an option.
+
+    Raises:
+        SystemExit: it is no number above zero.
+    """
+    if not text.isdecimal() or int(text) < 1:
+        raise SystemExit(f"--vehicles: '{text}' is no number of vehicles: 1 or more, as in --vehicles 30")
+    return int(text)
+
+
 def without_cache() -> None:
     """Compile every program in this process, to better code at once; call it before the first simulation is made."""
     os.environ["QRSIM_COMPILATION_CACHE"] = "off"

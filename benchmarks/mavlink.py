@@ -134,9 +134,13 @@ def _cpu_s(process: int) -> float:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and print."""
-    chosen = _common.options(__doc__.splitlines()[0], arguments)
+    chosen = _common.options(
+        __doc__.splitlines()[0], arguments, vehicles="how many, at default rates (default: three cases)"
+    )
     on = _common.machine()
     cases = [(2, 2.0, False)] if chosen.quick else [(30, 60.0, False), (50, 60.0, False), (200, 60.0, True)]
+    if chosen.vehicles:
+        cases = [(_common.count_of(chosen.vehicles), 60.0, False)]
     results = [flown(*case) for case in cases]
     _common.publish(
         "mavlink", "Vehicles as MAVLink systems, in real time over loopback", on, results, HEADINGS, chosen.json

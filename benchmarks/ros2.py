@@ -107,11 +107,13 @@ def _cpu_s(process: int) -> float:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and print."""
     os.environ.setdefault("CYCLONEDDS_URI", ALONE)
-    chosen = _common.options(__doc__.splitlines()[0], arguments)
+    chosen = _common.options(__doc__.splitlines()[0], arguments, vehicles="how many, at 50 Hz (default: four cases)")
     on = _common.machine()
     cases = (
         [(2, 50.0, 2.0)] if chosen.quick else [(20, 50.0, 20.0), (30, 50.0, 20.0), (20, 200.0, 20.0), (100, 50.0, 20.0)]
     )
+    if chosen.vehicles:
+        cases = [(_common.count_of(chosen.vehicles), 50.0, 20.0)]
     results = [flown(*case) for case in cases]
     _common.publish(
         "ros2", "Vehicles as a node of ROS 2, in real time over loopback", on, results, HEADINGS, chosen.json

@@ -1,33 +1,63 @@
-"""What ``qrsim train`` learns with its defaults on the simple tasks: ten seeds of each, tried in the same new episodes.
+"""What ``qrsim train`` learns with its defaults: several seeds of each task, tried in the same new episodes.
 
 Each policy then flies 200 episodes that nothing was learned from and that no policy was chosen by; so do hovering and
-the baseline. A vehicle within ``NEAR`` of the waypoint at the end has reached it. Times are of one process with one
-thread, programs loaded; the processor's time does not depend on what else the machine does.
+the baseline. A vehicle within ``NEAR`` of the waypoint at the end has reached it, on the pad it must stand too, and a
+cat must be as near to where it catches the mouse. Cats learn in short episodes and are tried in whole ones. Times are
+of one process with one thread, programs loaded; the processor's time does not depend on what else the machine does.
 """
 
 from __future__ import annotations
 
+import json
 import time
 from typing import Any
 
 import numpy as np
 
+from evidence import IMAGES, ROOT
 from evidence.returns import fly
 from evidence.tasks import summary
 from qrsim.envs.batch import Batch
-from qrsim.envs.objective import Reached
+from qrsim.envs.objective import objective_of
 from qrsim.envs.scoring import HOVER, maker
+from qrsim.envs.viewing import batch_of
+from qrsim.runs.picture import new_figure, save_picture
+from qrsim.studies.learn.flights import Flights
+from qrsim.studies.learn.suited import plan_of
 from qrsim.studies.learn.training import Plan, Training
 from qrsim.tasks.learned import forward
 
-DOC = "policies of qrsim train on keep_spot and goto_waypoint, ten seeds each, against the baseline"
-SEEDS, TRIALS, SMALL_TRIALS = 10, 200, 8
-# Decisions that each seed learns from.
-STEPS = {"keep_spot": 600_000, "goto_waypoint": 2_000_000}
+DOC = "policies of qrsim train on the simple tasks and in a pursuit, several seeds each, against the baseline"
+TRIALS, SMALL_TRIALS = 200, 8
+PURSUIT = "cats_and_mouse/1A"
+# Decisions that each seed learns from, and how many seeds.
+STEPS = {
+    "keep_spot": 600_000,
+    "goto_waypoint": 2_000_000,
+    "keep_velocity": 1_200_000,
+    "land_on_pad": 2_000_000,
+    PURSUIT: 5_000_000,
+}
+SEEDS = 10
+# What training changes of a task [s].
+SHORTER = {PURSUIT: ("duration=200",)}
 NEAR = 3.0
-# The comparison, and each seed of each task: every part takes a minute or two.
-COMPARED = "compared"
-PARTS = (COMPARED, *(f"{task}_{seed}" for task in STEPS for seed in range(SEEDS)))
+# Those whose curves are drawn.
+DRAWN = ("keep_velocity", "land_on_pad", PURSUIT)
+IMAGE = IMAGES / "learning_curves.png"
+REPORT = ROOT / "docs" / "evidence" / "learn.json"
+
+
+def key(task: str) -> str:
+    """Return what a task is called in the results."""
+    return task.replace("/", "_")
+
+
+# The comparison with what ships, for each task, and each seed of each task: every part takes a minute or two.
+EACH = tuple(f"{key(task)}_{part}" for task in STEPS for part in ("compared", *range(SEEDS)))
+# The figure, of what the other parts have found.
+CURVES = "curves"
+PARTS = (*EACH, CURVES)
 
 Values = np.ndarray[Any, Any]
 
@@ -37,32 +67,39 @@ def run(full: bool, parts: tuple[str, ...] = PARTS) -> dict[str, Any]:
     if not full:
         plan = Plan("keep_spot", ("duration=2",), envs=64, steps=4096, tries=SMALL_TRIALS)
         return {"keep_spot_seed_0": trained(plan, SMALL_TRIALS)}
-    found: dict[str, Any] = {"seeds": SEEDS, "trials": TRIALS, "near_m": NEAR} if COMPARED in parts else {}
+    found: dict[str, Any] = {"seeds": SEEDS, "trials": TRIALS, "near_m": NEAR}
     for task, steps in STEPS.items():
-        if COMPARED in parts:
-            found[task] = {"steps": steps, **compared(task)}
+        if f"{key(task)}_compared" in parts:
+            found[key(task)] = {"steps": steps, **compared(task)}
         for seed in range(SEEDS):
-            if f"{task}_{seed}" in parts:
-                found[f"{task}_seed_{seed}"] = trained(Plan(task, seed=seed, steps=steps), TRIALS)
+            if f"{key(task)}_{seed}" in parts:
+                plan = plan_of(task, SHORTER.get(task, ()), seed=seed, steps=steps)
+                found[f"{key(task)}_seed_{seed}"] = trained(plan, TRIALS)
+    if CURVES in parts:
+        known = found if len(parts) > 1 else json.loads(REPORT.read_text("utf-8"))["results"]
+        save_picture(lambda: draw(known), IMAGE)
     return found
 
 
-def trained(plan: Plan, trials: int) -> dict[str, float]:
-    """Return how the best policy of a training does in new episodes, and what the training took."""
+def trained(plan: Plan, trials: int) -> dict[str, Any]:
+    """Return how the best policy of a training does in new episodes of the whole task, and what the training took."""
     training = Training(plan)
     wall, processor = time.perf_counter(), time.process_time()
     cycles = list(training.cycles())
     wall, processor = time.perf_counter() - wall, time.process_time() - processor
     assert training.best is not None
     policy, _ = training.best
-    flights = training.flights_of(trials)
+    whole = () if plan.overrides == SHORTER.get(plan.task, ()) else plan.overrides
+    batch = batch_of(plan.task, trials, list(whole), training.view)
+    flights = Flights(batch, training.view, objective_of(batch, plan.settings.discount))
     total, alive = flights.fly(lambda seen: forward(policy.layers, policy.scaling.scaled(seen)), np.arange(trials))
     return {
         "decisions": cycles[-1].steps,
         "wall_s": round(wall, 1),
         "processor_s": round(processor, 1),
-        "near": float(np.mean(alive & (distances(flights.batch) <= NEAR))),
+        "near": float(np.mean(alive & near(batch))),
         **summary(total, alive),
+        "curve": {f"steps_{row.steps}": round(row.mean_return, 4) for row in cycles},
     }
 
 
@@ -70,7 +107,7 @@ def compared(task: str) -> dict[str, Any]:
     """Return how hovering and the baseline do in the same episodes, and the part that ends near the goal."""
     found = {}
     for name in (HOVER, "baseline"):
-        batch = Batch(task, TRIALS, ["task.period=0.1"])
+        batch = Batch(task, TRIALS, [] if task in SHORTER else ["task.period=0.1"])
         play = batch.functional.play
         policies = [maker(name, play)(play, seed) for seed in range(TRIALS)]
 
@@ -79,10 +116,36 @@ def compared(task: str) -> dict[str, Any]:
             return np.stack([policy.act(each) for policy, each in zip(policies, seen, strict=True)])
 
         total, alive = fly(batch, act)
-        found[name] = {"near": float(np.mean(alive & (distances(batch) <= NEAR))), **summary(total, alive)}
+        found[name] = {"near": float(np.mean(alive & near(batch))), **summary(total, alive)}
     return found
 
 
-def distances(batch: Batch) -> Values:
-    """Return the true distances (B,) from the goal now [m]."""
-    return Reached(batch, 1.0).errors(batch)
+def near(batch: Batch) -> Values:
+    """Return for each episode (B,) whether all agents are near their goals now, or have the wanted velocity."""
+    errors = objective_of(batch, 0.98)
+    errors.begin(batch)
+    found: Values = errors.errors(batch).reshape(batch.size, -1).max(axis=1) <= NEAR  # type: ignore[attr-defined]
+    return found
+
+
+def draw(found: dict[str, Any]) -> Any:
+    """Draw the mean return of each seed against its decisions, their median, and what the baseline returns."""
+    figure = new_figure(9.5, 3.4)
+    for axes, task in zip(figure.subplots(1, len(DRAWN)), DRAWN, strict=True):
+        trainings = [found.get(f"{key(task)}_seed_{seed}", {}) for seed in range(SEEDS)]
+        curves = [each["curve"] for each in trainings if "curve" in each]
+        steps = np.array([int(name.removeprefix("steps_")) for name in curves[0]]) / 1e6
+        values = np.array([list(curve.values()) for curve in curves])
+        axes.fill_between(steps, values.min(axis=0), values.max(axis=0), alpha=0.25, lw=0.0, label="all seeds")
+        axes.plot(steps, np.median(values, axis=0), lw=1.6, label="median")
+        if key(task) in found:
+            axes.axhline(found[key(task)]["baseline"]["mean"], color="black", ls="--", lw=1.0, label="baseline")
+        axes.set_yscale("symlog", linthresh=1.0)
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.set_ylim(top=-1.0)
+        axes.set_title(task, fontsize=10)
+        axes.set_xlabel("decisions [million]")
+        axes.grid(alpha=0.3)
+    figure.axes[0].set_ylabel("mean return of an episode")
+    figure.axes[0].legend(fontsize=8, loc="lower right")
+    return figure

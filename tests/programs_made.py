@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 # Programs that a tier may compile. Who needs more looks for a world to share first (tests/small_worlds.py).
-BUDGET = {"not long and not nightly": 350, "long and not nightly": 980}
+BUDGET = {"not long and not nightly": 330, "long and not nightly": 975}
 KEY = "programs_made"
 SHOWN = 10
 

@@ -32,3 +32,21 @@ def test_the_full_form_found_what_the_page_says() -> None:
     assert sorted(reached)[2:] == [1.0] * 8
     # No seed has learned to crash.
     assert all(found[f"goto_waypoint_seed_{seed}"]["flown_to_the_end"] == 1.0 for seed in range(10))
+
+
+def test_velocities_and_landings_are_learned_better_than_the_baselines_fly() -> None:
+    found = json.loads(REPORT.read_text("utf-8"))["results"]
+    kept = [found[f"keep_velocity_seed_{seed}"] for seed in range(7)]
+    assert all(each["flown_to_the_end"] == 1.0 for each in kept)
+    assert all(each["mean"] > found["keep_velocity"]["baseline"]["mean"] for each in kept)
+    landed = [found[f"land_on_pad_seed_{seed}"] for seed in range(5)]
+    assert all(each["near"] >= 0.98 for each in landed)
+    assert all(each["mean"] > found["land_on_pad"]["baseline"]["mean"] for each in landed)
+
+
+def test_cats_come_nearer_than_the_baseline_but_collide() -> None:
+    found = json.loads(REPORT.read_text("utf-8"))["results"]
+    baseline = json.loads(REPORT.with_name("tasks.json").read_text("utf-8"))["results"]["cats_and_mouse_1A"]["baseline"]
+    cats = [found[f"cats_and_mouse_1A_seed_{seed}"] for seed in range(3)]
+    assert [each["median"] > baseline["median"] for each in cats] == [True, True, False]
+    assert all(0.9 <= each["flown_to_the_end"] < 0.95 for each in cats)

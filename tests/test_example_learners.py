@@ -43,14 +43,14 @@ def test_a_learned_policy_keeps_a_spot_by_velocities_through_mavlink(tmp_path: P
     subprocess.run([sys.executable, "-m", "qrsim.cli", *words], check=True, timeout=900, stdout=subprocess.DEVNULL)
     field = Field(factor=2.0)
     try:
-        example = [sys.executable, str(LEARNERS / "offboard.py"), str(policy), f"tcp:127.0.0.1:{field.tcp}"]
+        example = [sys.executable, str(LEARNERS / "offboard.py"), str(policy), f"udpin:127.0.0.1:{field.port}"]
         run = subprocess.run(example, capture_output=True, text=True, check=False, timeout=600)
         assert run.returncode == 0, run.stdout + run.stderr
     finally:
         field.process.kill()
         field.process.wait()
     found = json.loads(run.stdout)
-    # It starts 2 m away. The wind is 6 m/s, so the hold has an error; PX4's own position error is part of it.
+    # It starts 2 m away, in a wind of 6 m/s; the error is by the vehicle's own estimate.
     assert found["decisions"] > 200
     assert found["mean_distance_m"] < 1.5
 

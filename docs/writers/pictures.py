@@ -70,6 +70,7 @@ OTHERS = {
     "task_plume_mapping.png": "make pictures",
     "task_search_and_rescue.png": "make pictures",
     "training.png": "make evidence training",
+    "learning_curves.png": "make evidence learn:curves",
     "learning_keep_spot.png": "make evidence training:keep_spot",
     "learning_goto_waypoint.png": "make evidence training:goto_waypoint",
     "learning_cats_and_mouse.png": "make evidence training:cats_and_mouse",

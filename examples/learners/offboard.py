@@ -29,7 +29,7 @@ link = mavutil.mavlink_connection(address, source_system=245)
 def wait(kind, holds=lambda message: True):
     """Return the next message of a kind for which something holds."""
     while (found := link.recv_match(type=kind, blocking=True, timeout=120.0)) is not None:
-        if holds(found):
+        if found.get_srcSystem() == link.target_system and holds(found):
             return found
     raise SystemExit(f"{address}: no {kind} in time; is 'qrsim mavlink' running?")
 
@@ -41,10 +41,11 @@ def command(number, *params):
         raise SystemExit(f"{M.enums['MAV_CMD'][number].name} was refused")
 
 
-wait("HEARTBEAT")
+link.wait_heartbeat(timeout=120.0)
 wait("SYS_STATUS", lambda status: status.onboard_control_sensors_health & M.MAV_SYS_STATUS_PREARM_CHECK)
+height = wait("HOME_POSITION").altitude * 1e-3 + 10.0
 command(M.MAV_CMD_COMPONENT_ARM_DISARM, 1)
-command(M.MAV_CMD_NAV_TAKEOFF, *[np.nan] * 6, wait("HOME_POSITION").altitude * 1e-3 + 10.0)
+command(M.MAV_CMD_NAV_TAKEOFF, *[np.nan] * 6, height)
 wait("HEARTBEAT", lambda beat: beat.custom_mode == HOLD)
 pilot, here, acted, distances = file.pilot(1, file.view.seconds), wait("LOCAL_POSITION_NED"), -np.inf, []
 goal, end = np.array([here.x + 2.0, here.y, here.z]), here.time_boot_ms * 1e-3 + SECONDS

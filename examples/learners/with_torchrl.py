@@ -2,11 +2,12 @@
 
 import sys
 
+import gymnasium
 import torch
 from tensordict.nn import NormalParamExtractor, TensorDictModule
 from torch import nn
 from torchrl.collectors import Collector
-from torchrl.envs import GymEnv, RewardSum, TransformedEnv
+from torchrl.envs import GymWrapper
 from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
@@ -15,7 +16,7 @@ import qrsim.envs
 
 STEPS, FRAMES, EPOCHS, MINIBATCH = int(sys.argv[1]) if len(sys.argv) > 1 else 200_000, 2048, 10, 64
 torch.manual_seed(0)
-env = TransformedEnv(GymEnv(qrsim.envs.learner_id("keep_spot")), RewardSum())
+env = GymWrapper(gymnasium.make(qrsim.envs.learner_id("keep_spot")))
 env.set_seed(0)
 inputs, outputs = env.observation_spec["observation"].shape[-1], env.action_spec.shape[-1]
 means = nn.Sequential(MLP(inputs, 2 * outputs, num_cells=[64, 64], activation_class=nn.Tanh), NormalParamExtractor())

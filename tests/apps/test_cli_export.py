@@ -364,6 +364,34 @@ def test_a_name_with_control_characters_is_refused(recorded, tmp_path, capsys):
 
 # mcap
 
+# Panels and choices that Foxglove, and Lichtblick, which goes on from its open source, read.
+PANELS, STAMPS = {"3D", "map", "Plot", "RosOut"}, {"receiveTime", "headerStamp"}
+
+
+def check_layout(layout: dict[str, Any], messages: dict[str, Any], schemas: dict[str, Any]) -> None:
+    """Check that a layout can be read: all panels are placed and known, and all it shows is in the file."""
+    panels = layout["configById"]
+
+    def placed(node: Any) -> list[str]:
+        if isinstance(node, str):
+            return [node]
+        assert node["direction"] in ("row", "column")
+        assert 0 < node["splitPercentage"] < 100
+        return placed(node["first"]) + placed(node["second"])
+
+    assert sorted(placed(layout["layout"])) == sorted(panels)
+    assert {name.partition("!")[0] for name in panels} <= PANELS
+    for line in (line for name, panel in panels.items() if name.startswith("Plot!") for line in panel["paths"]):
+        topic, *fields = line["value"].split(".")
+        found = messages[topic][0][1]
+        # A header's stamp needs a header; without it a plot stays empty.
+        assert line["timestampMethod"] in STAMPS - ({"headerStamp"} if "header" not in found else set())
+        for field in fields:
+            found = found[field]
+        assert isinstance(found, float)
+    assert schemas[panels["RosOut!events"]["topicToRender"]] == "foxglove.Log"
+    assert schemas["/scene"] == "foxglove.SceneUpdate"
+
 
 def read_mcap(path: Path) -> tuple[dict[str, list[tuple[int, dict[str, Any]]]], dict[str, Any]]:
     """Return topic -> [(time, content)], and topic -> schema."""
@@ -471,6 +499,7 @@ def check_all_of_a_run(run: Any, path: Path) -> None:
     plotted = [line["value"] for line in layout["configById"]["Plot!height"]["paths"]]
     assert plotted == [f"/{own}/pose.pose.position.z" for own in run.vehicles]
     assert set(layout["configById"]["3D!space"]["topics"]) <= set(schemas)
+    check_layout(layout, messages, schemas)
 
 
 @pytest.mark.long

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import io
 import itertools
 import threading
@@ -11,14 +12,17 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import nbformat
 import numpy as np
 import pytest
+from nbclient import NotebookClient
 from PIL import Image
 from tests.apps.conftest import DURATION, Flight
 
 import qrsim
 from qrsim import cli
 from qrsim.runs import open_run
+from qrsim.runs.colours import VEHICLES
 from qrsim.view.browser import INSTALL, Browser, find_browser
 from qrsim.view.clock import SPEEDS, Clock
 from qrsim.view.page import Page
@@ -323,6 +327,44 @@ def test_a_notebook_shows_the_page_in_a_frame(flown: Flight, tmp_path: Path, bro
     browser.evaluate(f"{frame}.contentWindow.qrsimFilm.wish({{time: 4}})")
     text = f"{frame}.contentDocument.getElementById('qrsim-panel').innerText"
     eventually(lambda: "t = 4.00 s (paused)" in str(browser.evaluate(text)))
+
+
+# What notebooks put around the output of a cell: nothing but a page; a policy such as that of VS Code's notebooks; and
+# a frame that may run scripts, but has no origin and no storage, which is stricter than that of Colab.
+POLICY = "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src https: data:"
+AROUND = {
+    "policy": f'<meta http-equiv="Content-Security-Policy" content="{POLICY}"><body>{{cell}}',
+    "sandbox": '<body><iframe sandbox="allow-scripts" width="100%" height="560" srcdoc="{escaped}"></iframe>',
+}
+
+
+@pytest.mark.parametrize("place", AROUND)
+def test_a_notebook_elsewhere_shows_it_too(place: str, flown: Flight, tmp_path: Path, browser: Browser):
+    """As the output of a cell that a kernel has run; drawn without a request to any server."""
+    source = (
+        f"import qrsim.view.film as film, qrsim\nfilm.FASTEST_HZ = 1.0\nqrsim.show({str(flown.folder)!r}, height=500)"
+    )
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(source)])
+    if place == "policy":
+        NotebookClient(notebook, timeout=120).execute()
+        cell = notebook.cells[0].outputs[-1]["data"]["text/html"]
+    else:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("qrsim.view.film.FASTEST_HZ", 1.0)
+            cell = qrsim.show(flown.folder, height=500)._repr_html_()
+    path = tmp_path / "cell.html"
+    text = "<!doctype html><title>cell</title>" + AROUND[place].format(cell=cell, escaped=html.escape(cell, quote=True))
+    path.write_text(text, encoding="utf-8")
+    before = len(browser.requested)
+    browser.open(path.as_uri())
+
+    def dots() -> bool:
+        """Return whether the labels of all vehicles are there, by the dots in their colours."""
+        shown = pixels(browser.picture())
+        return all((shown == colour).all(axis=2).sum() > 20 for colour in VEHICLES[:5])
+
+    eventually(dots)
+    assert all(url.startswith(("file:", "data:", "about:", "blob:")) for url in browser.requested[before:])
 
 
 def test_a_screenshot_shows_the_scene(flown: Flight, tmp_path: Path, capsys):

@@ -10,14 +10,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.extend import source_info_util
 
 from qrsim.core.operators import make_jaxpr
 
-BOTH = [
+BOTH: list[Callable[..., Any]] = [
     operator.add, operator.sub, operator.mul, operator.truediv, operator.lt, operator.le, operator.gt, operator.ge,
     operator.eq, operator.ne, jnp.maximum, jnp.minimum,
 ]  # fmt: skip
-BITS = [operator.and_, operator.or_, operator.xor]
+BITS: list[Callable[..., Any]] = [operator.and_, operator.or_, operator.xor]
 F32, F64, I32, U32 = np.float32, np.float64, np.int32, np.uint32
 KINDS = [(F32, F32), (I32, I32), (U32, U32), (np.bool_, np.bool_)]
 NUMBERS = [2.0, 3, 0.1, -0.0, float("nan"), float("inf")]
@@ -94,8 +95,13 @@ def test_errors_are_those_of_jax_and_the_method_is_put_back() -> None:
     assert jnp.ufunc.__call__ is before
 
 
+def test_messages_name_the_line_of_the_caller() -> None:
+    (equation,) = make_jaxpr(lambda a: a * 2.0)(array(F32, 5)).jaxpr.eqns
+    assert "test_operators.py" in source_info_util.summarize(equation.source_info)
+
+
 def test_a_function_of_a_user_is_called() -> None:
     """Also where it has the name of one of JAX."""
-    own = jnp.frompyfunc(lambda x, y: x - y, 2, 1)
+    own: Any = jnp.frompyfunc(lambda x, y: x - y, 2, 1)
     own.__name__ = "add"
     same(lambda a, b: own(a, b), array(F32, 5), array(F32, 5))

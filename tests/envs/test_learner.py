@@ -21,6 +21,12 @@ def env() -> gymnasium.Env[Any, Any]:
     return gymnasium.make(qrsim.envs.learner_id("keep_spot"), overrides=SHORT)
 
 
+def test_older_versions_of_gymnasium_read_the_render_modes_of_the_class(env: gymnasium.Env[Any, Any]) -> None:
+    assert LearnerTask.metadata == {"render_modes": ["rgb_array"]}
+    # Decisions are made every 0.1 s.
+    assert env.metadata == {"render_modes": ["rgb_array"], "render_fps": 10.0}
+
+
 def test_an_episode_by_hand(env: gymnasium.Env[Any, Any]) -> None:
     seen, _ = env.reset(seed=3)
     # Velocity, roll and pitch, offset to the goal; then the last of four actions.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from qrsim.envs.batch import Batch
-from qrsim.envs.objective import CRASH, Reached, objective_of
+from qrsim.envs.objective import CRASH, Reached, Steady, objective_of
 
 
 @pytest.mark.parametrize(
@@ -38,10 +38,36 @@ def test_cats_share_half_of_what_the_distance_costs_them() -> None:
     batch.reset([1])
     objective = objective_of(batch, 0.98)
     # A collision is below 2 m, a catch at twice that. A mouse 5 m, 6 m or 2.5 m away is missed by 1 m, 2 m or nothing.
+    batch.seen[0] = 0.0
     for row, north in enumerate((5.0, 6.0, 2.5)):
-        batch.seen[0, row, 4:6] = north, 0.0
+        batch.seen[0, row, 4:10] = north, 0.0, 9.0, 0.0, 0.0, 9.0
     objective.begin(batch)
     found = objective.reward(batch, np.zeros((1, 3)), np.array([False]), np.zeros((3, 2)))
-    # A tenth of: the potential 0.5 (1 - 0.98) of each metre, less 0.1 of log(1 + e^2) + 0.1 e.
-    own = [0.01 * e - 0.1 * (np.log1p(e * e) + 0.1 * e) for e in (1.0, 2.0, 0.0)]
-    np.testing.assert_allclose(found, 0.1 * (0.5 * np.array(own) + 0.5 * np.mean(own)), rtol=1e-5)
+    # 0.03 of: the potential 0.5 (1 - 0.98) of each metre, less log(1 + e^2) + 0.12 e for 1 s. The third has 2 m of room
+    # less than the 4.5 m that it wants to have from everybody, which costs 3 * 2^2.
+    own = [0.01 * e - np.log1p(e * e) - 0.12 * e for e in (1.0, 2.0, 0.0)]
+    own[2] -= 12.0
+    np.testing.assert_allclose(found, 0.03 * (0.5 * np.array(own) + 0.5 * np.mean(own)), rtol=1e-5)
+    # The mouse 80 m north and 60 m east is 39.8 m beyond 0.43 of half of 280 m: a drop of 0.3 each, when it gets there.
+    batch.seen[0, :, 0:2] = [[75.0, 60.0], [74.0, 60.0], [77.5, 60.0]]
+    farther = objective.reward(batch, np.zeros((1, 3)), np.array([False]), np.zeros((3, 2)))
+    np.testing.assert_allclose(farther - found, -0.03 * 0.98 * 0.3 * 39.8, rtol=1e-4)
+
+
+def test_a_velocity_that_is_always_a_little_wrong_costs_more_and_more() -> None:
+    batch = Batch("keep_velocity", 2, ["duration=2", "task.velocity_north=1.5"])
+    batch.reset([1, 2])
+    objective = objective_of(batch, 0.98)
+    assert isinstance(objective, Steady)
+    objective.begin(batch)
+    # At rest with the heading north, wanted is 1.5 m/s north; nothing has drifted yet.
+    batch.truth["velocity_body"][:] = 0.0
+    np.testing.assert_allclose(objective.errors(batch), 1.5, atol=1e-5)
+    nothing = (np.zeros((2, 1)), np.zeros(2, bool), np.zeros((2, 4)))
+    for _ in range(4):
+        objective.reward(batch, *nothing)
+    # Four steps of 0.02 s at 1.5 m/s are 0.12 m, of which half counts for each second.
+    np.testing.assert_allclose(objective.errors(batch), 1.5 + 0.06, atol=1e-5)
+    # The next episode of the second row begins without.
+    objective.begin(batch, np.array([False, True]))
+    np.testing.assert_allclose(objective.errors(batch), [1.56, 1.5], atol=1e-5)

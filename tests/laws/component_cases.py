@@ -173,7 +173,7 @@ EXAMPLES: dict[tuple[str, str], dict[str, Any]] = {
     # As many as the large box of a scenario without an area can hold.
     ("PLUMES", "puffs"): {"puffs": 300},
     # The fleet of the scenario that names them.
-    **{("TASKS", name): {"fleet": "a"} for name in ("keep_spot", "reach_waypoint", "keep_velocity", "search")},
+    **{("TASKS", name): {"fleet": "a"} for name in ("keep_spot", "reach_waypoint", "land", "keep_velocity", "search")},
     ("TASKS", "plume_mapping"): {"fleet": "a"},
     # By default those that the receivers of a scenario use.
     ("ORBITS", "sp3"): {"systems": "G"},

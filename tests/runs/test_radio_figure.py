@@ -13,6 +13,9 @@ from qrsim.errors import UsageError
 from qrsim.runs import open_run
 from qrsim.runs.radio_figure import draw_radio
 from qrsim.runs.radio_links import Packets, components_of, connectivity, packets_of
+from qrsim.view.highlights import highlights_of
+from qrsim.view.recording import Recording
+from qrsim.view.series import Series
 
 HEARD, WEAK, NOISE, TO_OTHERS = 1, 2, 3, 4
 
@@ -88,6 +91,9 @@ def test_a_row_is_cut_in_two_by_a_wall(run: Any) -> None:
     assert strength[0, 1] == pytest.approx(20.0 - 31.68 - 22.0 * np.log10(6000.0), abs=0.2)
     assert strength[0, 1] == pytest.approx(strength[1, 0], abs=0.1)
     assert heard[2, 5] == 0
+    [member] = Recording(run).members
+    [worst] = [text for _, text in highlights_of([Series(member, member)]) if "radio" in text]
+    assert worst == "worst radio link: row_0 to row_4, 100.0% of 10 packets lost"
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         figure = draw_radio(run, start=0.5)

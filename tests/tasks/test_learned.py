@@ -30,6 +30,9 @@ VIEW = View(
 # Two inputs of the goal and two of the last action; the outputs are the goal ahead and minus the goal to the right.
 LAYERS = ((np.array([[1, 0], [0, -1], [0, 0], [0, 0]], np.float32), np.zeros(2, np.float32)),)
 
+# One index where there must be two.
+SHORT: Any = (0,)
+
 
 def policy(**changes: Any) -> PolicyFile:
     parts = {"view": VIEW, "scaling": Scaling(np.zeros(4, np.float32), np.ones(4, np.float32)), "layers": LAYERS}
@@ -44,6 +47,18 @@ def test_a_goal_is_seen_along_the_heading() -> None:
 
 def test_an_action_is_a_change_of_the_neutral_one_and_limited() -> None:
     np.testing.assert_allclose(VIEW.action(np.array([[1.0, -1.0], [9.0, 0.0]])), [[0.5, 0.0, 1.0], [1.0, 0.25, 1.0]])
+
+
+def test_a_pursuer_sees_and_moves_relative_to_the_mouse() -> None:
+    chasing = dataclasses.replace(
+        VIEW, acts=("velocity_north", "velocity_east"), centre=(0.0, 0.0), reach=(1.0, 1.0), ahead=(0, 1), turned=(0, 1)
+    )
+    # A mouse 3 m north and 4 m east is 5 m ahead; 0.5 ahead and 0.1 to the right are 0.3 - 0.08 north, 0.4 + 0.06 east.
+    seen, output = np.array([[3.0, 4.0, np.pi / 2]], np.float32), np.array([[0.5, 0.1]], np.float32)
+    np.testing.assert_allclose(chasing.features(seen, output), [[5.0, 0.0, 0.5, 0.1]], atol=1e-6)
+    np.testing.assert_allclose(chasing.action(output, seen), [[0.22, 0.46]], atol=1e-6)
+    # One in the same place has no direction.
+    np.testing.assert_array_equal(chasing.action(output, seen * 0.0), [[0.0, 0.0]])
 
 
 def test_a_network_by_hand() -> None:
@@ -77,6 +92,10 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         ({"layers": ()}, "is no policy"),
         ({"view": dataclasses.replace(VIEW, reach=("far", 0.25, 1.0))}, "is no policy"),
         ({"view": dataclasses.replace(VIEW, kept=(0, 9))}, "is no policy"),
+        ({"view": dataclasses.replace(VIEW, turned=(0, 1))}, "is no policy"),
+        ({"view": dataclasses.replace(VIEW, ahead=(0, 3))}, "is no policy"),
+        ({"view": dataclasses.replace(VIEW, ahead=SHORT)}, "is no policy"),
+        ({"view": dataclasses.replace(VIEW, ahead=(0, 1), turned=(0, 2))}, "is no policy"),
         ({"layers": ((LAYERS[0][0], np.zeros((2, 2), np.float32)),)}, "is no policy"),
         ({"layers": ((LAYERS[0][0][:3], LAYERS[0][1]),)}, "is no policy"),
         ({"layers": ((LAYERS[0][0] * np.float32(np.nan), LAYERS[0][1]),)}, "is no policy"),

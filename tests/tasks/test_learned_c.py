@@ -31,6 +31,8 @@ VIEW = View(
     reach=(0.3, 0.3, 1.0, 0.2),
 )
 PLAIN = dataclasses.replace(VIEW, pairs=(), yaw=None)
+# Turned towards an offset, and two of the outputs turned back.
+CHASING = dataclasses.replace(VIEW, pairs=((0, 1), (4, 5)), yaw=None, ahead=(0, 1), turned=(2, 0))
 
 
 def policy(view: View) -> PolicyFile:
@@ -48,7 +50,7 @@ def policy(view: View) -> PolicyFile:
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
-@pytest.mark.parametrize("view", [VIEW, PLAIN], ids=["turning", "plain"])
+@pytest.mark.parametrize("view", [VIEW, PLAIN, CHASING], ids=["turning", "plain", "chasing"])
 def test_c_acts_as_numpy_does(view: View, tmp_path: Path) -> None:
     file = policy(view)
     (tmp_path / "policy.npz").write_bytes(file.content())

@@ -268,7 +268,7 @@ def sensed_of(found: pb.Readings) -> Sensed:
     )
 
 
-def _sensed_vehicle(found: Any) -> SensedVehicle:
+def _sensed_vehicle(found: pb.Readings.Vehicle) -> SensedVehicle:
     """Convert the stamped readings of one vehicle from their message."""
     sensors = {
         sensor.name: {
@@ -327,7 +327,7 @@ def kind_of(name: str) -> Step.Type:
     return KINDS[name]
 
 
-def _part(found: Any) -> dict[str, Any]:
+def _part(found: pb.World.Part) -> dict[str, Any]:
     """Return the description of a component as a dict of its type, its parameters and their "units"."""
     values: dict[str, Any] = {"type": found.type}
     for each in found.quantity:
@@ -337,7 +337,7 @@ def _part(found: Any) -> dict[str, Any]:
     return values
 
 
-def _fleet_description(found: Any) -> dict[str, Any]:
+def _fleet_description(found: pb.World.Fleet) -> dict[str, object]:
     """Convert the description of a fleet from its message to a dict."""
     return {
         "vehicles": list(found.vehicle),

@@ -46,7 +46,7 @@ class Train:
     """Decisions of all agents, after which the training ends."""
     minutes: Annotated[float | None, tyro.conf.arg(help_behavior_hint="(default: no limit)")] = None
     """Wall time, after which the training ends earlier."""
-    envs: int = 512
+    envs: Annotated[int | None, tyro.conf.arg(help_behavior_hint="(default: 512; in a pursuit 128)")] = None
     """Number of episodes side by side, 1 to 65536."""
     set: Annotated[Repeated, tyro.conf.arg(metavar="PATH=VALUE", help_behavior_hint="(default: none)")] = field(
         default_factory=list
@@ -71,10 +71,11 @@ class Train:
         if self.tensorboard:
             require("tensorboard", "--tensorboard")
         from qrsim.studies.learn.folder import make_folder, restore, save, save_policy
-        from qrsim.studies.learn.training import Plan, Training
+        from qrsim.studies.learn.suited import plan_of
+        from qrsim.studies.learn.training import Training
 
         seconds = None if self.minutes is None else 60.0 * self.minutes
-        plan = Plan(self.task, tuple(self.set), self.seed, self.envs, self.steps, seconds)
+        plan = plan_of(self.task, tuple(self.set), self.envs, seed=self.seed, steps=self.steps, seconds=seconds)
         folder = self.out or Path("runs") / f"{_name_of(plan)}-policy-seed{self.seed}"
         if folder.exists() and not self.resume and not (folder.is_dir() and not any(folder.iterdir())):
             raise UsageError(f"{folder} exists and is never overwritten; choose another --out, or add --resume")
@@ -121,7 +122,7 @@ class Train:
             raise UsageError(f"--steps {self.steps}: expected 1 to {MOST_STEPS}")
         if self.minutes is not None and not (math.isfinite(self.minutes) and self.minutes > 0.0):
             raise UsageError(f"--minutes {self.minutes:g}: expected a positive number")
-        if not 1 <= self.envs <= MOST_ENVS:
+        if self.envs is not None and not 1 <= self.envs <= MOST_ENVS:
             raise UsageError(f"--envs {self.envs}: expected 1 to {MOST_ENVS}")
 
     def _tell_row(self, row: Tried) -> None:

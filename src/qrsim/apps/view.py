@@ -250,15 +250,19 @@ class View:
         from qrsim.view.replay import Replay
         from qrsim.view.server import address, start_server
 
-        # Who names something else gets an error, and no page.
-        recording = None if all((folder / "run.json").is_file() for folder in self.run_folders) else self._opened()
+        # Options can be wrong for these runs, which is an error before there is a page.
+        plain = all(option is None for option in (self.at, self.align, self.colour, self.image))
+        plain = plain and all((folder / "run.json").is_file() for folder in self.run_folders)
+        recording = None if plain else self._opened()
         server = start_server(self.port, host=self.host)
         clock = Clock(playing=False, speeds=SPEEDS[:-1])
         try:
             if recording is None:
                 names = ", ".join(folder.resolve().name for folder in self.run_folders)
                 show_loading(server, names)
-                print(f"loading {names}: {address(server)}", flush=True)
+                # Programs wait for the line of a page that is whole.
+                if sys.stdout.isatty():
+                    print(f"loading {names}: {address(server)}", flush=True)
                 recording = self._opened()
             page = Page(server, recording.cast, recording.world, recording.heading, clock, recording.imagery)
             replay = Replay(recording, page, clock, self.at or 0.0, self.colour)

@@ -364,7 +364,7 @@ def _circles(table: Any) -> Orbits:
         return part.leg.kind == "circle"
 
     def arm(part: _Part, axis: int) -> float:
-        """Return the way [m] along an axis from the centre to the begin of a circle; 0 for a line."""
+        """Return the offset [m] along an axis from a circle's centre to its start; 0 for a line."""
         return float(part.begin[axis] - part.leg.centre_ned[axis]) if is_circle(part) else 0.0
 
     def curvature(part: _Part) -> float:

@@ -102,16 +102,16 @@ def _direct(function: int, left: Any, right: Any) -> Any:
     if not isinstance(array, jax.core.Tracer):
         return None
     kind: Any = array.aval
+    if not isinstance(kind, jax.core.ShapedArray):
+        return None
     operation = _DIRECT.get(kind.dtype, {}).get(function)
     if operation is None or kind.weak_type:
         return None
     if isinstance(other, jax.core.Tracer):
         its: Any = other.aval
-        alike = its.dtype == kind.dtype and not its.weak_type
         # One of them may be a scalar, as in the operation itself.
-        return (
-            operation(left, right) if alike and (its.shape == kind.shape or not its.shape or not kind.shape) else None
-        )
+        fits = its.shape == kind.shape or not its.shape or not kind.shape
+        return operation(left, right) if fits and its.dtype == kind.dtype and not its.weak_type else None
     types, least, most = _NUMBERS[kind.dtype.kind]
     if type(other) not in types or not least <= other <= most:
         return None

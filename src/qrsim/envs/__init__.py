@@ -23,6 +23,7 @@ SINGLE = (
     "keep_spot",
     "goto_waypoint",
     "keep_velocity",
+    "land_on_pad",
     "search_and_rescue/2A",
     "search_and_rescue/2B",
     "plume_mapping/3A",
@@ -43,7 +44,7 @@ SEVERAL = (
 )
 
 # Those that are registered in the form that learners like too (``learner.py``).
-LEARNED = ("keep_spot", "goto_waypoint", "keep_velocity")
+LEARNED = ("keep_spot", "goto_waypoint", "keep_velocity", "land_on_pad")
 
 # Of all tasks; a change of what they observe, command or reward raises it.
 VERSION = 0

@@ -15,6 +15,7 @@ import numpy as np
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.envs.arguments import checked_arguments
+from qrsim.envs.drawing import RENDER_MODES
 from qrsim.envs.functional import Functional
 from qrsim.envs.objective import objective_of
 from qrsim.envs.single import SingleTask
@@ -45,6 +46,9 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
         UsageError: the task is not one that ``qrsim train`` takes, or it has several vehicles.
     """
 
+    # A dict of the class, because Gymnasium before 1.4 reads it before there is an environment.
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
+
     @checked_arguments
     def __init__(
         self,
@@ -61,6 +65,7 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
         self.view = view_of(functional)
         task = SingleTask(scenario, [*given, f"task.period={self.view.seconds!r}"], precision, render_mode)
         super().__init__(task)
+        self.metadata = task.metadata
         self._batch = task.batch
         self._objective = objective_of(task.batch, discount)
         acts = len(self.view.flown)
@@ -68,6 +73,7 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
         units = [UNITS.get(axis.unit, 1.0) for axis in axes]
         self._units = np.array([*(units[number] for number in self.view.kept), *[1.0] * acts], np.float32)
         self._last = np.zeros((1, acts), np.float32)
+        self._seen = np.zeros((1, len(self.view.observed)), np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (acts,), np.float32)
         self.observation_space = gymnasium.spaces.Box(-LIMIT, LIMIT, (self.view.inputs,), np.float32)
 
@@ -96,14 +102,15 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
                 f"action: expected {self._last.shape[1]} finite numbers from -1 to 1, found {action!r:.80}"
             )
         outputs = given[None].astype(np.float32).clip(-1.0, 1.0)
-        seen, reward, terminated, truncated, info = self.env.step(self.view.action(outputs)[0])
+        seen, reward, terminated, truncated, info = self.env.step(self.view.action(outputs, self._seen)[0])
         self._last = outputs
         own = self._objective.reward(self._batch, np.array([[reward]]), np.array([terminated]), outputs)
         return self._inputs(seen), float(own[0]), terminated, truncated, info | {"task_reward": reward}
 
     def _inputs(self, seen: object) -> NumpyArray:
-        """Return the scaled, clipped inputs (F,) of an observation and the last action."""
-        return self.scaled(self.view.features(np.asarray(seen)[None], self._last))[0]
+        """Return the scaled, clipped inputs (F,) of an observation, which is kept, and the last action."""
+        self._seen = np.asarray(seen)[None]
+        return self.scaled(self.view.features(self._seen, self._last))[0]
 
     def scaled(self, features: NumpyArray) -> NumpyArray:
         """Return the observations (N, F) of a policy for the inputs (N, F) of the view."""

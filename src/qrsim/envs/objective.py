@@ -5,18 +5,23 @@ logarithm rewards precision near the goal, and the second term has a slope far f
 discounted cost of staying 120 m away forever, so that no crash is better than a flight. A potential of minus the error
 is added as gamma Phi(s') - Phi(s), which leaves the best policy as it is (Ng, Harada and Russell 1999). Errors are the
 true ones: a reward may use what a policy does not observe. All of it is multiplied by ``SCALE``.
-Pursuits: the same of the distance beyond that of a catch, half of it each cat's own and half the mean of all cats.
+Velocities: the same of the error, and ``DRIFT`` of its integral.
+Landings: of the distance from the pad, and ``OFF_GROUND`` more while the vehicle moves.
+Pursuits: of the distance beyond that of a catch; less room than ``ROOM`` to the mouse or a cat costs too, and a mouse
+far from the middle of the area lowers the potential. Half of it is each cat's own and half the mean of all cats. A
+decision of 1 s counts as one, so a crash costs more, and the unit is smaller.
 Other tasks: the task's reward over the running standard deviation of its discounted sum.
 """
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.envs.batch import Batch
+from qrsim.tasks.landing import Land
 from qrsim.tasks.learned import observed_names
 from qrsim.tasks.pursuit import Pursuit
 from qrsim.tasks.simple import KeepSpot, KeepVelocity
@@ -29,8 +34,19 @@ PULL = 0.1
 LONGEST = 0.1
 # Potential for each metre or m/s of error, and cost of the squared output of a network each second.
 POTENTIAL, EFFORT = 0.5, 0.05
+# Error of velocity for each metre of drift [1/s].
+DRIFT = 0.5
+# Error of a vehicle in the air where it is to land [m], and the cost of a crash: that of staying 40 m away forever.
+# More would teach to keep away from the ground.
+OFF_GROUND, CRASH_IN_LANDING = 2.0, 60.0
 # Unit of the learner's reward, which makes values a few units large.
 SCALE = 0.1
+# Pursuits: cost of a crash and of each metre, longest time of a decision [s], unit.
+CRASH_IN_PURSUIT, PULL_IN_PURSUIT, LONGEST_IN_PURSUIT, SCALE_IN_PURSUIT = 600.0, 0.12, 1.0, 0.03
+# Distance [m] within which vehicles are too near to each other, and the cost of its lack squared each second.
+ROOM, CROWDED = 4.5, 3.0
+# The mouse's distance from the middle, in parts of half a side, beyond which the potential falls, and its fall a metre.
+INNER, OUTWARD = 0.43, 0.3
 # Limit of a scaled reward.
 LARGEST = 10.0
 
@@ -38,8 +54,8 @@ LARGEST = 10.0
 class Objective(Protocol):
     """Reward of the learner."""
 
-    def begin(self, batch: Batch) -> None:
-        """Store the batch's values at the start of episodes."""
+    def begin(self, batch: Batch, ended: Floats | None = None) -> None:
+        """Store the batch's values at the start of episodes, in rows ``ended`` (N,) or, for None, in all."""
 
     def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
         """Return the learner's rewards (N,) for a step with the task's rewards (B, n) and ends (B,)."""
@@ -54,7 +70,11 @@ class Objective(Protocol):
 def objective_of(batch: Batch, discount: float) -> Objective:
     """Return the learner's reward for a task."""
     task = batch.functional.play.task
-    if isinstance(task, KeepSpot | KeepVelocity):
+    if isinstance(task, Land):
+        return Landed(batch, discount)
+    if isinstance(task, KeepVelocity):
+        return Steady(batch, discount)
+    if isinstance(task, KeepSpot):
         return Reached(batch, discount)
     if isinstance(task, Pursuit) and not task.senses:
         return Caught(batch, discount)
@@ -62,42 +82,52 @@ def objective_of(batch: Batch, discount: float) -> Objective:
 
 
 class Reached:
-    """Reward for a small true error of position or velocity."""
+    """Reward for a small true error of position.
+
+    Attributes:
+        crash, pull, longest, scale: the numbers of the module that hold for the task.
+    """
+
+    crash, pull, longest, scale = CRASH, PULL, LONGEST, SCALE
 
     def __init__(self, batch: Batch, discount: float):
         self._discount = discount
         # Of longer decisions too, as values are sums over decisions.
-        self._seconds = min(batch.functional.play.task.period, LONGEST)
-        self._by_velocity = isinstance(batch.functional.play.task, KeepVelocity)
-        self._error = np.zeros(0)
+        self._seconds = min(batch.functional.play.task.period, self.longest)
+        self._potential = np.zeros(0)
 
-    def begin(self, batch: Batch) -> None:
-        """Store the agents' errors at the start of episodes."""
-        self._error = self.errors(batch)
+    def begin(self, batch: Batch, ended: Floats | None = None) -> None:
+        """Store the agents' potentials at the start of episodes."""
+        self._potential = self.potential(batch, self.errors(batch))
 
     def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
         """Return the rewards (N,)."""
-        before, now = self._error, self.errors(batch)
-        self._error = now
+        before, error = self._potential, self.errors(batch)
+        now = self._potential = self.potential(batch, error)
         crashed = np.repeat(terminated, reward.shape[1])
         effort = EFFORT * np.square(outputs).sum(axis=1)
-        potential = POTENTIAL * (before - self._discount * np.where(crashed, 0.0, now))
-        cost = self._seconds * (np.log1p(now * now) + PULL * now + effort)
-        found: Floats = (SCALE * (potential - cost - CRASH * crashed)).astype(np.float32)
+        potential = before - self._discount * np.where(crashed, 0.0, now)
+        cost = self._seconds * (np.log1p(error * error) + self.pull * error + effort + self.crowding(batch))
+        found: Floats = (self.scale * (potential - cost - self.crash * crashed)).astype(np.float32)
         return self.shared(found, reward.shape[1])
+
+    def potential(self, batch: Batch, error: Floats) -> Floats:
+        """Return minus the potentials (N,) for errors (N,)."""
+        found: Floats = POTENTIAL * error
+        return found
+
+    def crowding(self, batch: Batch) -> Floats | float:
+        """Return the cost of each agent's lack of room per second, (N,) or 0."""
+        return 0.0
 
     def shared(self, reward: Floats, agents: int) -> Floats:
         """Return the rewards (N,) unchanged: each agent's own."""
         return reward
 
     def errors(self, batch: Batch) -> Floats:
-        """Return the agents' true errors (N,) of position or velocity [m or m/s]."""
-        seen, truth = batch.seen, batch.truth
-        if self._by_velocity:
-            wanted = seen[..., 9:12] + seen[..., 3:6]
-            return _length(wanted - _velocity_ned(truth))
-        goal = seen[..., 9:12] + seen[..., 0:3]
-        return _length(goal - truth["position_ned"])
+        """Return the agents' true distances (N,) from their goals [m]."""
+        goal = batch.seen[..., 9:12] + batch.seen[..., 0:3]
+        return _length(goal - batch.truth["position_ned"])
 
     def state(self) -> dict[str, Floats]:
         """Return {}: nothing is learned."""
@@ -107,17 +137,80 @@ class Reached:
         """Do nothing: there is no state."""
 
 
+class Steady(Reached):
+    """Reward for a small true error of velocity, and a small drift: an error that lasts leads out of the area."""
+
+    def __init__(self, batch: Batch, discount: float):
+        super().__init__(batch, discount)
+        self._drift = np.zeros((batch.size * len(batch.functional.agents), 3))
+
+    def begin(self, batch: Batch, ended: Floats | None = None) -> None:
+        """Store the agents' errors, and set the drift of new episodes to zero."""
+        self._drift[slice(None) if ended is None else ended] = 0.0
+        super().begin(batch, ended)
+
+    def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
+        """Return the rewards (N,), after the drift of this step."""
+        self._drift += batch.functional.play.task.period * _lacking(batch)
+        return super().reward(batch, reward, terminated, outputs)
+
+    def errors(self, batch: Batch) -> Floats:
+        """Return the agents' true errors (N,) of velocity, and ``DRIFT`` of the integral of each [m/s]."""
+        found: Floats = _length(_lacking(batch)) + DRIFT * _length(self._drift)
+        return found
+
+
+class Landed(Reached):
+    """Reward for a small true distance from a pad, and for standing."""
+
+    crash = CRASH_IN_LANDING
+
+    def errors(self, batch: Batch) -> Floats:
+        """Return the true distances (N,) from the pad [m], ``OFF_GROUND`` more for a vehicle that moves."""
+        moves = _length(batch.truth["velocity_body"]) > 0.0
+        found: Floats = Reached.errors(self, batch) + OFF_GROUND * moves
+        return found
+
+
 class Caught(Reached):
     """Reward for cats near the mouse, by the offsets that they observe."""
 
+    crash, pull, longest, scale = CRASH_IN_PURSUIT, PULL_IN_PURSUIT, LONGEST_IN_PURSUIT, SCALE_IN_PURSUIT
+
+    def __init__(self, batch: Batch, discount: float):
+        super().__init__(batch, discount)
+        play = batch.functional.play
+        task, area = cast(Any, play.task), cast(Any, play.world.area)
+        self._mice = sum(name.startswith("mouse_") for name in observed_names(play)) // 2
+        self._catch = float(task.reach) * float(play.world.collision_distance)
+        # Of areas of other shapes no middle is known.
+        self._middle, self._inner = np.zeros(2), np.inf
+        if area.is_box:
+            low, high = np.array([[area.x_min, area.y_min], [area.x_max, area.y_max]], float)
+            self._middle, self._inner = 0.5 * (low + high), INNER * 0.5 * float((high - low).min())
+
     def errors(self, batch: Batch) -> Floats:
         """Return the observed distances (N,) [m] to the nearest mouse less that of a catch, at least 0."""
-        play = batch.functional.play
-        mice = sum(name.startswith("mouse_") for name in observed_names(play)) // 2
-        offsets = batch.seen[..., 4 : 4 + 2 * mice].reshape(-1, mice, 2)
-        task: Any = play.task
-        catch = float(task.reach) * float(play.world.collision_distance)
-        found: Floats = np.maximum(np.sqrt(np.square(offsets).sum(axis=-1)).min(axis=1) - catch, 0.0)
+        found: Floats = np.maximum(self._distances(batch)[:, : self._mice].min(axis=1) - self._catch, 0.0)
+        return found
+
+    def potential(self, batch: Batch, error: Floats) -> Floats:
+        """Return minus the potentials (N,) for errors (N,), and the mouse's places."""
+        mouse = batch.seen[..., 0:2] + batch.seen[..., 4:6] - self._middle
+        outside = np.maximum(np.sqrt(np.square(mouse).sum(axis=-1)).ravel() - self._inner, 0.0)
+        found: Floats = super().potential(batch, error) + OUTWARD * outside
+        return found
+
+    def crowding(self, batch: Batch) -> Floats:
+        """Return the cost (N,) of each cat's lack of room per second."""
+        lacking = np.maximum(ROOM - self._distances(batch).min(axis=1), 0.0)
+        found: Floats = CROWDED * lacking * lacking
+        return found
+
+    def _distances(self, batch: Batch) -> Floats:
+        """Return the observed distances (N, m + n - 1) [m] to the mice and the other cats."""
+        offsets = batch.seen[..., 4:].reshape(-1, (batch.seen.shape[-1] - 4) // 2, 2)
+        found: Floats = np.sqrt(np.square(offsets).sum(axis=-1))
         return found
 
     def shared(self, reward: Floats, agents: int) -> Floats:
@@ -127,8 +220,15 @@ class Caught(Reached):
         return found
 
 
+def _lacking(batch: Batch) -> Floats:
+    """Return what the true velocities lack of the wanted ones, (N, 3) NED [m/s]."""
+    wanted = batch.seen[..., 9:12] + batch.seen[..., 3:6]
+    found: Floats = (wanted - _velocity_ned(batch.truth)).reshape(-1, 3)
+    return found
+
+
 def _length(vectors: Floats) -> Floats:
-    """Return the lengths (B n,) of vectors (B, n, 3)."""
+    """Return the lengths (N,) of vectors (..., 3)."""
     found: Floats = np.sqrt(np.square(vectors).sum(axis=-1)).ravel()
     return found
 
@@ -153,7 +253,7 @@ class Scaled:
         # Number of sums, their mean, and the sum of their squared differences from it.
         self._count, self._mean, self._squares = 1e-4, 0.0, 1e-4
 
-    def begin(self, batch: Batch) -> None:
+    def begin(self, batch: Batch, ended: Floats | None = None) -> None:
         """Allocate the running returns, on the first call."""
         size = batch.size * len(batch.functional.agents)
         if len(self._sum) != size:

@@ -17,6 +17,8 @@ DECISION = 0.1
 REACHES = {"pitch": 0.3, "roll": 0.3, "throttle": 0.2, "yaw_rate": 0.05}
 # What is commanded in the vehicle's own axes, which makes a policy turn with its heading.
 BODY = ("pitch", "roll")
+# A pursuer sees and moves relative to the direction of the first mouse, as it looks alike from all sides.
+AHEAD, LEVEL = ("mouse_0_offset_north", "mouse_0_offset_east"), ("velocity_north", "velocity_east")
 # What is never commanded: a battery is full.
 GIVEN = ("battery",)
 
@@ -36,10 +38,11 @@ def view_of(functional: Functional) -> View:
         raise UsageError(f"{name}: {error}") from None
     acts = tuple(axis.name for axis in play.axes)
     turns = "yaw" in observed and all(axis in acts for axis in BODY)
+    chases = AHEAD[0] in observed and all(axis in acts for axis in LEVEL)
     pairs = tuple(
         (number, observed.index(name.removesuffix("north") + "east"))
         for number, name in enumerate(observed)
-        if turns and name.endswith("_north") and name.removesuffix("north") + "east" in observed
+        if (turns or chases) and name.endswith("_north") and name.removesuffix("north") + "east" in observed
     )
     # An offset to the goal says more than a position, and what turns with the heading needs none.
     goal = any(each.startswith("to_") for each in observed)
@@ -57,6 +60,8 @@ def view_of(functional: Functional) -> View:
         flown=flown,
         centre=tuple(round(neutral(play, axis), 6) for axis in play.axes),
         reach=tuple(REACHES.get(act, 1.0) for act in acts),
+        ahead=(observed.index(AHEAD[0]), observed.index(AHEAD[1])) if chases else None,
+        turned=(flown.index(acts.index(LEVEL[0])), flown.index(acts.index(LEVEL[1]))) if chases else None,
     )
 
 

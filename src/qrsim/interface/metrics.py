@@ -344,7 +344,7 @@ def _or_else(preferred: Vec3, other: Vec3) -> Vec3:
 
 
 def _distance_from_leg(offset: Vec3, start: Vec3, end: Vec3) -> Array:
-    """Return the distance (n,) [m] from the leg between two points, which may coincide.
+    """Return each vehicle's distance (n,) [m] from its leg, the line between two points, which may coincide.
 
     Args:
         offset: position minus start.

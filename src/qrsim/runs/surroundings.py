@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 CELLS, HEIGHTS = 100, 12
 ABSENT = ("none", "clear")
 # Types of tasks that want vehicles at places.
-WITH_GOALS = ("keep_spot", "reach_waypoint")
+WITH_GOALS = ("keep_spot", "reach_waypoint", "land")
 
 
 class Field(NamedTuple):

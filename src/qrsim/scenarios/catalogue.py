@@ -87,7 +87,7 @@ from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.models.vehicles.rover import DifferentialRover, Rover
 from qrsim.models.vehicles.separate_quadrotor import SeparateQuadrotor
-from qrsim.tasks import KeepSpot, KeepVelocity, NoTask, PlumeMapping, Pursuit, ReachWaypoint, Search
+from qrsim.tasks import KeepSpot, KeepVelocity, Land, NoTask, PlumeMapping, Pursuit, ReachWaypoint, Search
 
 Catalogue = dict[str, Any]
 
@@ -135,6 +135,7 @@ TASKS: Catalogue = {
     "none": NoTask,
     "keep_spot": KeepSpot,
     "reach_waypoint": ReachWaypoint,
+    "land": Land,
     "keep_velocity": KeepVelocity,
     "pursuit": Pursuit,
     "search": Search,

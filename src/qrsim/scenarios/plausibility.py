@@ -193,7 +193,7 @@ def _lift(path: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _battery(path: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield battery voltages outside the range in which the published thrust law was identified."""
+    """Yield notes on battery voltages outside the range in which the published thrust law was identified."""
     of = _Constants(fleet)
     known = (of.cvb0 == PELICAN["cvb0"]) & (of.cvb1 == PELICAN["cvb1"])
     if fleet.battery.type != "lithium_polymer":

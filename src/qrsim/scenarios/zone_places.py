@@ -57,7 +57,7 @@ def fence_as_zones(area: Any) -> list[Any]:
 
 
 def zones_in_ned(area: Any, site: Site) -> PlacedZones:
-    """Return an area of zones with all of them in NED; a file with several zones becomes several."""
+    """Return the zones of a scenario's ``world.area`` in NED, after reading those that it names by file."""
     placed, found = PlacedZones(area), {"stay_in": list[ZoneSpec](), "stay_out": list[ZoneSpec]()}
     # Plans whose fences to stay out of are named there; those of all others are in the plan's entry of stay_in.
     barred = {zone.file for zone in area.stay_out}

@@ -5,6 +5,7 @@ It may import ``simulation`` and the layers below it.
 Read ``play.py`` first.
 """
 
+from qrsim.tasks.landing import Land
 from qrsim.tasks.play import Episode, Play, Step
 from qrsim.tasks.plume_mapping import PlumeMapping
 from qrsim.tasks.pursuit import Pursuit
@@ -15,6 +16,7 @@ __all__ = [
     "Episode",
     "KeepSpot",
     "KeepVelocity",
+    "Land",
     "NoTask",
     "Play",
     "PlumeMapping",

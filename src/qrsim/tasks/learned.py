@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,8 @@ FORMAT = "qrsim policy 1"
 LARGEST, MOST_NUMBERS = 64 * 2**20, 4_000_000
 # Inputs are limited to this many standard deviations.
 LIMIT = 10.0
+# Offsets shorter than this have no direction [m].
+SHORTEST = 1e-3
 META = "meta"
 
 
@@ -47,6 +49,8 @@ class View:
         flown: which numbers of an action the policy gives; the others have the value of ``centre``.
         centre: (A,) action of a network that returns zeros.
         reach: (A,) change of the action for each unit that the network returns.
+        ahead: north and east of the observed offset along which the inputs are turned; None: the heading, ``yaw``.
+        turned: which of the network's outputs are ahead and to the right of ``ahead``, and commanded north and east.
     """
 
     task: str
@@ -60,6 +64,8 @@ class View:
     flown: tuple[int, ...]
     centre: tuple[float, ...]
     reach: tuple[float, ...]
+    ahead: tuple[int, int] | None = None
+    turned: tuple[int, int] | None = None
 
     @property
     def inputs(self) -> int:
@@ -70,22 +76,51 @@ class View:
         """Return the inputs (N, F) of observations (N, O) and last outputs (N, len(flown)); NumPy or JAX."""
         lib = library(seen)
         columns = [lib.asarray(seen[:, number], np.float32) for number in range(len(self.observed))]
-        if self.yaw is not None:
-            cos, sin = lib.cos(columns[self.yaw]), lib.sin(columns[self.yaw])
+        turn = self._turn(columns)
+        if turn is not None:
+            cos, sin = turn
             for north, east in self.pairs:
                 ahead = cos * columns[north] + sin * columns[east]
                 columns[north], columns[east] = ahead, cos * columns[east] - sin * columns[north]
         return lib.stack([*(columns[number] for number in self.kept), *last.T], axis=-1)
 
-    def action(self, output: Any) -> Any:
-        """Return the actions (N, A) in [-1, 1] of outputs (N, len(flown)) of the network; NumPy or JAX."""
+    def action(self, output: Any, seen: Any = None) -> Any:
+        """Return the actions (N, A) in [-1, 1] of outputs (N, len(flown)) of the network; NumPy or JAX.
+
+        Args:
+            output: of the network.
+            seen: (N, O) the observations of the decision; only a view with ``turned`` needs them.
+        """
         lib = library(output)
+        if self.turned is not None:
+            output = self._turned_back(output, [lib.asarray(seen[:, i], np.float32) for i in range(len(self.observed))])
         columns = []
         for number, (centre, reach) in enumerate(zip(self.centre, self.reach, strict=True)):
             neutral = lib.full_like(output[:, 0], np.float32(centre))
             moved = number in self.flown
             columns.append(neutral + np.float32(reach) * output[:, self.flown.index(number)] if moved else neutral)
         return lib.stack(columns, axis=-1).clip(-1.0, 1.0)
+
+    def _turn(self, columns: Any) -> Any:
+        """Return cosine and sine (N,) of the heading of the inputs, by observed columns (N,); None: north."""
+        if self.ahead is not None:
+            lib = library(columns[0])
+            north, east = (columns[number] for number in self.ahead)
+            length = lib.maximum(lib.sqrt(north * north + east * east), np.float32(SHORTEST))
+            return north / length, east / length
+        if self.yaw is not None:
+            lib = library(columns[0])
+            return lib.cos(columns[self.yaw]), lib.sin(columns[self.yaw])
+        return None
+
+    def _turned_back(self, output: Any, columns: Any) -> Any:
+        """Return the outputs (N, len(flown)) with the pair ``turned`` rotated to north and east."""
+        cos, sin = self._turn(columns)
+        parts: list[Any] = list(output.T)
+        first, second = self.turned or (0, 0)
+        ahead, right = parts[first], parts[second]
+        parts[first], parts[second] = cos * ahead - sin * right, sin * ahead + cos * right
+        return library(output).stack(parts, axis=-1)
 
 
 @dataclass(frozen=True)
@@ -188,7 +223,7 @@ class LearnedPolicy:
     def __init__(self, file: PolicyFile, agents: int, hold: int):
         self._file, self._hold, self._steps = file, hold, 0
         self._last = np.zeros((agents, len(file.view.flown)), np.float32)
-        self._action = file.view.action(self._last)
+        self._action: Any = None
 
     def act(self, seen: Floats) -> Floats:
         """Return the actions (n, A) for observations (n, O)."""
@@ -196,7 +231,7 @@ class LearnedPolicy:
         if self._steps % self._hold == 0:
             inputs = file.scaling.scaled(file.view.features(np.asarray(seen), self._last))
             self._last = forward(file.layers, inputs).clip(-LIMIT, LIMIT)
-            self._action = file.view.action(self._last)
+            self._action = file.view.action(self._last, np.asarray(seen))
         self._steps += 1
         return self._action
 
@@ -229,7 +264,7 @@ def policy_of(arrays: dict[str, Any], name: str) -> PolicyFile:
         meta = json.loads(arrays[META].tobytes().decode())
         if meta["format"] != FORMAT:
             raise UsageError(f"policy {name}: its format is {meta['format']!r:.60}; this qrsim reads '{FORMAT}'")
-        view = View(**{field.name: _frozen(meta["view"][field.name]) for field in fields(View)})
+        view = View(**{name: _frozen(value) for name, value in meta["view"].items()})
         count = sum(each.startswith("weights_") for each in arrays)
         layers = tuple((arrays[f"weights_{number}"], arrays[f"offset_{number}"]) for number in range(count))
         scaling = Scaling(arrays["mean"], arrays["deviation"])
@@ -264,6 +299,12 @@ def _check_shapes(view: View, scaling: Scaling, layers: Layers) -> None:
         fits += [weights.shape == (size, len(offset)), offset.ndim == 1]
     indices = [*view.kept, *(each for pair in view.pairs for each in pair), *([] if view.yaw is None else [view.yaw])]
     fits += [all(0 <= each < len(view.observed) for each in indices), bool((scaling.deviation > 0.0).all())]
+    fits += [all(0 <= each < len(view.observed) for each in view.ahead or ())]
+    fits += [
+        len(view.ahead or (0, 0)) == len(view.turned or (0, 0)) == 2,
+        view.turned is None or view.ahead is not None,
+    ]
+    fits += [all(0 <= each < len(view.flown) for each in view.turned or ())]
     fits += [all(0 <= each < len(view.acts) for each in view.flown), view.seconds > 0.0]
     fits += [len(view.centre) == len(view.reach) == len(view.acts)]
     fits += [bool(np.isfinite([*view.centre, *view.reach, view.seconds]).all())]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.tasks.learned import LIMIT, PolicyFile
+from qrsim.tasks.learned import LIMIT, SHORTEST, PolicyFile
 
 # The computation; all that differs between policies is in the tables in front of it.
 FLY = """\
@@ -18,8 +18,11 @@ void qrsim_policy(const float observation[OBSERVED], float last[FLOWN], float ac
 {
     float seen[OBSERVED], one[WIDEST], other[WIDEST], *from = one, *to = other;
     for (int i = 0; i < OBSERVED; i++) seen[i] = observation[i];
+    const float to_north = observation[AHEAD_NORTH], to_east = observation[AHEAD_EAST];
+    const float range = fmaxf(sqrtf(to_north * to_north + to_east * to_east), SHORTEST);
+    const float c = AHEAD ? to_north / range : cosf(observation[YAW]);
+    const float s = AHEAD ? to_east / range : sinf(observation[YAW]);
     for (int i = 0; i < PAIRS; i++) {
-        const float c = cosf(observation[YAW]), s = sinf(observation[YAW]);
         const float north = observation[pairs[i][0]], east = observation[pairs[i][1]];
         seen[pairs[i][0]] = c * north + s * east;
         seen[pairs[i][1]] = c * east - s * north;
@@ -37,8 +40,14 @@ void qrsim_policy(const float observation[OBSERVED], float last[FLOWN], float ac
         float *swapped = from; from = to; to = swapped;
     }
     for (int i = 0; i < FLOWN; i++) last[i] = limited(from[i], LIMIT);
+    float out[FLOWN];
+    for (int i = 0; i < FLOWN; i++) out[i] = last[i];
+    if (TURNED) {
+        out[TURNED_AHEAD] = c * last[TURNED_AHEAD] - s * last[TURNED_RIGHT];
+        out[TURNED_RIGHT] = s * last[TURNED_AHEAD] + c * last[TURNED_RIGHT];
+    }
     for (int i = 0; i < ACTED; i++) action[i] = limited(centre[i], 1.0f);
-    for (int i = 0; i < FLOWN; i++) action[flown[i]] = limited(centre[flown[i]] + reach[flown[i]] * last[i], 1.0f);
+    for (int i = 0; i < FLOWN; i++) action[flown[i]] = limited(centre[flown[i]] + reach[flown[i]] * out[i], 1.0f);
 }
 """
 
@@ -46,6 +55,7 @@ void qrsim_policy(const float observation[OBSERVED], float last[FLOWN], float ac
 def c_source(file: PolicyFile) -> str:
     """Return a policy as the text of a C99 file with one function, ``qrsim_policy``."""
     view = file.view
+    ahead, turned = view.ahead or (0, 0), view.turned or (0, 0)
     sizes = [view.inputs, *(len(offset) for _, offset in file.layers)]
     named = ", ".join(view.observed), ", ".join(view.acts)
     head = [
@@ -61,8 +71,14 @@ def c_source(file: PolicyFile) -> str:
         "ACTED": len(view.acts),
         "FLOWN": len(view.flown),
         "INPUTS": view.inputs,
-        "PAIRS": 0 if view.yaw is None else len(view.pairs),
+        "PAIRS": 0 if view.yaw is None and view.ahead is None else len(view.pairs),
         "YAW": view.yaw or 0,
+        "AHEAD": int(view.ahead is not None),
+        "AHEAD_NORTH": ahead[0],
+        "AHEAD_EAST": ahead[1],
+        "TURNED": int(view.turned is not None),
+        "TURNED_AHEAD": turned[0],
+        "TURNED_RIGHT": turned[1],
         "LAYERS": len(file.layers),
         "WIDEST": max(sizes),
     }
@@ -83,7 +99,7 @@ def c_source(file: PolicyFile) -> str:
         which = ", ".join(f"{part}_{number}" for number in range(len(file.layers)))
         tables.append(f"static const float *const {name}[] = {{{which}}};")
     enum = ", ".join(f"{name} = {value}" for name, value in numbers.items())
-    limit = f"#define LIMIT {_float(LIMIT)}"
+    limit = f"#define LIMIT {_float(LIMIT)}\n#define SHORTEST {_float(SHORTEST)}"
     return "\n".join([f"/* {comment} */", "#include <math.h>", "", f"enum {{ {enum} }};", limit, *tables, "", FLY])
 
 

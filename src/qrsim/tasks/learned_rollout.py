@@ -47,7 +47,7 @@ class RolloutPolicy:
         seen = play.observed(own, reading.state, number * play.ticks)
         outputs = forward(file.layers, file.scaling.scaled(file.view.features(seen, last))).clip(-LIMIT, LIMIT)
         last = jnp.where(number % self._hold == 0, outputs, last)
-        action = play.scaled(file.view.action(last).astype(seen.dtype))
+        action = play.scaled(file.view.action(last, seen).astype(seen.dtype))
         commands = play.task.commands(own, play.world, action)
         names = [fleet.name for fleet in play.world.fleets]
         given = {name: each for name, each in zip(names, commands, strict=True) if each is not None}

@@ -48,7 +48,7 @@ class Target:
 
 
 def targets_of_all(world: World) -> list[list[Target]]:
-    """Return for each vehicle of a world the targets of faults that it has."""
+    """Return for each vehicle of a world its sensors and parts that a fault can affect."""
     return [found for fleet in world.fleets for found in [_targets(fleet)] * fleet.size]
 
 

@@ -17,7 +17,7 @@ from jax.extend.core import jaxprs_in_params
 from tests.engine.reference import trying
 from tests.engine.reference.bounds import given
 from tests.engine.reference.evaluation import evaluate
-from tests.engine.reference.programs import FEATURED
+from tests.engine.reference.programs import FEATURED, HALVES
 
 from qrsim.engine.llvm.rules import RULES
 
@@ -37,6 +37,15 @@ def primitives(jaxpr: Any) -> set[Any]:
 def test_programs_that_found_a_fault_once(number: int) -> None:
     """Numbers below the normal ones, kept by a loop, a tick or a constant, and the sign of zero."""
     assert trying.tried(number)[0] in ("equal", "within")
+
+
+@pytest.mark.parametrize("programs", [1, pytest.param(15, marks=pytest.mark.long)])
+def test_programs_on_halves_of_symmetric_matrices(programs: int) -> None:
+    """Their products, changes and transformations, one after the other, in each way of using vectors."""
+    found = [trying.tried(3 * 10**9 + number, HALVES, longest=2) for number in range(programs)]
+    assert {what for what, _ in found} <= {"equal", "within", "ambiguous"}
+    seen = set[Any]().union(*(primitives(program.closed.jaxpr) for _, program in found))
+    assert {primitive.name for primitive in seen} >= {"half_times"}
 
 
 @pytest.mark.parametrize("programs", [20, pytest.param(300, marks=pytest.mark.nightly)])
@@ -65,7 +74,7 @@ def test_random_programs_and_every_primitive(programs):
     for number in range(60):
         if set(RULES) <= seen:
             break
-        for i, maker in enumerate(FEATURED):
+        for i, maker in enumerate((*FEATURED, HALVES)):
             check(2 * 10**9 + 1000 * number + i, maker)
     assert not {primitive.name for primitive in set(RULES) - seen}
 

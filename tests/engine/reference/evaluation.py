@@ -11,6 +11,7 @@ from jax.extend import core as jex
 from tests.engine.reference.arrays import RULES
 from tests.engine.reference.bounds import AmbiguousError, Array, Value, given
 from tests.engine.reference.elements import elementwise
+from tests.engine.reference.halves import RULES as HALVES
 
 from qrsim.core.primitives import KERNELS
 
@@ -57,7 +58,7 @@ def _applied(equation: Any, inputs: list[Value]) -> list[Value]:
     if name.startswith("kernel_"):
         closed = jax.make_jaxpr(KERNELS[name.removeprefix("kernel_")].body)(*(v.aval for v in equation.invars))
         return _run(closed.jaxpr, [given(constant) for constant in closed.consts], inputs)
-    rule = RULES.get(name) or _CONTROL_FLOW.get(name)
+    rule = RULES.get(name) or HALVES.get(name) or _CONTROL_FLOW.get(name)
     if rule is not None:
         found = rule(inputs, parameters, equation.outvars[0].aval)
         return found if isinstance(found, list) else [found]

@@ -14,6 +14,7 @@ from jax import lax
 from qrsim.core.fastmath import rounded
 from qrsim.core.nearest import nearest_squared
 from qrsim.core.primitives import KERNELS
+from qrsim.core.symmetric import Term, lowered, size_of, times, transformed
 
 SIZES = (1, 2, 3, 5, 8, 16, 17, 21)
 _MODES = ("clip", "fill", "drop", "promise_in_bounds")
@@ -378,6 +379,40 @@ def _neighbours(draw: Draw) -> None:
     draw.put(lax.min(nearest_squared(x, y, z, reach), reach * reach))
 
 
+def _halves(draw: Draw) -> None:
+    """Make a half of a symmetric matrix, and let one or two operations follow each other on it."""
+    size = draw.choose.choice((2, 3, 5))
+    first = draw.some("f", (draw.size,))
+    half = jnp.stack([draw.tame(draw.like(first)) for _ in range(size * (size + 1) // 2)])
+    for _ in range(draw.choose.randrange(1, 3)):
+        half = draw.choose.choice((_lowered_half, _transformed_half))(draw, half, first)
+        draw.put(times(half, _factors(draw, size, first)), half)
+
+
+def _factors(draw: Draw, size: int, like: Any) -> dict[int, Any]:
+    """Return numbers by their rows; some are one, which costs nothing."""
+    rows = draw.choose.sample(range(size), draw.choose.randint(1, size))
+    return {row: jnp.ones_like(like) if draw.choose.random() < 0.2 else draw.tame(draw.like(like)) for row in rows}
+
+
+def _lowered_half(draw: Draw, half: Any, like: Any) -> Any:
+    """Return the half minus the outer products of columns, of which one may be the matrix's own."""
+    size = size_of(half.shape[0])
+    column = jnp.stack([draw.tame(draw.like(like)) for _ in range(size)])
+    own = times(half, _factors(draw, size, like))
+    return lowered(half, draw.choose.choice(([column], [own], [column, own], [own, column, 0.25 * own])))
+
+
+def _transformed_half(draw: Draw, half: Any, like: Any) -> Any:
+    """Return F P F' + Q, by factors and by known numbers."""
+    size, scales = size_of(half.shape[0]), (1.0, -1.0, 0.25, 0.1)
+    factors = [draw.tame(draw.like(like)) for _ in range(2)]
+    above = [(i, j) for i in range(size) for j in range(i + 1, size)]
+    places = sorted(draw.choose.sample(above, draw.choose.randint(0, min(4, len(above)))))
+    terms = [Term(i, j, draw.choose.choice(scales), draw.choose.choice((None, 0, 1))) for i, j in places]
+    return transformed(half, terms, factors, _factors(draw, size, like))
+
+
 def _kernels(draw: Draw) -> None:
     words = draw.some("u", (draw.size,))
     for kernel in KERNELS.values():
@@ -442,6 +477,8 @@ MAKERS: tuple[Maker, ...] = (
 )  # fmt: skip
 # What a program may be about; the rest of it is made of the others.
 FEATURED: tuple[Maker, ...] = (*MAKERS, _kernels)
+# Later than FEATURED, whose programs are numbered.
+HALVES: Maker = _halves
 HANDED_OVER: Maker = _handed_over
 
 

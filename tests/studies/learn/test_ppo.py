@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from qrsim.envs.objective import Scaled, _velocity_ned
-from qrsim.studies.learn.ppo import Rows, Samples, Settings, _advantages, _loss, _rows_of
+from qrsim.studies.learn.ppo import Algorithm, Rows, Samples, Settings, _advantages, _loss, _rows_of
 from qrsim.studies.learn.training import Moments
+from qrsim.tasks.learned import View
 
 
 def test_advantages_stop_at_the_end_of_an_episode() -> None:
@@ -37,15 +38,29 @@ def test_a_ratio_beyond_the_clip_gains_nothing() -> None:
 
 def test_values_beyond_a_time_limit_count_and_those_beyond_a_crash_do_not() -> None:
     # The value is the input. Episode 0 goes on, 1 is cut off where the value is 5, and 2 has crashed.
-    one = [(jnp.eye(1, dtype=jnp.float32), jnp.zeros(1, jnp.float32))]
-    weights = {"policy": one, "value": one, "log_spread": jnp.zeros(1, jnp.float32)}
+    weights = {"value": [(jnp.eye(1, dtype=jnp.float32), jnp.zeros(1, jnp.float32))]}
     inputs = jnp.asarray([[1.0, 1.0, 1.0], [3.0, 7.0, 7.0]])[..., None]
     ended, beyond = jnp.asarray([[False, True, True]]), jnp.asarray([[0.0, 5.0, 0.0]])
-    given = Samples(inputs, jnp.ones((1, 3, 1)), jnp.full((1, 3), 2.0), ended, beyond)
+    given = Samples(inputs, jnp.ones((1, 3, 1)), jnp.full((1, 3), -0.5), jnp.full((1, 3), 2.0), ended, beyond)
     found = jax.jit(partial(_rows_of, settings=Settings(discount=0.5)))(weights, given)
     np.testing.assert_allclose(found.target, [3.5, 4.5, 2.0])
     np.testing.assert_allclose(found.advantage, [2.5, 3.5, 1.0])
-    np.testing.assert_allclose(found.log_density, [0.0, 0.0, 0.0])
+    np.testing.assert_allclose(found.log_density, [-0.5, -0.5, -0.5])
+
+
+def test_a_decision_is_the_mean_and_its_noise() -> None:
+    view = View("made", 0, 0.1, ("a", "b"), ("c",), (0, 1), (), None, (0,), (0.25,), (0.5,))
+    layer = [(jnp.ones((3, 1), jnp.float32), jnp.zeros(1, jnp.float32))]
+    weights = {"policy": layer, "log_spread": jnp.log(jnp.full(1, 0.5, jnp.float32))}
+    scaling = np.array([1.0, 1.0, 0.0], np.float32), np.array([2.0, 1.0, 1.0], np.float32)
+    seen, last = np.array([[3.0, 0.5]], np.float32), np.array([[0.125]], np.float32)
+    found = Algorithm(view, Settings()).decide(weights, scaling, seen, last, np.full((1, 1), 2.0, np.float32))
+    np.testing.assert_allclose(found.features, [[3.0, 0.5, 0.125]])
+    # Scaled inputs 1, -0.5 and 0.125, then two deviations of 0.5.
+    np.testing.assert_allclose(found.outputs, [[1.625]])
+    np.testing.assert_allclose(found.log_density, [-2.0 + np.log(2.0)], rtol=1e-6)
+    # 0.25 + 0.5 * 1.625, limited.
+    np.testing.assert_allclose(found.action, [[1.0]])
 
 
 def test_moments_are_those_of_all_rows() -> None:

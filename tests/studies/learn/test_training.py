@@ -11,19 +11,13 @@ import pytest
 from qrsim.errors import UsageError
 from qrsim.studies.learn.folder import make_folder, restore, save
 from qrsim.studies.learn.ppo import Settings
+from qrsim.studies.learn.suited import plan_of
 from qrsim.studies.learn.training import Plan, Training
 from qrsim.tasks.learned import forward, read_policy
 
 # A cycle is one iteration of 128 decisions of 16 episodes, 2 s long.
-SMALL = Plan(
-    "keep_spot",
-    ("duration=2",),
-    seed=3,
-    envs=16,
-    steps=4096,
-    tries=16,
-    settings=Settings(width=8, epochs=2, minibatches=8),
-)
+SETTINGS = Settings(width=8, epochs=2, minibatches=8, averaged=0.75)
+SMALL = Plan("keep_spot", ("duration=2",), seed=3, envs=16, steps=4096, tries=16, settings=SETTINGS)
 
 
 def numbers(training: Training) -> list[tuple[float, ...]]:
@@ -34,7 +28,13 @@ def numbers(training: Training) -> list[tuple[float, ...]]:
 @pytest.mark.long
 def test_same_seed_same_bits_and_so_after_a_checkpoint(tmp_path: Path) -> None:
     whole = Training(SMALL)
-    assert [row.steps for row in whole.cycles()] == [2048, 4096]
+    weights, steps = [], []
+    for row in whole.cycles():
+        steps.append(row.steps)
+        weights.append(np.array(whole.learner.weights["policy"][0][0]))
+    assert steps == [2048, 4096]
+    # A quarter of the last of two policies and the rest of the first.
+    np.testing.assert_allclose(whole.averaged[0][0], 0.75 * weights[0] + 0.25 * weights[1], atol=1e-6)
     make_folder(tmp_path / "whole")
     make_folder(tmp_path / "parts")
     save(whole, tmp_path / "whole")
@@ -91,3 +91,15 @@ def test_a_policy_learns_to_keep_its_place(tmp_path: Path) -> None:
     )
     assert alive.all()
     assert total.mean() > -20.0
+
+
+@pytest.mark.nightly
+def test_cats_learn_to_come_near_and_to_stay_apart() -> None:
+    training = Training(plan_of("cats_and_mouse/1A", ("duration=100",), seed=3, steps=1_000_000, tries=16))
+    rows = list(training.cycles())
+    assert training.averaged is not None
+    # Cats that stand still lose the mouse within 50 s. At the end they follow it.
+    assert rows[0].reward < -0.55
+    assert rows[-1].reward > -0.4
+    assert training.best is not None
+    assert training.best[0].view.ahead == (4, 5)

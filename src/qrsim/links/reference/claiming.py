@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from qrsim.errors import UsageError
-from qrsim.files import Content
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
 from qrsim.links.reference.protocol.qrsim_pb2 import Message, Step
 from qrsim.links.reference.replies import Claim, Heard, Sensed, SensedVehicle, Status, VehicleStatus, heard_of
@@ -227,7 +226,7 @@ class SharedCalls(ABC):
         pacing = {field.name: value for field, value in found.pacing.ListFields()}
         return Status(found.pace, found.tick, found.t, pacing, vehicles)
 
-    def describe(self) -> Content:
+    def describe(self) -> dict[str, Any]:
         """Return a description of the world: area, obstacles, ground, wind, fleets with sensors and commands."""
         found = self._call(Message(type=Message.DESCRIBE, describe=pb.Describe()), Message.WORLD).world
         parts = {name: _part(getattr(found, name)) for name in ("area", "ground", "wind", "turbulence", "gust")}
@@ -327,9 +326,9 @@ def kind_of(name: str) -> Step.Type:
     return KINDS[name]
 
 
-def _part(found: pb.World.Part) -> Content:
+def _part(found: pb.World.Part) -> dict[str, Any]:
     """Return the description of a component as a dict of its type, its parameters and their "units"."""
-    values: Content = {"type": found.type}
+    values: dict[str, Any] = {"type": found.type}
     for each in found.quantity:
         numbers = list(each.value)
         values[each.name] = each.text if each.HasField("text") else numbers[0] if len(numbers) == 1 else numbers

@@ -232,7 +232,7 @@ def _unsensed_leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, object]]:
 
 
 def _reading_leaves(reading: object) -> Iterator[tuple[int, object]]:
-    """Yield (column, leaf) of the fields of a sensor's reading."""
+    """Yield for each field of a sensor's reading its column in the table of vehicles, and its array (n,)."""
     fix = isinstance(reading, GnssReading)
     vectors, scalars = (FIX_VECTORS, FIX_SCALARS) if fix else (VECTORS, SCALARS)
     for name, value in vars(reading).items():

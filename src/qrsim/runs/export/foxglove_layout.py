@@ -75,6 +75,9 @@ def layout(run: Run) -> dict[str, object]:
 
 
 def _plot_panel(title: str, paths: list[str]) -> dict[str, object]:
-    """Return the configuration of a plot of some message paths."""
-    lines = [{"value": path, "enabled": True, "timestampMethod": "headerStamp"} for path in paths]
+    """Return the configuration of a plot of some message paths, at the times of the file.
+
+    The messages have no ``header``, which the stamp of a header would need.
+    """
+    lines = [{"value": path, "enabled": True, "timestampMethod": "receiveTime"} for path in paths]
     return {"title": title, "paths": lines, "showLegend": True, "isSynced": True, "xAxisVal": "timestamp"}

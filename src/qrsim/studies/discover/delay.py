@@ -62,7 +62,7 @@ def _unexplained(log: FlightLog, train: float, given: Collection[str]) -> float:
 
 
 def _thrust_misfit(flight: Flight) -> float:
-    """Return the mean square error of a quadratic thrust law fitted in flight."""
+    """Return the mean square error of thrust as a quadratic of the command, fitted to a log where it flies."""
     tree = polynomial_tree([(0,), (1,), (2,)], "thrust")
     scale = np.std(flight.recorded, axis=(1, 2)) + 1e-9
     (throttle,), thrust = slopes(flight, "thrust")

@@ -201,7 +201,7 @@ def width_of(name: str, question: Question) -> float:
 
 
 def solve(question: Question, pieces: Sequence[Piece], progress: Progress = lambda text: None) -> Answer:
-    """Estimate all constants; the prior holds those the logs do not determine, and widens the others' intervals.
+    """Fit all constants of a model to windows of logs; those that the logs do not determine stay near the prior.
 
     Raises:
         LogError: no constant at all shows in the logs.

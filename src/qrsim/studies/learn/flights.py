@@ -79,7 +79,7 @@ class Flights:
             return
         self.last[ended] = 0.0
         self.batch.again(np.flatnonzero(ended.reshape(self.batch.size, self.agents).any(axis=1)))
-        self.objective.begin(self.batch)
+        self.objective.begin(self.batch, ended)
 
     def fly(self, act: Any, seeds: Floats) -> tuple[Floats, Floats]:
         """Fly one episode for each seed (B,) with ``act`` (inputs to outputs); return returns and survival.
@@ -91,7 +91,7 @@ class Flights:
         total, alive = np.zeros(self.batch.size), np.ones(self.batch.size, bool)
         for _ in range(self.batch.functional.play.steps):
             self.last = act(self.features()).clip(-LIMIT, LIMIT)
-            action = self.view.action(self.last).reshape(self.batch.size, self.agents, -1)
+            action = self.view.action(self.last, self.seen).reshape(self.batch.size, self.agents, -1)
             reward, terminated, _ = self.batch.step(action)
             total += np.where(alive, reward.mean(axis=1, dtype=np.float64), 0.0)
             alive &= ~terminated

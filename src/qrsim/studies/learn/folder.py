@@ -111,6 +111,7 @@ def _content(training: Training) -> bytes:
     }
     arrays: dict[str, Any] = {META: np.frombuffer(json.dumps(meta).encode(), np.uint8)}
     arrays |= {f"learner_{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(training.learner))}
+    arrays |= {f"averaged_{i}": leaf for i, leaf in enumerate(jax.tree.leaves(training.averaged))}
     moments = training.moments
     arrays |= {"count": np.array(moments.count), "mean": moments.mean, "squares": moments.squares}
     arrays |= training.flights.objective.state()
@@ -160,8 +161,24 @@ def _take(training: Training, arrays: dict[str, Any], meta: dict[str, Any], path
             training.best = policy, Tried(**meta["best"])
     except (KeyError, TypeError, ValueError):
         raise UsageError(f"{path}: its parts do not fit this training") from None
+    training.averaged = _averaged_of(training, arrays, path)
     learner = jax.tree.unflatten(structure, [jax.numpy.asarray(leaf) for leaf in found])
     training.learner = Learner(*learner)
+
+
+def _averaged_of(training: Training, arrays: dict[str, Any], path: Path) -> Any:
+    """Return the running mean of the policies in a checkpoint; None without one.
+
+    Raises:
+        UsageError: parts do not fit.
+    """
+    if not training.plan.settings.averaged:
+        return None
+    leaves, structure = jax.tree.flatten(training.learner.weights["policy"])
+    found = [arrays.get(f"averaged_{i}", np.zeros(0)) for i in range(len(leaves))]
+    if any(new.shape != old.shape or new.dtype != np.float32 for new, old in zip(found, leaves, strict=True)):
+        raise UsageError(f"{path}: its parts do not fit this training")
+    return jax.tree.unflatten(structure, found)
 
 
 def _plan_of(training: Training) -> dict[str, Any]:

@@ -38,6 +38,8 @@ class Settings:
         most_gradient: norm at which gradients are clipped.
         spread: first standard deviation of the outputs.
         width: of the two hidden layers.
+        averaged: weight of the iterations before in the running mean of the policies that is flown and kept; 0: the
+            last policy.
     """
 
     discount: float = 0.98
@@ -51,6 +53,7 @@ class Settings:
     most_gradient: float = 0.5
     spread: float = 1.0
     width: int = 32
+    averaged: float = 0.0
 
 
 class Learner(NamedTuple):
@@ -66,6 +69,7 @@ class Samples(NamedTuple):
     Attributes:
         inputs: (T + 1, N, F) before each decision, and after the last; unscaled as they are recorded.
         outputs: (T, N, K) of the decisions.
+        log_density: (T, N) of these outputs, up to a constant.
         reward: (T, N).
         ended: (T, N) bool: the episode has ended.
         beyond: (T, N) value of the state in which an episode was cut off by its time limit, 0 elsewhere.
@@ -73,16 +77,25 @@ class Samples(NamedTuple):
 
     inputs: Any
     outputs: Any
+    log_density: Any
     reward: Any
     ended: Any
     beyond: Any
 
 
 class Decision(NamedTuple):
-    """A decision of all rows: unscaled inputs (N, F), outputs (N, K) of the network, and actions (N, A)."""
+    """A decision of all rows.
+
+    Attributes:
+        features: (N, F) unscaled inputs.
+        outputs: (N, K) of the network.
+        log_density: (N,) of the outputs, up to a constant.
+        action: (N, A).
+    """
 
     features: Any
     outputs: Any
+    log_density: Any
     action: Any
 
 
@@ -158,7 +171,8 @@ class Algorithm:
         features = self.view.features(seen, last)
         mean = network(weights["policy"], _scaled(scaling, features))
         outputs = mean + jnp.exp(weights["log_spread"])[None] * noise
-        return Decision(features, outputs, self.view.action(outputs.clip(-LIMIT, LIMIT)))
+        density = _log_density(weights, mean, outputs)
+        return Decision(features, outputs, density, self.view.action(outputs.clip(-LIMIT, LIMIT), seen))
 
     def _improve(self, learner: Learner, scaling: Pair, samples: Samples, orders: Array) -> tuple[Learner, Array]:
         """Return the learner after all passes over an iteration's samples, and the last pass's divergence ()."""
@@ -196,14 +210,12 @@ def _value(weights: Any, inputs: Array) -> Array:
 
 
 def _rows_of(weights: Any, samples: Samples, settings: Settings) -> Rows:
-    """Return an iteration's decisions (T N,), with the densities of the policy that made them and the advantages."""
+    """Return an iteration's decisions (T N,), with their advantages."""
     value = _value(weights, samples.inputs)
     after = jnp.where(samples.ended, samples.beyond, value[1:])
     advantage = _advantages(samples.reward, value[:-1], after, samples.ended, settings)
-    whole = (samples.inputs[:-1], samples.outputs, advantage, advantage + value[:-1])
-    inputs, outputs, advantage, target = (leaf.reshape(-1, *leaf.shape[2:]) for leaf in whole)
-    density = _log_density(weights, network(weights["policy"], inputs), outputs)
-    return Rows(inputs, outputs, density, advantage, target)
+    whole = (samples.inputs[:-1], samples.outputs, samples.log_density, advantage, advantage + value[:-1])
+    return Rows(*(leaf.reshape(-1, *leaf.shape[2:]) for leaf in whole))
 
 
 def _log_density(weights: Any, mean: Array, outputs: Array) -> Array:

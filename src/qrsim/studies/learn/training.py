@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+import jax
 import numpy as np
 
 from qrsim.core.arrays import Floats
@@ -128,6 +129,8 @@ class Training:
         self.flights, self.trials = self.flights_of(plan.envs), self.flights_of(plan.tries)
         self.horizon = max(HORIZON, -(-FEWEST // self.flights.rows))
         self.learner: Learner = self.algorithm.begin(plan.seed)
+        # Layers of the running mean of the policies.
+        self.averaged: Any = None
         self.moments = Moments(self.view.inputs)
         self.scaling = self.moments.scaling()
         self.cycle, self.steps = 0, 0
@@ -164,6 +167,7 @@ class Training:
                 samples = self._fly(rng)
                 orders = self.algorithm.orders(rng, samples.reward.size)
                 self.learner, divergence = self.algorithm.improve(self.learner, self._pair, samples, orders)
+                self._average()
                 rewards.append(float(samples.reward.mean()))
                 divergences.append(self._finite(float(divergence)))
                 self.steps += samples.reward.size
@@ -191,6 +195,15 @@ class Training:
                 self.best = policy, row
             yield row
 
+    def _average(self) -> None:
+        """Add the present policy to the running mean, if the settings want one."""
+        share = np.float32(1.0 - self.plan.settings.averaged)
+        if share == 1.0:
+            return
+        last = jax.tree.map(np.asarray, self.learner.weights["policy"])
+        before = last if self.averaged is None else self.averaged
+        self.averaged = jax.tree.map(lambda old, new: old + share * (new - old), before, last)
+
     def _finite(self, divergence: float) -> float:
         """Return the divergence unchanged; raises RunError unless it is finite.
 
@@ -217,14 +230,14 @@ class Training:
         found = []
         for normals in noise:
             decision = self.algorithm.decide(weights, self._pair, flights.seen, flights.last, normals)
-            features, outputs, action = map(np.asarray, decision)
+            features, outputs, density, action = map(np.asarray, decision)
             reward, terminated, ended = flights.decide(outputs, action)
             beyond = np.zeros_like(reward)
             cut = ended & ~terminated
             if cut.any():
                 last = np.asarray(self.algorithm.value(weights, self._pair, flights.features()))
                 beyond = np.where(cut, last, beyond)
-            found.append((features, outputs, reward, ended, beyond))
+            found.append((features, outputs, density, reward, ended, beyond))
             flights.follow(ended)
         inputs, *others = zip(*found, strict=True)
         rows = np.stack([*inputs, flights.features()])
@@ -242,6 +255,7 @@ class Training:
 
     def _policy(self) -> PolicyFile:
         """Return the present policy as a ``PolicyFile``."""
-        layers = tuple((np.array(weights), np.array(offset)) for weights, offset in self.learner.weights["policy"])
+        found = self.learner.weights["policy"] if self.averaged is None else self.averaged
+        layers = tuple((np.array(weights), np.array(offset)) for weights, offset in found)
         facts = {"seed": self.plan.seed, "steps": self.steps, "overrides": list(self.plan.overrides)}
         return PolicyFile(self.view, self.scaling, layers, facts)

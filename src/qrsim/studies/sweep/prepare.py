@@ -24,7 +24,7 @@ MOST_TRIED, TRIED = 100, 8
 
 
 def plan_of(study: Study) -> Plan:
-    """Check a study and plan it.
+    """Return which runs a study needs and what they compile, after checking the paths and values that it varies.
 
     Raises:
         ScenarioError: paths are unknown or values are not allowed; the message lists them.

@@ -25,6 +25,7 @@ from qrsim.tasks.baselines.mapping import Mapping
 from qrsim.tasks.baselines.searching import Searching
 from qrsim.tasks.baselines.touring import Touring
 from qrsim.tasks.contracts import Answering
+from qrsim.tasks.landing import Land
 from qrsim.tasks.play import TASK, Play
 from qrsim.tasks.plume_mapping import PlumeMapping
 from qrsim.tasks.pursuit import Pursuit
@@ -46,7 +47,7 @@ __all__ = [
     "baseline",
     "oracle",
 ]
-SIMPLE: dict[type, Any] = dict.fromkeys((KeepSpot, ReachWaypoint, KeepVelocity), Holding)
+SIMPLE: dict[type, Any] = dict.fromkeys((KeepSpot, ReachWaypoint, Land, KeepVelocity), Holding)
 ORACLES: dict[type, Any] = {Search: Touring}
 KINDS: dict[type, Any] = {Pursuit: Chasing, Search: Searching, PlumeMapping: Mapping, **SIMPLE}
 

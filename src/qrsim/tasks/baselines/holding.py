@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.arrays import Floats
+from qrsim.tasks.landing import Land
 from qrsim.tasks.play import Play
 from qrsim.tasks.simple import KeepVelocity
 
@@ -14,6 +15,8 @@ from qrsim.tasks.simple import KeepVelocity
 FLOWN = ("pitch", "roll", "throttle", "yaw_rate", "battery")
 # Velocity for each metre of the way [1/s], and at most [m/s].
 APPROACH, FASTEST = 0.4, 3.0
+# A vehicle that lands aims at least this far below itself [m].
+SINKING = 1.0
 # Tilt and throttle for each m/s that is lacking, tilt at most [rad]; yaw rate for each radian [1/s].
 TILT, LARGEST_TILT, THROTTLE, TURN = 0.12, 0.3, 0.1, 0.2
 
@@ -28,7 +31,7 @@ class Holding:
 
     def __init__(self, play: Play, seed: int = 0):
         self._axes, self._period = play.axes, play.task.period
-        self._by_velocity = isinstance(play.task, KeepVelocity)
+        self._by_velocity, self._lands = isinstance(play.task, KeepVelocity), isinstance(play.task, Land)
         task: Any = play.task
         self._hover = float(np.asarray(task.effort.hover_throttle))
         self._start: Floats | None = None
@@ -43,6 +46,9 @@ class Holding:
             wanted = offset + velocity
             self._start = position.copy() if self._start is None else self._start
             offset = self._start + wanted * (self._steps * self._period) - position
+        elif self._lands:
+            # The estimated height may be wrong: it sinks until it stands.
+            offset = np.concatenate([offset[:, :2], np.maximum(offset[:, 2:], SINKING)], axis=1)
         self._steps += 1
         lacking = np.clip(APPROACH * offset, -FASTEST, FASTEST) + wanted - velocity
         cos, sin = np.cos(yaw), np.sin(yaw)
