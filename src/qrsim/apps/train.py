@@ -7,7 +7,7 @@ import math
 import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -157,7 +157,7 @@ def _name_of(plan: Plan) -> str:
     return Functional.of(plan.task, plan.overrides).name.replace("/", "_")
 
 
-def _shown(best: Any) -> str:
+def _shown(best: tuple[object, Tried] | None) -> str:
     """Return the scores of the best policy as text."""
     if best is None:
         return "none yet"

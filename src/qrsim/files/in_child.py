@@ -10,7 +10,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from qrsim.errors import UsageError
 
@@ -174,7 +174,7 @@ def _limit_memory(memory: int) -> None:
 
 def _answer(function: Callable[..., object], arguments: tuple[object, ...]) -> bytes:
     """Return a function's result or error as pickled bytes (kind, content) for the parent."""
-    answer: tuple[str, Any]
+    answer: tuple[str, object]
     try:
         return pickle.dumps(("value", function(*arguments)), pickle.HIGHEST_PROTOCOL)
     except UsageError as error:

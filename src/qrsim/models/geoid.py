@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
-from typing import Any, TypeVar, overload
+from typing import TypeVar, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +23,7 @@ from qrsim.models.site import Site
 
 Float64 = npt.NDArray[np.float64]
 Lengths = TypeVar("Lengths", float, NumpyArray)
-Arrays = NumpyArray | Sequence[Any]
+Arrays = NumpyArray | Sequence[float]
 
 # From pole to pole, and around the Earth.
 ROWS, COLUMNS, PER_DEGREE = 721, 1440, 4

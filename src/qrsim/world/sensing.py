@@ -195,7 +195,7 @@ def first_belief(
     fleet: Fleet,
     state: FleetState,
     firsts: Sequence[tuple[object, Record]],
-    draws: dict[str, Any],
+    draws: dict[str, Noise],
     readings: dict[str, Record],
     start: Estimate,
 ) -> Belief | None:

@@ -6,7 +6,6 @@ import math
 import struct
 import time
 from collections.abc import Callable
-from typing import Any
 
 from qrsim.links.mavlink import requests, table
 from qrsim.links.mavlink.dialect import BY_NUMBER, LAYOUTS, Message
@@ -22,6 +21,7 @@ from qrsim.links.mavlink.stack.contracts import (
     LocalTarget,
     Target,
     Text,
+    Triple,
 )
 from qrsim.links.mavlink.system import System
 from qrsim.links.mavlink.telemetry import ENCODERS
@@ -131,9 +131,9 @@ def _set_mode(system: System, link: Link, frame: Frame) -> None:
 # ---- set-points ----
 
 
-def _axes(m: Message, *names: str) -> Any:
+def _axes(m: Message, x: str, y: str, z: str) -> Triple:
     """Return the values of the named fields of a message as a tuple."""
-    return tuple(getattr(m, name) for name in names)
+    return getattr(m, x), getattr(m, y), getattr(m, z)
 
 
 def _take(system: System, link: Link, target: Target) -> None:

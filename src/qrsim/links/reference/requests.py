@@ -204,7 +204,7 @@ async def restart(connection: Client, message: Message) -> None:
         _send_session(connection, session)
 
 
-def _still(connection: Client, what: str = "") -> contextlib.AbstractAsyncContextManager[Any]:
+def _still(connection: Client, what: str = "") -> contextlib.AbstractAsyncContextManager[object]:
     """Return a context in which a shared world does not advance; ``what``: a change, which needs the world alone.
 
     Args:
@@ -219,7 +219,7 @@ def _still(connection: Client, what: str = "") -> contextlib.AbstractAsyncContex
         return contextlib.nullcontext()
     if what:
         sharing.check_alone(connection, what)
-    return cast("contextlib.AbstractAsyncContextManager[Any]", sharing.lock)
+    return cast("contextlib.AbstractAsyncContextManager[object]", sharing.lock)
 
 
 def _send_session(connection: Client, session: Session) -> None:

@@ -10,8 +10,8 @@ from qrsim.core.noise import Draw
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.apart import Apart, apart_at, apart_init, apart_step
 from qrsim.models.gnss.fixes import GnssState
-from qrsim.models.gnss.geometry import Geometry, across, left_signal
-from qrsim.models.gnss.parameters import ReceiverParameters, column, times
+from qrsim.models.gnss.geometry import Geometry, left_signal
+from qrsim.models.gnss.parameters import ReceiverParameters, across, column, times
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.gnss.slots import Slots
 

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -163,7 +162,7 @@ class Flyer:
         told: called after each batch, with the study's name, and its episodes done and planned.
     """
 
-    def __init__(self, folder: Path, client: Any, minutes: float, told: Callable[[str, int, int], None]):
+    def __init__(self, folder: Path, client: object, minutes: float, told: Callable[[str, int, int], None]):
         self.folder, self.client, self.minutes, self.told = folder, client, minutes, told
         self.begun = time.monotonic()
         self._first: Plan | None = None

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -232,7 +230,7 @@ class Results:
                 found[path] = float(self.dataset[item.name or path].values[index])
         return found
 
-    def summary(self) -> Mapping[str, Any]:
+    def summary(self) -> Content:
         """Return the number of episodes planned and stored, with the study's name."""
         return {
             "study": self.spec.name,
