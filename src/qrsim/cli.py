@@ -311,6 +311,7 @@ def _menu(commands: Mapping[str, type[Command] | Group]) -> Any:
 
 
 def _print_error(message: str) -> None:
+    """Print an error message in colour to standard error."""
     from rich.console import Console
     from rich.text import Text
 

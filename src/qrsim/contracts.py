@@ -157,6 +157,7 @@ class Description(Tabled):
         return found
 
     def _table(self) -> Table:
+        """Return the table of the contract's members that is shown for this description."""
         rows = [(name, "required" if needed else "default", words) for name, needed, words in self._members()]
         title = f"a {self.kind}: {self.contract.__module__}.{self.contract.__qualname__}"
         return Table(title, ("name", "", "meaning"), rows, widest=400)

@@ -87,7 +87,7 @@ class Brief:
     """Print the JSON instead of the summary."""
 
     def run(self) -> int:
-        """Check, fly, write the page, print the verdict."""
+        """Check the operation, fly it, write the page, and print the verdict."""
         self._check()
         operation = self._operation()
         if self.write is not None:
@@ -104,6 +104,7 @@ class Brief:
         return self._brief(operation, flights, folder)
 
     def _check(self) -> None:
+        """Raise UsageError for an option out of its range."""
         if not self.operation:
             raise UsageError("OPERATION: missing; expected plans, or an operation's .yaml file")
         if not 0.0 < self.minutes <= 10_080.0:
@@ -217,6 +218,7 @@ class Brief:
         )
 
     def _refuse_other_versions(self, folder: Path) -> None:
+        """Raise UsageError if other versions of the packages wrote the runs in a folder."""
         from qrsim.studies.brief.studying import other_versions
 
         if other := other_versions(folder):
@@ -303,6 +305,7 @@ def _differing(mine: object, theirs: object, path: str = "") -> Iterator[str]:
 
 
 def _print_flights(operation: OperationSpec, flights: Flights) -> None:
+    """Print the wind, the planned duration of each mission, and, for many vehicles, the expected computing time."""
     from qrsim.studies.brief.statistics import first_look
 
     wind = flights.wind
@@ -320,6 +323,7 @@ def _print_flights(operation: OperationSpec, flights: Flights) -> None:
 
 
 def _print_verdict(brief: Briefing) -> None:
+    """Print the verdict, the table of criteria, and how to view the worst run."""
     verdict, why = brief.verdict
     print(f"\n{verdict.upper()}: {why}\n")
     width = max((len(row.name) for row in brief.rows), default=0)
@@ -338,6 +342,7 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
     with progress_bar("starting", 1.0, "{task.completed:.0f} of {task.total:.0f} runs") as update:
 
         def told(study: str, done: int, planned: int) -> None:
+            """Show the study's name and the number of runs done in the progress bar."""
             update(description=study, completed=done, total=planned)
 
         yield told

@@ -50,7 +50,7 @@ class Clear:
     """
 
     def run(self) -> None:
-        """Delete, and print how much it was."""
+        """Delete the cached programs, and print their number and size."""
         from qrsim.engine import packing
 
         found = packing.clear().values()
@@ -70,7 +70,7 @@ class Pack:
     """File to write; compressed if its name ends in .gz or .tgz."""
 
     def run(self) -> None:
-        """Write the archive, and print how many programs it has."""
+        """Write the archive of cached programs, and print how many it has."""
         from qrsim.engine import packing
 
         count = packing.pack(self.archive)
@@ -89,7 +89,7 @@ class Unpack:
     """File that 'qrsim cache pack' wrote on a machine with the same processor."""
 
     def run(self) -> None:
-        """Unpack, and print how many programs there were."""
+        """Unpack an archive into the cache, and print how many programs it had."""
         from qrsim.engine import packing
 
         print(f"unpacked {packing.unpack(self.archive)} programs")

@@ -99,6 +99,7 @@ def _bring(status: recordings.FileStatus, wanted: list[str]) -> None:
 
 
 def _print_json(folder: Path, statuses: list[recordings.FileStatus], complete: bool) -> None:
+    """Print the state of each file of a folder as JSON."""
     import json
 
     files = [
@@ -142,6 +143,7 @@ class _RichBar:
 
     @total.setter
     def total(self, count: int) -> None:
+        """Set the size of the download [bytes], 0 if it is unknown."""
         self._total = count
         # A server that compresses announces no size.
         self._progress.update(self._task, total=count or None)

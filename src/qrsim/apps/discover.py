@@ -57,7 +57,7 @@ class Discover:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check, read, evolve, write, print."""
+        """Check the options, read the log, evolve the laws, and write and print the result."""
         self._check()
         from qrsim.files.atomic import write_atomically
         from qrsim.runs.picture import save_picture

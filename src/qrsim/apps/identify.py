@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -13,7 +13,7 @@ from qrsim.apps import OPTIONAL_SECONDS, SECONDS, Repeated
 from qrsim.errors import LogError, UsageError, did_you_mean
 
 if TYPE_CHECKING:
-    from qrsim.studies.identify.fit import Question
+    from qrsim.studies.identify.fit import Prior, Question
     from qrsim.studies.identify.result import Result
 
 OUT = Path("my_vehicle.yaml")
@@ -83,7 +83,7 @@ class Identify:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check, read, fit, write, print."""
+        """Check the options, read the logs, fit the parameters, and write and print the result."""
         if self.imu:
             from qrsim.studies.identify.imu_noise import checked_imu, identify_imu
 
@@ -141,7 +141,7 @@ class Identify:
         """Return the problem to fit, from the options: start values, priors, constants and logs."""
         from qrsim.scenarios.vehicle_checks import grams_hint
         from qrsim.studies.identify.constants import CHANNELS, CONSTANTS, PITCH, check_names
-        from qrsim.studies.identify.fit import Prior, Question
+        from qrsim.studies.identify.fit import Question
         from qrsim.studies.identify.starting import starting_values
 
         start = starting_values(self.start, self.separate)
@@ -189,7 +189,7 @@ def _number(option: str, text: str) -> float:
     return value
 
 
-def _prior(option: str, text: str, form: str) -> Any:
+def _prior(option: str, text: str, form: str) -> Prior:
     """Parse a prior VALUE:STD; raises UsageError that shows the expected ``form``."""
     from qrsim.studies.identify.fit import Prior
 

@@ -89,7 +89,7 @@ class Mavlink:
     """Let clients request HIL_STATE_QUATERNION, the true state; without it they get only estimates and readings."""
 
     def run(self) -> None:
-        """Check, compile, serve."""
+        """Check the scenario, compile it, and serve MAVLink until the end."""
         self._check()
         ground = self._address()
         from qrsim.files.interruptions import run_until_signal

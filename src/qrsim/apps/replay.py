@@ -34,7 +34,7 @@ class Replay:
     """Load the Python files and modules that the recorded scenario names; only if you trust its author."""
 
     def run(self) -> int:
-        """Fly, compare, print."""
+        """Fly the run again, compare it with the recording, and print the differences."""
         from qrsim.links.shared.replay import replay
         from qrsim.runs import open_run
         from qrsim.runs.compare import compare_runs

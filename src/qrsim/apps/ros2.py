@@ -101,7 +101,7 @@ class Ros2:
     """End after this simulated time."""
 
     def run(self) -> None:
-        """Check, compile, serve."""
+        """Check the scenario, compile it, and serve ROS 2 until the end."""
         self._check()
         domain = self._domain()
         require("ros2", "'qrsim ros2'")

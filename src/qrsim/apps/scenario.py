@@ -145,7 +145,7 @@ class Schema:
     """
 
     def run(self) -> None:
-        """Print the schema."""
+        """Print the JSON schema of scenario files."""
         import json
 
         from qrsim.scenarios.scenario import json_schema

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -17,6 +17,7 @@ from qrsim.files import Content
 
 if TYPE_CHECKING:
     from qrsim.envs.functional import Functional
+    from qrsim.envs.scoring import Interval, Scored
     from qrsim.tasks.play import Play
 
 MOST_SEEDS = 10_000
@@ -66,7 +67,7 @@ class Score:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Fly, print, draw."""
+        """Fly the episodes of all policies, then print and draw the scores."""
         if not 1 <= self.seeds <= MOST_SEEDS:
             raise UsageError(f"--seeds {self.seeds}: expected 1 to {MOST_SEEDS}")
         if not 0 <= self.first_seed < 2**62:
@@ -122,7 +123,7 @@ class Score:
             return True
         return False
 
-    def _tell(self, task: str, found: list[Any], kept: Path | None) -> None:
+    def _tell(self, task: str, found: list[Scored], kept: Path | None) -> None:
         """Print the policies' scores as a table or JSON."""
         rows = [_row(each, found[0]) for each in found]
         if self.json:
@@ -167,14 +168,14 @@ class Score:
             print(f"dataset: {kept}, minari.load_dataset('{self.dataset}')")
 
 
-def _row(each: Any, first: Any) -> Content:
+def _row(each: Scored, first: Scored) -> Content:
     """Return the scores of a policy as a dict for JSON, with the difference from the first policy."""
     from qrsim.envs.scoring import Interval
 
     less = None if each is first else _told(each.less(first))
     returns = [float(value) for value in each.returns]
     flown = float(each.alive.mean())
-    row = {
+    row: Content = {
         "policy": each.name,
         **_told(each.interval),
         "flown_to_the_end": flown,
@@ -183,15 +184,16 @@ def _row(each: Any, first: Any) -> Content:
     }
     if each.others:
         row["others"] = {fleet: _told(Interval.of(returns)) for fleet, returns in each.others.items()}
-    if each.persons_found is not None:
+    interval = each.persons_found_interval
+    if each.persons_found is not None and interval is not None:
         row["persons_found"] = {
-            **_told(each.persons_found_interval),
+            **_told(interval),
             "episodes": each.persons_found.astype(int).tolist(),
         }
     return row
 
 
-def _told(interval: Any) -> dict[str, float | None]:
+def _told(interval: Interval) -> dict[str, float | None]:
     """Return an interval as a dict for JSON, with NaN as None."""
     numbers = {"mean": interval.mean, "low": interval.low, "high": interval.high}
     return {name: value if value == value else None for name, value in numbers.items()}

@@ -101,7 +101,7 @@ class Serve:
     is needed to view and control the page; nothing is encrypted."""
 
     def run(self) -> None:
-        """Check, compile, serve."""
+        """Check the scenarios, compile them, and serve clients until the end."""
         options = self._options()
         scenario = self._scenario()
         import asyncio
@@ -125,6 +125,7 @@ class Serve:
                 log.say(f"page: {options.view.address}")
 
         async def serve() -> None:
+            """Run the server until it is stopped."""
             await Server(options, tasks, log.say).serve(ready)
 
         try:

@@ -74,7 +74,7 @@ class SlamCommand:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check, fly, solve, report."""
+        """Check the options, fly, solve for the trajectory and landmarks, and report the errors."""
         self._check()
         if self.run_folder is not None:
             self._solve_run(self.run_folder)
@@ -315,6 +315,7 @@ def _write(path: Path, result: Mapping[str, object]) -> None:
 
 
 def _print_json(result: Mapping[str, object]) -> None:
+    """Print the result of a study as JSON."""
     import json
 
     print(json.dumps(result, indent=2, allow_nan=False))

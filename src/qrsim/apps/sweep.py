@@ -68,7 +68,7 @@ class Sweep:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check, fly what is missing, print the path of the store."""
+        """Check the study, fly the missing batches, and print the path of the store."""
         study = self._study()
         from qrsim.extras import require
 

@@ -65,7 +65,7 @@ class Train:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check, train, print."""
+        """Check the options, train the policy, and print the result."""
         self._check()
         require("learn", "qrsim train")
         if self.tensorboard:

@@ -49,7 +49,7 @@ class Validate:
     """Print the JSON of every number instead of the summary."""
 
     def run(self) -> int:
-        """Check, run, write, report."""
+        """Check the recordings, run the comparisons, write the report, and print a summary."""
         from qrsim.engine.settings import use_compilation_cache
         from qrsim.studies.validate.parts import choose, find_recordings, run_parts
 

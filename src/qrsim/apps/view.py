@@ -105,6 +105,7 @@ class View:
             with progress_bar(recording.heading, 1, "{task.completed} of {task.total} frames") as update:
 
                 def told(done: int, total: int) -> None:
+                    """Show how much of the film is written."""
                     update(completed=done, total=total)
 
                 page = export(recording, self.export, told, self.colour)
@@ -269,6 +270,7 @@ class View:
             stop = threading.Event()
 
             def end() -> None:
+                """Stop the page and wake its clock."""
                 stop.set()
                 clock.close()
 

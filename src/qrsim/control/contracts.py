@@ -40,7 +40,7 @@ class Controller(Protocol):
         return self
 
     def estimator(self) -> Estimator | None:
-        """Return the controller's own estimator, run in flight; None without one."""
+        """Return the estimator that the controller runs in flight; None if it has none."""
         return None
 
     def idle_command(self, command: Any) -> object:
@@ -93,7 +93,7 @@ class Guidance(Protocol):
 
     @abstractmethod
     def setpoint(self, state: Any, route: Any) -> object:
-        """Return the set-point (n,) of a state."""
+        """Return the set-point (n,) that vehicles fly to in this state of the guidance."""
 
 
 @record
@@ -155,7 +155,7 @@ class Estimator(Protocol):
         """
 
     def std(self, state: Any) -> Estimate | None:
-        """Return the standard deviations (n,) that the estimator reports, None without."""
+        """Return the standard deviations (n,) that the estimator reports; None if it reports none."""
         return None
 
     def inner(self, state: Any) -> tuple[object, object] | None:

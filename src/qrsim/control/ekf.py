@@ -383,7 +383,7 @@ def _with_accuracy(covariance: Covariance, slow: Vec3, stated: list[Array], wher
     return widened(covariance, {k: jump[k] for k in list(jump)[: len(stated)]}), Vec3(*after)
 
 
-def _shares(readings: Mapping[str, object]) -> tuple[Any, Any]:
+def _shares(readings: Mapping[str, object]) -> tuple[Array | float, Array | float]:
     """Return the shares of a fix's variance on each horizontal axis and on down, 1/3 each without dilutions."""
     level, down = field_of(readings, "hdop"), field_of(readings, "vdop")
     if level is None or down is None:

@@ -5,7 +5,7 @@ See docs/howto/failsafes.md.
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array, lax
@@ -186,7 +186,7 @@ class Failsafes:
     MPC_LAND_SPEED: Array = parameter(
         default=0.7, unit="m/s", doc="speed of a descent, and of a landing near the ground", minimum=0.3, maximum=1.4
     )
-    top: Any = derived(default=None, doc="down coordinate [m] of the ceiling of the area; None: no ceiling")
+    top: Array | None = derived(default=None, doc="down coordinate [m] of the ceiling of the area; None: no ceiling")
     rally: tuple[RallyPoint, ...] = derived(default=(), doc="rally points of the vehicles")
 
     def step(

@@ -9,7 +9,7 @@ Schmidt-Kalman filter whose cross-covariances are zero (Schmidt 1966).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -63,9 +63,9 @@ def unseen(state: KalmanState, scale: Array, sensitivity: Array, gravity: Array)
     return found
 
 
-def along(errors: Sequence[Unseen], sensitivity: Mapping[int, Any]) -> Any:
+def along(errors: Sequence[Unseen], sensitivity: Mapping[int, Array | float]) -> Array | float:
     """Return the variance (n,) that unseen errors add to a weighted sum of errors, by the weights ``sensitivity``."""
-    total = 0.0
+    total: Array | float = 0.0
     for error in errors:
         shared = [factor * error.factors[k] for k, factor in sensitivity.items() if k in error.factors]
         if shared:

@@ -20,8 +20,7 @@ HELD, HELD_SPEED = 0.6, 0.25
 # One so far above it [m], on a path that has been at touchdown speed for so long [s], may have a foot on the ground; it
 # is kept level, because what leans into a wind turns over that foot. At 0.7 m/s this takes 0.29 s, as long as PX4's
 # ``ground_contact`` (MulticopterLandDetector: LNDMC_TRIG_TIME/3 = 0.33 s, LNDMC_Z_VEL_MAX 0.25 m/s), on which its
-# MulticopterPositionControl asks for no horizontal acceleration either. In the air gusts do as much for moments, which
-# a level vehicle can bear and one with idle motors cannot: those wait for HELD.
+# MulticopterPositionControl asks for no horizontal acceleration either. Gusts do so too, so idle motors wait for HELD.
 TOUCHED, STEADY = 0.2, 3.0
 # Until a vehicle has risen so far above where it stood [m] nothing moves it to the side.
 LIFTED = 0.5
@@ -292,6 +291,7 @@ def _slowed_setpoint(due: PathSetpoint, rate: Array, grounded: tuple[Array, Arra
     velocity, acceleration = due.velocity_ned * rate, due.acceleration_ned * (rate * rate)
 
     def upright(vector: Vec3) -> Vec3:
+        """Return a vector (n,) with its horizontal components set to 0 where ``low`` is true."""
         return replace(vector, x=jnp.where(low, 0.0, vector.x), y=jnp.where(low, 0.0, vector.y))
 
     return PathSetpoint(due.position_ned, upright(velocity), upright(acceleration), due.yaw, *grounded)
@@ -377,7 +377,7 @@ def _quintic(leg: Mission, time: Array, ramped: tuple[Array, Array, Array]) -> t
 
 
 def _round(leg: Mission, circle: Orbits, way: Array, speed: Array, along: Array, due: PathSetpoint) -> PathSetpoint:
-    """Return the set-point on a circle, where the leg is one, else ``due``."""
+    """Return the set-point on the circle for vehicles on a circular leg, else ``due``."""
     angle = wrap_angle(way * circle.curvature)
     sine, cosine = sincos(angle)
     north = circle.arm_north * cosine - circle.arm_east * sine

@@ -390,5 +390,5 @@ def _facing(table: Any) -> Facing:
 
 
 def renumbered(legs: Sequence[Leg], number: int) -> list[Leg]:
-    """Return the parts of one leg with ``number`` as their leg's number, the last part marked."""
+    """Return the consecutive legs that make up one planned leg, all with ``number``; the last has ``last`` set."""
     return [replace(leg, number=number, last=i == len(legs) - 1) for i, leg in enumerate(legs)]

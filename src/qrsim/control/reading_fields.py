@@ -19,7 +19,7 @@ def source_of(readings: Mapping[str, Any], field: str) -> str:
 
 
 def field_of(readings: Mapping[str, object], field: str) -> Any:
-    """Return a field of the first reading that has the field, None without."""
+    """Return a field from the first reading that has it; None if no reading does."""
     name = source_of(readings, field)
     return getattr(readings[name], field) if name else None
 

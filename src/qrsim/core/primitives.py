@@ -21,7 +21,7 @@ from jax.interpreters import ad, batching, mlir
 
 def primitive_of(
     name: str,
-    function: Callable[..., Any],
+    function: Callable[..., object],
     elementwise: bool = False,
     parameters: tuple[str, ...] = (),
     shape: Callable[[tuple[int, ...]], tuple[int, ...]] | None = None,

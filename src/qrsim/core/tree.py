@@ -140,15 +140,18 @@ def _register(cls: Any, data: list[str], static: list[str]) -> None:
     keys = [jax.tree_util.GetAttrKey(name) for name in data]
 
     def flatten(item: object) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        """Return the data fields and the static fields of a record."""
         return of_data(item), of_static(item)
 
     def flatten_with_keys(item: object) -> tuple[list[tuple[object, object]], tuple[object, ...]]:
+        """Return the data fields with their keys, and the static fields of a record."""
         return list(zip(keys, of_data(item), strict=True)), of_static(item)
 
     # By place, which is quicker, where a constructor takes parts and settings in this order.
     by_place = [field.name for field in dataclasses.fields(cls) if field.init and not field.kw_only] == data + static
 
     def unflatten(settings: tuple[object, ...], parts: Any) -> object:
+        """Return the record with these values of its static fields (settings) and data fields (parts)."""
         if by_place:
             return cls(*parts, *settings)
         return cls(**dict(zip(data, parts, strict=True)), **dict(zip(static, settings, strict=True)))
@@ -213,11 +216,13 @@ def select(condition: jax.Array, yes: T, no: T) -> T:
 
 
 @overload
-def map_tree(function: Callable[[jax.Array], jax.Array], tree: T, /) -> T: ...
+def map_tree(function: Callable[[jax.Array], jax.Array], tree: T, /) -> T:
+    """Apply a function to each array of one tree."""
 
 
 @overload
-def map_tree(function: Callable[[jax.Array, jax.Array], jax.Array], tree: T, other: T, /) -> T: ...
+def map_tree(function: Callable[[jax.Array, jax.Array], jax.Array], tree: T, other: T, /) -> T:
+    """Apply a function to each pair of corresponding arrays of two trees."""
 
 
 def map_tree(function: Callable[..., jax.Array], tree: T, *others: T) -> T:

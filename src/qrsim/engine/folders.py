@@ -72,7 +72,7 @@ def _open_to_others(path: Path, found: os.stat_result) -> str | None:
 
 @lru_cache(maxsize=64)
 def _warn(path: str, why: str) -> None:
-    """Warn once of each folder."""
+    """Warn once that compiled programs cannot be kept in a folder, with the reason."""
     warn_user(
         f"compiled programs are neither read from {path} nor kept there: {why}. Every start compiles anew; "
         "QRSIM_CACHE_DIR names another place, QRSIM_COMPILATION_CACHE=off does without"

@@ -148,7 +148,7 @@ class Shared:
 
     @classmethod
     def of(cls, tree: object) -> Shared:
-        """Pack a tree of arrays."""
+        """Pack a tree of arrays that all worlds share."""
         host = jax.tree.map(np.asarray, tree)
         layout = Packer(host)
         return cls(tree, layout, layout.pack(host))

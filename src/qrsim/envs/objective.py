@@ -101,7 +101,7 @@ class Reached:
         self._potential = self.potential(batch, self.errors(batch))
 
     def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
-        """Return the rewards (N,)."""
+        """Return the rewards (N,) of a step."""
         before, error = self._potential, self.errors(batch)
         now = self._potential = self.potential(batch, error)
         crashed = np.repeat(terminated, reward.shape[1])

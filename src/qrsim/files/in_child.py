@@ -10,7 +10,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from qrsim.errors import UsageError
 
@@ -59,7 +59,7 @@ class Child:
 
     @property
     def number(self) -> int | None:
-        """Process id of the running child; None without."""
+        """Process id of the running child; None if none runs."""
         return self._process.pid if self._process else None
 
     def call(self, function: Callable[..., T], *arguments: object) -> T:
@@ -174,7 +174,7 @@ def _limit_memory(memory: int) -> None:
 
 def _answer(function: Callable[..., object], arguments: tuple[object, ...]) -> bytes:
     """Return a function's result or error as pickled bytes (kind, content) for the parent."""
-    answer: tuple[str, Any]
+    answer: tuple[str, object]
     try:
         return pickle.dumps(("value", function(*arguments)), pickle.HIGHEST_PROTOCOL)
     except UsageError as error:

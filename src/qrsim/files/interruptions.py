@@ -131,6 +131,7 @@ def run_until_signal(main: Coroutine[object, object, None]) -> None:
         assert task is not None
 
         def handle(number: int, frame: FrameType | None) -> None:
+            """Cancel the task at the first signal; raise at the second, or if the task has not ended in time."""
             if came:
                 _raise(number, frame)
                 return

@@ -19,17 +19,38 @@ from qrsim.core.vectors import Euler, Vec3
 class Library(Protocol):
     """The functions of NumPy and jax.numpy that this package uses from either."""
 
-    def cos(self, x: Floats, /) -> Floats: ...  # noqa: D102
-    def sin(self, x: Floats, /) -> Floats: ...  # noqa: D102
-    def isfinite(self, x: Floats, /) -> Floats: ...  # noqa: D102
-    def ones_like(self, x: Floats, /) -> Floats: ...  # noqa: D102
-    def where(self, condition: npt.ArrayLike, x: Floats | int, y: Floats | int, /) -> Floats: ...  # noqa: D102
-    def stack(self, arrays: Sequence[Floats] | Sequence[Array], /, *, axis: int) -> Floats: ...  # noqa: D102
-    def asarray(self, values: object, dtype: object = None, /) -> Array: ...  # noqa: D102
-    def broadcast_to(self, array: Array, shape: tuple[int, ...], /) -> Array: ...  # noqa: D102
-    def concatenate(self, arrays: Sequence[Array], /) -> Array: ...  # noqa: D102
-    def reshape(self, array: Array, shape: tuple[int, ...], /) -> Array: ...  # noqa: D102
-    def zeros(self, shape: tuple[int, ...], dtype: object, /) -> Array: ...  # noqa: D102
+    def cos(self, x: Floats, /) -> Floats:
+        """Return the cosine of each element [rad]."""
+
+    def sin(self, x: Floats, /) -> Floats:
+        """Return the sine of each element [rad]."""
+
+    def isfinite(self, x: Floats, /) -> Floats:
+        """Return which elements are neither infinite nor NaN."""
+
+    def ones_like(self, x: Floats, /) -> Floats:
+        """Return an array of ones with the shape of ``x``."""
+
+    def where(self, condition: npt.ArrayLike, x: Floats | int, y: Floats | int, /) -> Floats:
+        """Return ``x`` where the condition is true and ``y`` elsewhere."""
+
+    def stack(self, arrays: Sequence[Floats] | Sequence[Array], /, *, axis: int) -> Floats:
+        """Return arrays of one shape joined along a new axis."""
+
+    def asarray(self, values: object, dtype: object = None, /) -> Array:
+        """Return values as an array, of the given dtype if there is one."""
+
+    def broadcast_to(self, array: Array, shape: tuple[int, ...], /) -> Array:
+        """Return an array repeated to a shape."""
+
+    def concatenate(self, arrays: Sequence[Array], /) -> Array:
+        """Return arrays joined along their first axis."""
+
+    def reshape(self, array: Array, shape: tuple[int, ...], /) -> Array:
+        """Return an array with another shape."""
+
+    def zeros(self, shape: tuple[int, ...], dtype: object, /) -> Array:
+        """Return an array of zeros."""
 
 
 def library_of(*values: object) -> Library:

@@ -30,6 +30,7 @@ class EstimateReading(Tabled):
         return [(name, unit, *cells_of(getattr(self, name), columns)) for name, unit in FIELDS.items()]
 
     def _table(self) -> Table:
+        """Return the table of the estimate that is shown: a row for each field, a column for each vehicle."""
         columns = columns_of([f"vehicle {row}" for row in range(self.position_ned.shape[0])])
         return Table("estimate", ("field", "unit", *columns), self._cells(len(columns)))
 
@@ -40,7 +41,7 @@ def estimate_of(state: FleetState, rows: slice) -> EstimateReading:
 
 
 def std_of(state: FleetState, rows: slice) -> EstimateReading | None:
-    """Return the standard deviations that the estimator reports, None without."""
+    """Return the standard deviations that the fleet's estimator reports; None if it reports none."""
     if state.belief is None or state.belief.std is None:
         return None
     return EstimateReading(state.belief.std, rows)

@@ -227,7 +227,7 @@ class FlightMetrics:
 
 
 def _of_all_fleets(state: State, pick: Callable[[FleetState], T]) -> T:
-    """Return ``pick`` of every fleet, concatenated."""
+    """Return an array or record picked from each fleet's state, concatenated over all fleets."""
     return concatenated([pick(fleet) for fleet in state.fleets])
 
 

@@ -40,7 +40,7 @@ class FleetReading(Tabled):
 
     @property
     def estimate_std(self) -> EstimateReading | None:
-        """Standard deviations that the estimator reports, None without."""
+        """Standard deviations that the fleet's estimator reports; None if it reports none."""
         return std_of(self._source.now, self._source.rows)
 
     def __getattr__(self, sensor: str) -> SensorReading:
@@ -66,6 +66,7 @@ class FleetReading(Tabled):
         return rows
 
     def _table(self) -> Table:
+        """Return the table of the fleet's readings that is shown: a row for each field, a column for each vehicle."""
         columns = columns_of(self._source.names)
         title = f"readings of fleet '{self._source.fleet.name}'"
         return Table(title, ("field", "unit", *columns), self._cells(len(columns)))
@@ -204,6 +205,7 @@ class Reading(Tabled):
         return list(self.fleets)
 
     def _table(self) -> Table:
+        """Return the table of the readings of all fleets that is shown: rows are fields, columns vehicles."""
         time = self._world.time_step * self.tick if isinstance(self.tick, int) else self.time
         title = f"reading at {number_text(time)} s"
         parts = [(name, part, columns_of(part._source.names)) for name, part in self._fleets.items()]

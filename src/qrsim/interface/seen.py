@@ -130,6 +130,7 @@ class Part:
 
     @property
     def _each(self) -> tuple[object, ...]:
+        """Return the wrapped tuple, whose entries are still packed."""
         return cast(tuple[object, ...], self._part)
 
     def __getitem__(self, number: int) -> object:

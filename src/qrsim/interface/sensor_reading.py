@@ -209,6 +209,7 @@ class SensorReading(Tabled):
         return rows
 
     def _table(self) -> Table:
+        """Return the table of the reading that is shown: a row for each field, a column for each vehicle."""
         names = range(jax.tree.leaves(self._reading)[0].shape[0]) if self._source is None else self._source.names
         columns = columns_of(list(map(str, names)))
         rows = self._cells(len(columns))

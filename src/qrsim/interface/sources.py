@@ -86,7 +86,7 @@ class FleetSource:
         return _on_host(model.fresh(tick, self.time_step) if transit is None else transit.fresh(tick))
 
     def _delivery(self, sensor: str) -> tuple[Sensor, Transit | None]:
-        """Return a sensor, and its readings in transit, None without a delay."""
+        """Return a sensor, and its delayed readings in transit; None instead of these without a delay."""
         number = self.fleet.sensor_names.index(sensor)
         fitted = self.now.fitted[number] if self.now.fitted else None
         return self.fleet.sensors[number], None if fitted is None else fitted.transit

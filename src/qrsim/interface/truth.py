@@ -46,6 +46,7 @@ class Truth(Tabled):
         return np.concatenate([as_array(pick(self._world, self._state, i)) for i in range(len(self._world.fleets))])
 
     def _table(self) -> Table:
+        """Return the table of the true state that is shown: a row for each quantity, a column for each vehicle."""
         columns = columns_of([name for fleet in self._world.fleets for name in fleet.vehicle_names])
         rows = [(name, unit, *cells_of(getattr(self, name), len(columns))) for name, unit in _UNITS.items()]
         return Table("true state", ("field", "unit", *columns), rows)
@@ -88,6 +89,7 @@ class Truth(Tabled):
         """(n,) collective thrust [N], NaN where a vehicle has none."""
 
         def thrust(world: World, state: State, i: int) -> object:
+            """Return the thrust (n,) [N] of the fleet number ``i``."""
             vehicle = state.fleets[i].vehicle
             found = world.fleets[i].vehicle.load(vehicle).thrust
             # A load may be one number for all.

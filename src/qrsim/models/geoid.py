@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
-from typing import Any, TypeVar, overload
+from typing import TypeVar, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +23,7 @@ from qrsim.models.site import Site
 
 Float64 = npt.NDArray[np.float64]
 Lengths = TypeVar("Lengths", float, NumpyArray)
-Arrays = NumpyArray | Sequence[Any]
+Arrays = NumpyArray | Sequence[float]
 
 # From pole to pole, and around the Earth.
 ROWS, COLUMNS, PER_DEGREE = 721, 1440, 4
@@ -34,15 +34,18 @@ SLOPE_OVER = 2500.0
 
 
 @overload
-def undulation(latitude_deg: float, longitude_deg: float) -> float: ...
+def undulation(latitude_deg: float, longitude_deg: float) -> float:
+    """Return the undulation [m] of one place as a float."""
 
 
 @overload
-def undulation(latitude_deg: Arrays, longitude_deg: npt.ArrayLike) -> Float64: ...
+def undulation(latitude_deg: Arrays, longitude_deg: npt.ArrayLike) -> Float64:
+    """Return the undulations [m] of arrays of places; either argument may be a scalar."""
 
 
 @overload
-def undulation(latitude_deg: npt.ArrayLike, longitude_deg: Arrays) -> Float64: ...
+def undulation(latitude_deg: npt.ArrayLike, longitude_deg: Arrays) -> Float64:
+    """Return the undulations [m] of arrays of places; either argument may be a scalar."""
 
 
 def undulation(latitude_deg: npt.ArrayLike, longitude_deg: npt.ArrayLike) -> float | Float64:

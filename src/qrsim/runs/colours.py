@@ -6,7 +6,7 @@ Nothing else is red but what has stopped. The first ten are told apart by deuter
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -45,7 +45,7 @@ WIND = np.array([(165, 208, 216), (115, 166, 197), (86, 126, 178), (76, 86, 152)
 RATIO = np.array([(20, 50, 130), (120, 138, 175), (216, 216, 216), (232, 212, 110), MISSING], np.float64)
 
 
-def share(colour: Any) -> tuple[float, float, float]:
+def share(colour: Iterable[float]) -> tuple[float, float, float]:
     """Return a colour of three bytes, 0 to 255, as fractions from 0 to 1."""
     red, green, blue = (float(part) / 255.0 for part in colour)
     return red, green, blue

@@ -11,7 +11,6 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -315,7 +314,7 @@ class _Tally:
 
     @property
     def largest_difference(self) -> float:
-        """The largest difference so far, NaN where there is none."""
+        """The largest difference of all rows compared; NaN if there is none."""
         if self.largest is None:
             return math.nan
         x, y = self.largest.values
@@ -373,7 +372,7 @@ def _injection_key(entry: Content) -> str:
 
 def _compare_events(first: Sequence[Event], second: Sequence[Event], tolerance: float) -> EventComparison:
     """Pair events of equal time, vehicle, kind and field in their order; return how many agree, and the others."""
-    groups: dict[tuple[Any, ...], tuple[list[Event], list[Event]]] = {}
+    groups: dict[tuple[int, str, str, str], tuple[list[Event], list[Event]]] = {}
     for side, events in enumerate((first, second)):
         for event in events:
             key = (round(event.time * 1e9), event.vehicle or "", event.kind, event.field or "")

@@ -155,6 +155,7 @@ def _table(headings: Sequence[str], numbers: int) -> Table:
 
 
 def _print_table(table: Table) -> None:
+    """Print a table, with wide rows broken in a terminal and whole in a file."""
     console = Console()
     # A terminal breaks the lines of what is wider, and no number is lost; a file has no width.
     console.width = max(console.width, 120) if console.is_terminal else 200

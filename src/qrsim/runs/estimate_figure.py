@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -27,8 +26,9 @@ from qrsim.runs.picture import (
 from qrsim.runs.quantities import quantities
 from qrsim.runs.reader import Run
 
+Row = tuple[tuple[str, ...], tuple[str, ...], str]
 # Rows of the figure: what is estimated, its axes, and its unit.
-ROWS = {
+ROWS: dict[str, Row] = {
     "position_ned": (("x", "y", "z"), ("north", "east", "down"), "m"),
     "velocity_ned": (("x", "y", "z"), ("north", "east", "down"), "m/s"),
     "attitude": (("roll", "pitch", "yaw"), ("roll", "pitch", "yaw"), "rad"),
@@ -109,9 +109,9 @@ def _column_names() -> list[str]:
     return truth + [f"commands.{kind}.{part}" for kind in ("estimate", "estimate_std") for part in parts]
 
 
-def _rows(errors: dict[str, Floats], values: dict[str, Floats]) -> dict[str, Any]:
+def _rows(errors: dict[str, Floats], values: dict[str, Floats]) -> dict[str, Row]:
     """Return the rows of the figure for which the run has data."""
-    rows: dict[str, object] = dict(ROWS)
+    rows = dict(ROWS)
     if WIND[0][0] in errors:
         rows["wind"] = WIND
     return rows | {what: row for what, row in BIASES.items() if f"commands.estimate.{what}.x" in values}

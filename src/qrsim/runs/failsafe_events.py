@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
+from qrsim.control.failsafe_flight import Failsafes
 from qrsim.control.failsafes import ACTIONS, LEVELS
 from qrsim.files import Content
 from qrsim.simulation.history import History
-from qrsim.world.state import World
+from qrsim.world.state import FleetState, World
 
 FAILSAFE, ENDS = "failsafe", "failsafe_ends"
 # Row, vehicle in the world, kind, field, value and words.
@@ -25,7 +25,7 @@ class FailsafeWatch:
         self._before = [self._rows(state, -1) for state in start.state.fleets]
 
     @staticmethod
-    def _rows(state: Any, row: int | slice) -> Content | None:
+    def _rows(state: FleetState, row: int | slice) -> Content | None:
         """Return the watched parts of a state by name, (T, n) or (n,); None in a fleet without failsafes."""
         own = state.failsafe
         if own is None:
@@ -38,17 +38,19 @@ class FailsafeWatch:
         first = 0
         for number, (fleet, state) in enumerate(zip(self._fleets, history.state.fleets, strict=True)):
             now, before = self._rows(state, slice(None)), self._before[number]
-            if now is not None and before is not None:
+            if now is not None and before is not None and fleet.failsafes is not None:
                 self._before[number] = self._rows(state, -1)
-                yield from self._fleet_events(fleet, state, now, before, first)
+                yield from self._fleet_events(fleet.failsafes, state, now, before, first)
             first += fleet.size
 
     @staticmethod
-    def _fleet_events(fleet: Any, state: Any, now: Content, before: Content, first: int) -> Iterator[Found]:
+    def _fleet_events(
+        failsafes: Failsafes, state: FleetState, now: Content, before: Content, first: int
+    ) -> Iterator[Found]:
         """Yield (row, vehicle, kind, value) of a fleet's failsafe changes."""
         old = {name: np.concatenate([before[name][None], values[:-1]]) for name, values in now.items()}
         flies = state.violation.code == 0
-        acts = fleet.failsafes.COM_GNSSLOSS_ACT != "warn"
+        acts = failsafes.COM_GNSSLOSS_ACT != "warn"
         changes = (
             ("battery", now["level"] > old["level"]),
             ("link", now["link_lost"] & ~old["link_lost"]),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,7 +57,7 @@ class Interferer(NamedTuple):
         return self.start - 1e-6 <= time < self.end - 1e-6
 
 
-def of_scenario(entries: Any) -> tuple[Interferer, ...]:
+def of_scenario(entries: Sequence[Content] | None) -> tuple[Interferer, ...]:
     """Return the interferers under ``world.interference`` of a recorded scenario."""
     return tuple(_parsed_interferer(str(entry["kind"]), entry) for entry in entries or ())
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
+from jax import Array
 
 from qrsim.control import Mission, MissionGuidance, MissionState
 from qrsim.simulation.history import History
@@ -52,7 +52,7 @@ class MissionWatch:
                 yield i, _mission_event(fleet, state, len(now.ticks) - 1, int(vehicle), UNFINISHED)
 
 
-def _progress(state: FleetState, row: int | slice = slice(None)) -> tuple[Any, Any] | None:
+def _progress(state: FleetState, row: int | slice = slice(None)) -> tuple[Array, Array] | None:
     """Return the number of late legs, and whether the mission is finished; None without a mission."""
     now = state.guidance
     return (now.late[row], now.finished[row]) if isinstance(now, MissionState) else None

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -73,7 +74,7 @@ def title_of(run: Run, vehicles: Sequence[str], stopped: int, end: float, mark: 
     return f"{run.info.scenario}, seed {run.info.seed}: {who}{f', {stopped} stopped{mark}' if stopped else ''}, {told}"
 
 
-def name_vehicles(figure: Figure, handles: Sequence[Any], names: Sequence[str]) -> None:
+def name_vehicles(figure: Figure, handles: Sequence[Artist], names: Sequence[str]) -> None:
     """Add a legend of the vehicles' names below the panels."""
     columns = math.ceil(len(names) / 2) if sum(map(len, names)) > 100 else len(names)
     figure.legend(handles, names, loc="outside lower center", ncols=columns, fontsize=9)

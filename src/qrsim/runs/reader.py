@@ -247,6 +247,7 @@ class _Episodes(Run):
 
     @property
     def episodes(self) -> tuple[Run, ...]:
+        """Return each episode of the folder as an opened run."""
         return tuple(open_run(folder, skip_damaged=self._skip_damaged, code=self._code) for folder in self._found)
 
     def __getattr__(self, name: str) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from qrsim.runs.reader import Run
 
@@ -17,7 +16,7 @@ class Setting:
     """A value that differs between two runs: its path, and each run's value or ``ABSENT``."""
 
     path: str
-    values: tuple[Any, Any]
+    values: tuple[object, object]
 
 
 def setting_differences(first: Run, second: Run) -> list[Setting]:
@@ -33,7 +32,7 @@ def setting_differences(first: Run, second: Run) -> list[Setting]:
 
 
 def _scenario(run: Run) -> object:
-    """Return the scenario of a run."""
+    """Return the recorded scenario of a run, as content."""
     return run.scenario
 
 

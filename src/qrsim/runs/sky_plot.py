@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from qrsim.core.arrays import Floats
+from qrsim.core.arrays import Floats, NumpyArray
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.gnss.constellations import satellite_name
 from qrsim.runs.picture import new_figure, title_of
@@ -87,7 +87,7 @@ def _seen(run: Run, vehicle: int) -> dict[str, Floats]:
     return found
 
 
-def _draw(axes: Axes, name: str, seen: dict[str, Floats], where: Any) -> str:
+def _draw(axes: Axes, name: str, seen: dict[str, Floats], where: NumpyArray) -> str:
     """Draw the track of one satellite, and return its system's letter."""
     system = name[0]
     turn, low = seen["azimuth"][where], 90.0 - np.degrees(seen["elevation"][where])

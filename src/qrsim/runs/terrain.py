@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.errors import QrsimError, warn_user
 from qrsim.runs.reader import Run
+
+if TYPE_CHECKING:
+    from qrsim.models.scene.contracts import Ground
 
 
 class Terrain:
@@ -24,7 +27,7 @@ class Terrain:
         world = content.get("world")
         ground = world.get("ground") if isinstance(world, dict) else None
         kind = ground.get("type", "flat") if isinstance(ground, dict) else "flat"
-        self._ground: Any = None
+        self._ground: Ground | None = None
         self._down = 0.0
         if kind == "flat":
             height = ground.get("height", 0.0) if isinstance(ground, dict) else 0.0
@@ -51,7 +54,7 @@ def terrain_of(run: Run) -> Terrain:
     return Terrain(run)
 
 
-def _built(run: Run) -> object:
+def _built(run: Run) -> Ground | None:
     """Return the ground of a run's scenario; None, with a warning, if it can no longer be built."""
     from qrsim.scenarios.build import ground_of
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
 
 import jax
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from qrsim.core.arrays import NumpyArray
 from qrsim.core.tree import record_of
 from qrsim.core.vectors import Vec3
-from qrsim.models.scene.contracts import down_at
+from qrsim.models.scene.contracts import Ground, down_at
 from qrsim.models.scene.zone import Zone, Zones
 from qrsim.models.scene.zones import ZonesArea
 from qrsim.runs.failsafe_events import Found
@@ -26,7 +25,8 @@ class ZoneWatch:
     def __init__(self, world: World):
         area = world.area
         # With arrays of NumPy the decision is computed without compiling, for any number of ticks.
-        self._area: Any = jax.tree.map(np.asarray, area) if isinstance(area, ZonesArea) and area.sets else None
+        zoned = isinstance(area, ZonesArea) and area.sets
+        self._area: ZonesArea | None = jax.tree.map(np.asarray, area) if zoned else None
         self._zones = Zones(area.zones, _ground(area.ground)) if isinstance(area, ZonesArea) else Zones(())
         self._broken: dict[int, Zone | None] = {}
         self._before: NumpyArray | None = None
@@ -76,12 +76,13 @@ def _places(history: History) -> NumpyArray:
     return np.stack([np.concatenate([getattr(one, axis) for one in each], axis=1) for axis in "xyz"], axis=-1)
 
 
-def _ground(ground: object) -> Any:
+def _ground(ground: Ground | None) -> Callable[[float, float], float] | None:
     """Return a function from north and east [m] to the ground's z coordinate [m, down]; None without one."""
     if ground is None:
         return None
 
     def down(north: float, east: float) -> float:
+        """Return the ground's z coordinate [m, down] at a position [m]."""
         place = record_of(Vec3, *(np.array([value], np.float32) for value in (north, east, 0.0)))
         return float(down_at(ground, place)[0])
 

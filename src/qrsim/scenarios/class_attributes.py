@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import jax
 
@@ -14,9 +13,11 @@ from qrsim.models.vehicles.contracts import Vehicle
 from qrsim.tasks.agents import Axis
 
 
-def is_record(value: Any) -> bool:
+def is_record(value: object) -> bool:
     """Return whether a class is a record: a frozen dataclass that is a PyTree of JAX."""
-    own = vars(value).get("__dataclass_params__") if isinstance(value, type) else None
+    if not isinstance(value, type) or not dataclasses.is_dataclass(value):
+        return False
+    own = vars(value).get("__dataclass_params__")
     if own is None or not own.frozen:
         return False
     if inspect.isabstract(value):

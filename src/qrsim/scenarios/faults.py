@@ -102,6 +102,7 @@ def _white_noise(fleet: FleetSpec, sensor: str, scenario: ScenarioSpec) -> dict[
 
 
 def _numbers_given(spec: FaultSpec) -> dict[str, float | None]:
+    """Return the numbers that a fault sets, by name; None for each that it leaves out."""
     return {name: getattr(spec, name) for name in NAMES}
 
 
@@ -193,9 +194,7 @@ def drawn_paths(fleet: FleetSpec, number: int, name: str) -> list[tuple[str | in
 def injectable_of(fleet: FleetSpec, has_radio: bool = True) -> InjectableSpec:
     """Return the targets of a fleet that may fail in flight, with "all" replaced by those it has.
 
-    Args:
-        fleet: of a scenario.
-        has_radio: whether the world has a radio.
+    Without ``has_radio``, whether the world has a radio, no radio is among them.
     """
     spec = fleet.injectable or InjectableSpec.model_validate({})
     if spec.sensors != [ALL]:
@@ -354,6 +353,7 @@ def _moment_problems(
 
 
 def _battery_problems(path: str, fault: BatteryFaultSpec, fleet: FleetSpec) -> Iterator[str]:
+    """Yield the problems of a fault of a battery."""
     if not known.BATTERIES[fleet.battery.type].drains:
         yield f"{path}.type: a battery of type '{fleet.battery.type}' has no charge that it could lose"
     if fault.charge is None and fault.health is None:
@@ -363,6 +363,7 @@ def _battery_problems(path: str, fault: BatteryFaultSpec, fleet: FleetSpec) -> I
 
 
 def _rotor_problems(path: str, fault: RotorFaultSpec, fleet: FleetSpec) -> Iterator[str]:
+    """Yield the problems of a fault of a rotor."""
     if fault.speed is not None and fault.health > 0.0:
         yield f"{path}.health: a rotor that is stuck at a speed has none"
     if not issubclass(known.VEHICLES[fleet.vehicle.type], Multirotor):

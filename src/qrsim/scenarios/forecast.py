@@ -63,7 +63,7 @@ def turbulence_speed(sigma: float, height: float) -> float:
 
 
 def _unknown(wind: Mapping[str, object], forecast: bool) -> str:
-    """Return the problem of an unknown parameter of the wind, "" without one.
+    """Return the problem of an unknown parameter of the wind; "" if all are known.
 
     Args:
         wind: without the names of forecasts.

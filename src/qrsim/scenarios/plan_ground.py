@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -33,7 +32,7 @@ class PlanGround:
         return bool(self._scenario.world.ground.type != "flat")
 
     @cached_property
-    def _ground(self) -> Any:
+    def _ground(self) -> Ground | None:
         """Ground of the scenario, built at first use; None if it cannot be built."""
         return build.ground_if_any(self._scenario)
 

@@ -222,10 +222,10 @@ def _check_battery_state(self: Any, args: object, result: Any) -> Iterator[str]:
 
 
 def _check_voltage(self: object, args: Any, result: object) -> Iterator[str]:
+    """Yield problems of a voltage; by contract it or the state may be None, but both mean a forgotten return."""
     if result is not None:
         yield from _array("the voltage", result, _own(self))
     elif args[0] is None:
-        # By contract either may be None, but both are only where a return was forgotten.
         yield (
             f"it returned None, and so did init; expected a voltage, an array of shape {_own(self)}, or a state (a "
             "battery without either is the type 'given')"

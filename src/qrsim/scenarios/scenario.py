@@ -76,7 +76,7 @@ class Scenario(Tabled):
 
     @property
     def name(self) -> str:
-        """Short name."""
+        """Short name of the scenario."""
         return self.spec.name
 
     @property
@@ -118,7 +118,7 @@ class Scenario(Tabled):
         return build.build_world(self.spec, precision)
 
     def task(self, precision: str = "float32") -> Any:
-        """Build its task, with numbers as arrays of ``precision``; ``NoTask`` if it has none."""
+        """Build the scenario's task, with numbers as arrays of ``precision``; ``NoTask`` if it has none."""
         return build.build_task(self.spec, precision)
 
     def __reduce__(self) -> tuple[object, ...]:

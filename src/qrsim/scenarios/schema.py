@@ -274,7 +274,7 @@ class FleetSpec(Strict):
     @model_validator(mode="before")
     @classmethod
     def _guidance_of_the_controller(cls, data: object) -> object:
-        """Fill in controller and guidance: the vehicle's controller and what fits it."""
+        """Fill in the vehicle's default controller, and the guidance that fits it."""
         if not isinstance(data, dict):
             return data
         data = _with_controller({"vehicle": cls.model_fields["vehicle"].default, **data})

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
 from functools import partial
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from pydantic import GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
@@ -62,7 +62,7 @@ def _validated(make: Maker, value: object) -> Strict:
     return make().model_validate(value)
 
 
-def slot(makers: Callable[[], Mapping[str, Maker]], key: str = "type") -> Any:
+def slot(makers: Callable[[], Mapping[str, Maker]], key: str = "type") -> object:
     """Return the pydantic annotation of a slot; its content is validated by the model of its ``key``."""
     return type("Slot", (Slot,), {"makers": staticmethod(makers), "key": key})
 

@@ -115,6 +115,7 @@ def _trace_first_tick(scenario: ScenarioSpec, kinds: dict[type, str]) -> None:
         """Return a part of the world with watched components in place of those from outside."""
 
         def watch(item: Any) -> object:
+            """Return an item as a watched component if its class is from outside, and else unchanged."""
             own: Any = type(item)
             if own not in kinds:
                 return item
@@ -234,6 +235,7 @@ def _with_checks(component: type, kind: str, name: str, method: Callable[..., ob
 
     @wraps(method)
     def called(self: object, *args: object, **kwargs: object) -> object:
+        """Call the method, and raise FaultError with its place if it fails or returns a wrong result."""
         if draws and not getattr(self, "draws_alone", False):
             args = tuple(_Counted(arg, (component, name)) if isinstance(arg, Draw | Drawn) else arg for arg in args)
         try:

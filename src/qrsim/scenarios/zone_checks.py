@@ -138,6 +138,7 @@ def _along(begin: Triple, end: Triple, shares: Floats, downs: Floats) -> GroundD
     square = dx * dx + dy * dy
 
     def down(north: float, east: float) -> float:
+        """Return the ground's z coordinate [m, down] at the nearest point of the way."""
         share = ((north - begin[0]) * dx + (east - begin[1]) * dy) / square if square else 0.0
         return float(np.interp(share, shares, downs))
 
@@ -228,5 +229,6 @@ def _corners(place: Triple, leg: Any) -> list[Triple]:
 
 
 def _triple(point: list[float]) -> Triple:
+    """Return a point of a list as a tuple: north, east, down [m]."""
     north, east, down = point
     return north, east, down

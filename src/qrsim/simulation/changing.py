@@ -217,7 +217,7 @@ def _with_leg(course: Course, to: float, when: tuple[int, int, int], turns: bool
 
 
 def _value(legs: Sequence[_Leg], tick: int, dtype: Any) -> float:
-    """Return the value of a course's legs at a tick, rounded to the dtype in which it is stored."""
+    """Return the value, at a tick, of a course of changes given as legs, rounded to the stored dtype."""
     if not legs:
         return 0.0
     leg = legs[-1]

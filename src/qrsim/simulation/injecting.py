@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from numbers import Integral
 from pathlib import Path
 from typing import Any
@@ -46,7 +47,7 @@ class Injecting(Alone):
 
     world: World
     tick: int
-    precision_context: Callable[[], Any]
+    precision_context: Callable[[], AbstractContextManager[object]]
     _ticks: OneWorld
     _state: Buffers | None
 

@@ -87,7 +87,10 @@ class Injected(Tabled, tuple[Injection, ...]):
         return tuple(self), self.time_step
 
     def _table(self) -> Table:
+        """Return the table of the injections that is shown, one a row."""
+
         def seconds(tick: int) -> str:
+            """Return a tick as a time in text; "" for an injection that never ends."""
             return f"{tick * self.time_step:g} s" if tick < LAST_TICK else ""
 
         rows = [

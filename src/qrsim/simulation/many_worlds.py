@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 import jax
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.engine.backend import Extent, Function, Worlds
 from qrsim.interface.metrics import FLIGHT_METRICS
 from qrsim.simulation.block_parts import Carry, Setup, begin_world, tick_of_world
@@ -27,7 +28,9 @@ class Flight(Worlds):
         devices: that B is a multiple of.
     """
 
-    def __init__(self, setup: Setup, fixed: list[Any], own: list[Any], keys: WorldKeys, vehicles: int, devices: int):
+    def __init__(
+        self, setup: Setup, fixed: list[NumpyArray], own: list[NumpyArray], keys: WorldKeys, vehicles: int, devices: int
+    ):
         count = len(jax.tree.leaves(keys)[0])
         dtype = next((leaf.dtype for leaf in [*fixed, *own] if leaf.dtype.kind == "f"), np.dtype(np.float32))
         extent = Extent(vehicles, np.dtype(dtype), count, devices, setup.mesh)
@@ -50,7 +53,7 @@ def _tick(setup: Setup, fixed: Sequence[object], own: tuple[list[Any], Any], car
     return tick_of_world(setup, fixed, own[0], carry, tick, own[1])
 
 
-def _function(name: str, call: Any, setup: Setup) -> Function:
+def _function(name: str, call: Callable[..., object], setup: Setup) -> Function:
     """Return a function of one world for the compiler, with the key of its compiled program."""
     # Only setups of this package's own code can be identified by their structure in another process.
     measured = () if setup.metrics is FLIGHT_METRICS else (type(setup.metrics).__name__,)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from jax import Array
+
 from qrsim.engine.backend import Extent, Function, Program, Specialised
 from qrsim.engine.layout import Buffers, Packer, Shared, aligned_copy
 from qrsim.engine.settings import chosen_compiler
@@ -24,7 +26,7 @@ def _tick(world: World, own: tuple[Any, Any], state: State, tick: Any) -> State:
     return ticks_of.step(world, state, tick, *own[1])
 
 
-def _place(world: World, own: tuple[Any, Any], state: State, tick: object) -> State:
+def _place(world: World, own: tuple[Any, Any], state: State, tick: Array) -> State:
     """Return the state with vehicles placed, with the argument order of compiled functions."""
     return place(world, own[1], state, tick)
 

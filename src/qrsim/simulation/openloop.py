@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +12,7 @@ from qrsim.core.arrays import NumpyArray
 from qrsim.core.pairs import parts_of
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Euler, Vec3
+from qrsim.models.vehicles.contracts import VehicleState
 from qrsim.models.vehicles.moving import move
 from qrsim.models.vehicles.process_noise import ProcessNoise
 from qrsim.models.vehicles.quadrotor import Command, Quadrotor, QuadrotorState
@@ -28,14 +28,18 @@ def _scan(
     noise = ProcessNoise(still, still)
     wind = Vec3.of(wind_body)
 
-    def tick(carry: tuple[QuadrotorState, Vec3 | None], row: jax.Array) -> tuple[Any, jax.Array]:
+    def tick(
+        carry: tuple[VehicleState, Vec3 | None], row: jax.Array
+    ) -> tuple[tuple[VehicleState, Vec3 | None], jax.Array]:
         """Return the state after one command (5,), and a row of the state with the specific force."""
         command = Command(*(row[i] for i in range(5)))
         state, low, force = move(vehicle, *carry, command, lambda trig: wind, noise, dt)
         return (state, low), jnp.stack([*jax.tree.leaves(state), force.x, force.y, force.z])
 
     leaves = [initial[i] for i in range(13)]
-    start = QuadrotorState(Vec3(*leaves[:3]), Euler(*leaves[3:6]), Vec3(*leaves[6:9]), Vec3(*leaves[9:12]), leaves[12])
+    start: VehicleState = QuadrotorState(
+        Vec3(*leaves[:3]), Euler(*leaves[3:6]), Vec3(*leaves[6:9]), Vec3(*leaves[9:12]), leaves[12]
+    )
     low = Vec3.of(rest[:3]) if like.dtype == jnp.float32 else None
     return jax.lax.scan(tick, (start, low), commands)[1]
 

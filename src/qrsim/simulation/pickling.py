@@ -11,7 +11,7 @@ from qrsim.core.structure import kinds
 from qrsim.files.code import FileModules, files_of, load_files
 
 
-def with_files(item: Any, tree: object, protocol: Any) -> tuple[Any, ...] | None:
+def with_files(item: object, tree: object, protocol: int | None) -> tuple[object, ...] | None:
     """Return the ``__reduce_ex__`` result for an object with classes from users' files; None without such classes.
 
     Args:

@@ -37,7 +37,7 @@ class Pilot:
         self.policy = user_function("policy", policy)
         self.estimator = user_function("estimator", estimator)
         self.policy_ticks = policy_ticks
-        self.command: Any = None
+        self.command: object = None
         self._checker = ActionChecker(simulation.world, simulation.dtype)
         self.memories = {}
         for function in (self.policy, self.estimator):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from qrsim.core.arrays import DType, Floats
 from qrsim.core.pairs import parts_of
@@ -15,6 +15,7 @@ from qrsim.core.tree import replace, select
 from qrsim.core.vectors import Euler, Vec3
 from qrsim.errors import UsageError
 from qrsim.models.scene.area import Violation, collisions, reason_text
+from qrsim.models.vehicles.contracts import VehicleState
 from qrsim.world.air import weather_at
 from qrsim.world.checking import own_checks
 from qrsim.world.episode import surroundings
@@ -25,7 +26,7 @@ from qrsim.world.state import Fleet, FleetState, State, World
 WIDTHS = (3, 6, 12, 13)
 
 
-def place(world: World, given: tuple[Any, Any, Any], state: State, tick: Any) -> State:
+def place(world: World, given: tuple[Array, Array, Array], state: State, tick: Array) -> State:
     """Return the state with vehicles placed in given states, their sensors, controllers and noise restarted.
 
     That is their sensors, estimates and control loops, the gusts around them, and the specific force. They keep their
@@ -64,7 +65,7 @@ def place(world: World, given: tuple[Any, Any, Any], state: State, tick: Any) ->
     return replace(state, fleets=_checked(world, tuple(fleets), chosen))
 
 
-def _vehicles(fleet: Fleet, rows: Any) -> Any:
+def _vehicles(fleet: Fleet, rows: Array) -> VehicleState:
     """Return the states of a fleet's vehicles from rows (n, 13)."""
     columns = [rows[:, i] for i in range(13)]
     vehicle = fleet.vehicle.initial_state(
@@ -73,7 +74,7 @@ def _vehicles(fleet: Fleet, rows: Any) -> Any:
     return fleet.vehicle.with_thrust(vehicle, columns[12])
 
 
-def _checked(world: World, fleets: tuple[FleetState, ...], chosen: Any) -> tuple[FleetState, ...]:
+def _checked(world: World, fleets: tuple[FleetState, ...], chosen: Array) -> tuple[FleetState, ...]:
     """Return the fleets with placed vehicles checked against limits and collisions."""
     together = jax.tree.map(lambda *parts: jnp.concatenate(parts), *(fleet.vehicle.position_ned for fleet in fleets))
     collided = collisions(together, world.collision_distance, world.radii)

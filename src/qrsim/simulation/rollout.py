@@ -63,6 +63,7 @@ class Rollout(Tabled):
     __repr__ = Tabled.__repr__
 
     def _table(self) -> Table:
+        """Return the table of the metrics that is shown: least, median and greatest over the worlds."""
         count = len(self.seeds)
         recorded = f"; recorded at {len(self.record_ticks)} ticks" if len(self.record_ticks) else ""
         vehicles = shortened(", ".join(self.vehicles))

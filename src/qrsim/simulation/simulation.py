@@ -107,6 +107,7 @@ class Simulation(Radios, Injecting, Tabled):
                 self._state = self._ticks.adopt(self._state)
 
     def _table(self) -> Table:
+        """Return the table of the vehicles that is shown: position, velocity and state of each."""
         where = f"at {number_text(self.time, 9)} s, tick {self.tick}" if self._state is not None else "not started"
         title = f"simulation '{self.name}' {where}, seed {self.seed}, {self.precision}"
         if self._state is None:
@@ -122,7 +123,7 @@ class Simulation(Radios, Injecting, Tabled):
 
     @property
     def precision(self) -> str:
-        """float32 or float64."""
+        """Floating-point type of the simulation: float32 or float64."""
         return self.dtype.name
 
     @property

@@ -26,7 +26,7 @@ from qrsim.models.scene.area import REASONS
 from qrsim.models.scene.terrain import OCCLUSION
 from qrsim.simulation.archive import DamagedError, OtherNamesError, read_archive
 from qrsim.simulation.arguments import LARGEST_TICK
-from qrsim.world.state import Fleet, FleetState, State, World
+from qrsim.world.state import Fleet, FleetState, State, World, WorldKeys
 
 FORMAT = 5
 NAMES = ("format", "floats", "integers", "tick", "seed", "number", "name", "world", "injections")
@@ -132,7 +132,7 @@ class SavedState:
                 raise UsageError(f"saved state: it is damaged: {values[(values & ~1) != 0][0]} is neither 0 nor 1")
         return self.floats, self.integers
 
-    def check_state(self, world: World, state: State, keys: Any) -> None:
+    def check_state(self, world: World, state: State, keys: WorldKeys) -> None:
         """Raise UsageError for a state that is impossible in a world.
 
         Args:
@@ -254,7 +254,7 @@ def _without_infinity(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, ob
         yield "controller", (state.controller, state.setpoint)
 
 
-def _floats(where: str, tree: object, flies: Any = None) -> Iterator[tuple[str, NumpyArray]]:
+def _floats(where: str, tree: object, flies: NumpyArray | None = None) -> Iterator[tuple[str, NumpyArray]]:
     """Yield ``where`` with each float array in a tree, only rows of flying vehicles if ``flies`` is given."""
     for leaf in jax.tree.leaves(tree):
         if np.issubdtype(leaf.dtype, np.floating):

@@ -147,11 +147,11 @@ class Episodes:
 
     @property
     def late(self) -> tuple[str, ...]:
-        """Names of the observation's parts that ``look`` returns; () if all are computed with the step."""
+        """Names of the parts of an observation that ``look`` computes on demand; () for none."""
         return tuple(self._play.task.later(self._play.world)) if self._worlds.looks else ()
 
     def look(self, rows: NumpyArray | None = None) -> dict[str, NumpyArray]:
-        """Return the ``late`` parts of observations, of all episodes or of some rows, (b, n, ...).
+        """Return the parts named in ``late`` of the observations, of all episodes or of some rows, (b, n, ...).
 
         Agents that have stopped see what they saw last. The caller owns the arrays.
         """
@@ -171,6 +171,6 @@ class Episodes:
         return replace(step, observation=_merged(step.observation, late)), truth
 
     def episode(self, row: int) -> Episode:
-        """Return the episode in a row."""
+        """Return the episode in a row of the batch."""
         found: Episode = jax.tree.map(lambda leaf: leaf[row], self._worlds.get(lambda progress: progress.episode))
         return found

@@ -102,7 +102,7 @@ class View:
         return lib.stack(columns, axis=-1).clip(-1.0, 1.0)
 
     def _turn(self, columns: Any) -> Any:
-        """Return cosine and sine (N,) of the heading of the inputs, by observed columns (N,); None: north."""
+        """Return cosine and sine (N,) of the heading by which inputs are rotated; None if the view rotates nothing."""
         if self.ahead is not None:
             lib = library(columns[0])
             north, east = (columns[number] for number in self.ahead)

@@ -34,7 +34,7 @@ class _Graph:
         return name
 
     def apply(self, operator: str, *inputs: str, name: str = "", **attributes: Any) -> str:
-        """Add an operator."""
+        """Add an operator to the graph, and return the name of its result."""
         result = name or f"{operator.lower()}_{len(self.nodes)}"
         self.nodes.append(self._node(operator, list(inputs), [result], **attributes))
         return result
@@ -74,6 +74,7 @@ def onnx_model(file: PolicyFile) -> bytes:
     graph.limited(moved, 1.0, ACTION)
 
     def numbers(name: str, size: int) -> Any:
+        """Return ONNX's description of a float array with ``size`` numbers for each vehicle."""
         return helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, ["vehicles", size])
 
     given = [numbers(OBSERVATION, len(view.observed)), numbers(LAST, len(view.flown))]

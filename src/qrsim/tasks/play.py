@@ -181,7 +181,7 @@ class Play:
             return Progress(ended, commands, step, self.truth(ended), self._shot(ended.state, progress.shot))
 
         def going() -> Progress:
-            """Return the progress within a step."""
+            """Return the progress after a tick that does not end the step."""
             return Progress(after, commands, progress.last, progress.truth, progress.shot)
 
         return lax.cond(number == self.ticks - 1, judged, going)

@@ -85,12 +85,12 @@ class PlumeMapping(Task):
         free = jnp.arange(self.locations) < self.anywhere
 
         def place(look: Array) -> Vec3:
-            """Return a random point in the area."""
+            """Return a random point in the area for draw number ``look``."""
             bounds = [(getattr(world.area, f"{axis}_min"), getattr(world.area, f"{axis}_max")) for axis in "xyz"]
             return Vec3(*(uniform(draw, 3 * look + i, low, high) for i, (low, high) in enumerate(bounds)))
 
         def again(now: tuple[Array, Vec3, Array]) -> tuple[Array, Vec3, Array]:
-            """Draw another point unless the last one was good enough."""
+            """Draw another point, unless the last one was accepted."""
             look, kept, done = now
             tried = place(look)
             taken = Vec3(*(jnp.where(done, getattr(kept, axis), getattr(tried, axis)) for axis in "xyz"))

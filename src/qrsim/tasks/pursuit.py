@@ -136,7 +136,7 @@ class Pursuit(Task):
         return jnp.concatenate(parts, axis=-1)
 
     def sees(self, world: World) -> Any:
-        """Describe the values of an observation."""
+        """Return a description of each value of an observation."""
         sizes = {fleet.name: fleet.size for fleet in world.fleets}
         cats, mice = sizes[self.fleet], sizes[self.prey]
         of_cats = _seen_axes(0 if self.senses else mice, "mouse", 0 if self.senses else cats, "cat")

@@ -242,7 +242,7 @@ def _watch(play: Play, carried: object, states: object, first: Array, count: Arr
             return play.rewarded(episode)
 
         def going() -> Judged:
-            """Return no reward within a step."""
+            """Return no reward for a tick that does not end the step."""
             empty = jax.eval_shape(judged).reward
             return Judged(memory, jnp.zeros(empty.shape, empty.dtype), jnp.ones((), bool), before[1])
 

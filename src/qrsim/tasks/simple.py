@@ -288,7 +288,7 @@ class KeepVelocity(Commanded):
     velocity_down: Array = parameter(default=0.0, unit="m/s", doc="wanted velocity over ground, down")
 
     def sees(self, world: World) -> tuple[Axis, ...]:
-        """Describe the values of an observation."""
+        """Return a description of each value of an observation."""
         lacking = tuple(Axis(f"wanting_{name}", "m/s") for name in ("north", "east", "down"))
         return (*BELIEVED, *lacking, *sensed_axes(world, self.fleet, self.senses))
 

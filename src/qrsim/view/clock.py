@@ -48,6 +48,7 @@ class Clock:
 
     @speed.setter
     def speed(self, speed: float) -> None:
+        """Set the speed, in simulated seconds per second, from now on."""
         with self._changed:
             self._speed, self._anchor = checked_speed(speed), self._now()
             self._changed.notify_all()
@@ -59,6 +60,7 @@ class Clock:
 
     @playing.setter
     def playing(self, playing: bool) -> None:
+        """Start or pause the clock."""
         with self._changed:
             self._playing, self._anchor = playing, self._now()
             self._changed.notify_all()

@@ -100,7 +100,7 @@ class Persons(Contents):
         self._handle: Any = None
 
     def look(self, beside: Beside, time: float) -> None:
-        """Colour the pins of found persons."""
+        """Colour the pins of persons that are found at a time [s]."""
         persons = beside.contents.persons
         there, found = np.asarray(persons.there), np.asarray(persons.found_tick) >= 0
         colours = shapes.linear(np.where(found[:, None], FOUND_COLOUR, MISSING_COLOUR))

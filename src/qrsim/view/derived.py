@@ -64,7 +64,7 @@ def _length(values: Floats) -> Floats:
 
 
 def _beyond(read: Read) -> Floats:
-    """Return the largest of the axes' errors (T, n) of the estimated position, in standard deviations; NaN without."""
+    """Return the error of the estimated position (T, n), of the worst axis in standard deviations; NaN without any."""
     std = vector(read, STD)
     error = np.abs(vector(read, ESTIMATE) - vector(read, TRUE))
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -64,7 +64,7 @@ def _of_fleet(fleet: Any, state: FleetState) -> dict[str, Floats]:
         return np.stack([np.broadcast_to(np.asarray(axis), (size,)) for axis in vars(value).values()], axis=-1)
 
     def one(value: object) -> Floats:
-        """Return a number for each vehicle."""
+        """Return a value as one number (n,) for each vehicle of the fleet."""
         return np.broadcast_to(np.asarray(value, np.float64), (size,))
 
     pose = fleet.vehicle.pose(state.vehicle)
@@ -93,6 +93,7 @@ class RecordedDetails:
 
     @cached_property
     def _truth(self) -> Columns:
+        """Return the columns of the true state: velocity, attitude and single quantities."""
         truth = self._run["truth"]
         ones = {name: (column,) if column in truth else None for name, column in _OF_TRUTH.items()}
         parts = {"velocity": ("velocity_body", AXES), "attitude": ("attitude", ANGLES)}
@@ -100,6 +101,7 @@ class RecordedDetails:
 
     @cached_property
     def _commands(self) -> Columns:
+        """Return the columns of the estimate and of the waypoint that the vehicle flies to."""
         columns = self._run["commands"].columns() if "commands" in self._run else ()
         parts = {"believed": "estimate.position_ned", "std": "estimate_std.position_ned"}
         found = {name: vector(self._run, "commands", of, AXES) for name, of in parts.items()}
@@ -107,7 +109,7 @@ class RecordedDetails:
 
     @cached_property
     def modes(self) -> list[tuple[float, int, str]]:
-        """Return times [s], vehicles and words of changes of failsafes, in order."""
+        """Return (time [s], vehicle, text) of each change of a failsafe, in order of time."""
         numbers = {name: i for i, name in enumerate(self._run.vehicles)}
         try:
             events = self._run.events if EVENTS in self._run else []

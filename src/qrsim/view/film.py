@@ -42,7 +42,7 @@ Progress = Callable[[int, int], None]
 
 
 def untold(done: int, total: int) -> None:
-    """Ignore the progress."""
+    """Ignore the progress of a film; the default of ``progress``."""
 
 
 def export(
@@ -239,7 +239,7 @@ class _Film:
         return text.replace("<body>", f"<body>{loading_element(self._recording.heading)}", 1)
 
     def parts(self, tape: Tape, progress: Progress) -> Iterator[str]:
-        """Yield the text of each part of the film."""
+        """Draw all frames, and yield each FRAMES_OF_A_PART of them as text for the film's HTML file."""
         for first in self.first:
             positions = []
             for number, time in enumerate(self._times[first : first + FRAMES_OF_A_PART].tolist(), first):

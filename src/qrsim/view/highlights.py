@@ -87,7 +87,7 @@ def _first_above(own: Series, name: str, level: float) -> tuple[float, int] | No
 
 
 def _outside(own: Series) -> Iterator[Highlight]:
-    """Yield when an estimate first left its 95 % band."""
+    """Yield a highlight for the first time that an estimate left its 95 % band."""
     first = _first_above(own, "derived.estimate_error_sigmas", BAND)
     if first is not None:
         yield first[0], f"estimate first outside its 95 % band: {_named(own, first[1])}"

@@ -26,7 +26,7 @@ class LabelStates(Layer):
     of_chosen = always = True
 
     def begin(self) -> None:
-        """Start without lines."""
+        """Start without lines in the labels."""
         self.tell: Callable[[dict[int, list[str]]], None] = lambda lines: None
 
     def draw(self, frame: Frame) -> None:

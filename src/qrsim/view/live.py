@@ -300,6 +300,7 @@ class LiveView:
 
         @button.on_click
         def _(_: object) -> None:
+            """Request the wind of the two sliders."""
             self.ask(wind(speed.value, bearing.value))
 
 

@@ -30,5 +30,5 @@ if (!window.qrsim) {{
 
 
 def loading_element(what: str) -> str:
-    """Return the same as an element of an exported page."""
+    """Return the text shown while an exported page loads, as an HTML element."""
     return f'<div id="{ELEMENT}" style="{STYLE}">loading {html.escape(what)} ...</div>'

@@ -218,6 +218,7 @@ class Page:
 
         @buttons.on_click
         def _(_: object) -> None:
+            """Step, play or pause the clock, and update the text of the shown frame."""
             if buttons.value == "step":
                 clock.step()
             else:
@@ -228,6 +229,7 @@ class Page:
 
         @speed.on_update
         def _(_: object) -> None:
+            """Set the clock's speed to the chosen one."""
             clock.speed = next(s for s in clock.speeds if _speed_name(s) == speed.value)
 
     def _add_layers(self) -> None:
@@ -346,6 +348,7 @@ class Page:
 
 
 def _speed_name(speed: float) -> str:
+    """Return the label of a speed in the page's menu."""
     return "as fast as can be" if math.isinf(speed) else f"{speed:g} x"
 
 

@@ -92,7 +92,7 @@ class Paints:
         self._kept: dict[str, Paint] = {}
 
     def of(self, name: str) -> Paint:
-        """Return the colours of a quantity.
+        """Return the colours by which vehicles show a quantity.
 
         Raises:
             UsageError: the run has no such quantity.
@@ -106,7 +106,7 @@ class Paints:
         return self._kept[name]
 
     def _made(self, name: str) -> Paint:
-        """Return the colours of a quantity, from its values at all times."""
+        """Return the colours of a quantity, spread over its values at all times."""
         if name in self._computed:
             unit, stream, columns, compute = self._computed[name]()
         else:

@@ -183,7 +183,7 @@ def _packed(head: dict[str, object], values: Floats | None = None) -> bytes:
 
 
 def _time(event: Event) -> float:
-    """Return when an event was [s]."""
+    """Return the time of an event [s]."""
     return event.time
 
 

@@ -122,7 +122,7 @@ def rays_of_film(rays: Rays) -> dict[str, object]:
 
 
 def ray_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return the layer of a world with a receiver that reports single satellites."""
+    """Return a list with the layer of satellite rays; [] unless a receiver reports single satellites."""
     sensors = (sensor for fleet in world.fleets for sensor in fleet.sensors)
     told = any(isinstance(sensor, ReceiverParameters) and sensor.per_satellite for sensor in sensors)
     return [Rays(stage, world)] if told else []

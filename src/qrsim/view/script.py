@@ -13,6 +13,7 @@ class _Script(RunJavascriptMessage, include_in_scene_serialization=True):
     kind = ""
 
     def redundancy_key(self) -> str:
+        """Return the key by which a later script of this kind replaces this one."""
         return f"qrsim-{self.kind}"
 
 

@@ -207,7 +207,7 @@ def open_several(
 
 
 def _details(frame: Frame) -> Callable[[], Details]:
-    """Return what reads the details of a frame of a recording."""
+    """Return a function that reads the details of a frame of a recording."""
     assert frame.details is not None
     return frame.details
 

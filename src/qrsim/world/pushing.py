@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -13,10 +12,11 @@ from qrsim.core.vectors import Vec3, rotation
 from qrsim.models.vehicles.contracts import Vehicle, VehicleState
 from qrsim.world.state import Fleet
 
+# A vehicle one step later, the remainder of its position [m], and its mean specific force [m/s^2].
+Moved = tuple[VehicleState, Vec3 | None, Vec3]
 
-def pushed(
-    fleet: Fleet, vehicle: VehicleState, step: Callable[[VehicleState], tuple[Any, ...]], tick: Array, dt: float
-) -> tuple[Any, ...]:
+
+def pushed(fleet: Fleet, vehicle: VehicleState, step: Callable[[VehicleState], Moved], tick: Array, dt: float) -> Moved:
     """Return the results of ``step`` for vehicles (n,), with the pushes that act added.
 
     Half of the change of velocity comes before the step, and half after it (Strang splitting), so that a free vehicle

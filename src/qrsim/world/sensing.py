@@ -172,7 +172,7 @@ def _believed(
     due: Array,
     after: Array,
 ) -> Belief | None:
-    """Return the belief of the fleet's own estimator after a step with the present readings; None without.
+    """Return the fleet's belief after a step with the present readings; None if it has no estimator.
 
     Vehicles that are not ``valid`` (n,) keep their last estimate, with zero velocity: without new readings, a filter
     would go on predicting their flight.
@@ -195,7 +195,7 @@ def first_belief(
     fleet: Fleet,
     state: FleetState,
     firsts: Sequence[tuple[object, Record]],
-    draws: dict[str, Any],
+    draws: dict[str, Noise],
     readings: dict[str, Record],
     start: Estimate,
 ) -> Belief | None:

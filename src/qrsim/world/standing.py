@@ -166,7 +166,7 @@ def _depth(world: World, pose: Pose, low: Vec3 | None) -> Array:
 
 
 def _touch(world: World, pose: Pose) -> tuple[Array, Array]:
-    """Return the speed (n,) [m/s], and the tilt (n,) [rad] from the ground's normal, at the ground."""
+    """Return speed (n,) [m/s] and tilt from the ground's normal (n,) [rad] of vehicles that touch the ground."""
     normal = world.ground.normal(pose.position_ned)
     return pose.velocity_body.norm(), jnp.arccos(jnp.clip(-normal.dot(rotation(pose.attitude).down), -1.0, 1.0))
 

@@ -70,8 +70,7 @@ class Saying:
 class Piloted:
     """A command that bypasses guidance and controller of a fleet, which continue to run.
 
-    Firmware of others flies by it: the tilt and throttle of the controller are logged as the fleet's command, and are
-    the stick input of the next tick.
+    External firmware uses it: the controller's tilt and throttle are logged, and are the next tick's stick input.
     """
 
     command: object = quantity(doc="commands of the vehicles (n,), of their command type")
@@ -225,6 +224,7 @@ class World(Tabled):
     __repr__ = Tabled.__repr__
 
     def _table(self) -> Table:
+        """Return the table of the world's components and their parameters that is shown."""
         parts = [(f"world.{name}", getattr(self, name)) for name in _SHOWN if getattr(self, name) is not None]
         parts += [(f"world.updrafts.{i}", updraft) for i, updraft in enumerate(self.updrafts)]
         for fleet in self.fleets:

@@ -34,7 +34,7 @@ from qrsim.world.episode import (
     step_contents,
     surroundings,
 )
-from qrsim.world.pushing import pushed
+from qrsim.world.pushing import Moved, pushed
 from qrsim.world.radio import exchange, split_messages, start_radio
 from qrsim.world.sensing import sense, with_traffic
 from qrsim.world.standing import lying_force, settled
@@ -201,7 +201,7 @@ def _fly(
     def moved(command: object, clipped: Array) -> tuple[Any, ...]:
         """Return the state after a tick of flight with a command, and its specific force."""
 
-        def step(vehicle: VehicleState) -> tuple[Any, ...]:
+        def step(vehicle: VehicleState) -> Moved:
             """Return the vehicle one step later, its position beyond single precision [m], and the specific force."""
             to_body = lambda trig: trig.rotation().to_body(air)  # noqa: E731
             return move(model, vehicle, state.position_low_ned, command, to_body, drawn, dt, around)

@@ -91,7 +91,7 @@ class Px4:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check, open the ports, start PX4 if asked, fly, summarise."""
+        """Check the options, open the ports, start PX4 if asked, fly, and print a summary."""
         self._check()
         from qrsim.links.autopilot.px4_flight import Px4Flight, prepared
         from qrsim.links.autopilot.px4_link import EVERYWHERE, FIRST_PORT, LOOPBACK
@@ -114,6 +114,7 @@ class Px4:
         logs = folder.with_name(f"{folder.name}-px4")
 
         def flown_by(simulation: Simulation) -> Px4Flight:
+            """Return PX4's flight of a started simulation, and print the TCP port of each vehicle."""
             flight = Px4Flight(
                 simulation,
                 fleets,

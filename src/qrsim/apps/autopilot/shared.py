@@ -117,6 +117,7 @@ def recorded(
     flights: list[Flown] = []
 
     def opened(simulation: Simulation) -> Flown:
+        """Return the flight of a simulation, and keep it to be closed after the run."""
         flights.append(flown_by(simulation))
         return flights[0]
 

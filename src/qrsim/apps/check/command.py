@@ -15,7 +15,7 @@ from qrsim.apps import Duration, Repeated, check_seed, progress_bar, with_durati
 from qrsim.errors import RunError, UsageError
 
 if TYPE_CHECKING:
-    from qrsim.apps.check.outcomes import Outcome
+    from qrsim.apps.check.outcomes import Moment, Outcome
     from qrsim.scenarios.scenario import Scenario
     from qrsim.simulation.rollout import Rollout
 
@@ -63,7 +63,7 @@ class Check:
     """Print the result as JSON."""
 
     def run(self) -> int:
-        """Check, fly, report."""
+        """Check the scenario, fly it with several seeds, and print the outcomes."""
         from qrsim.apps.check.outcomes import outcomes
 
         if self.seeds < 1:
@@ -104,7 +104,7 @@ class Check:
 
         return load_scenario(self.scenario, with_duration(self.set, self.duration))
 
-    def _policy(self, scenario: Scenario) -> tuple[Any, int]:
+    def _policy(self, scenario: Scenario) -> tuple[object, int]:
         """Return the policy, None without one, and its period in ticks."""
         from qrsim.envs.learned import rollout_policy
         from qrsim.interface.policies import load_function
@@ -225,7 +225,7 @@ def _print_outcomes(found: list[Outcome], runs: int) -> None:
             )
 
 
-def _where(moment: Any) -> str:
+def _where(moment: Moment) -> str:
     """Return seed, vehicle, time and place of a moment as text."""
     north, east, down = moment.position_ned
     place = f"north {north:.1f}, east {east:.1f}, height {-down:.1f} m"

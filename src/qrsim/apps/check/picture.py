@@ -18,6 +18,7 @@ from qrsim.simulation.rollout import Rollout
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 COLOURS = dict(
     zip(
@@ -48,7 +49,7 @@ def save_picture(scenario: Scenario, flown: Rollout, found: list[Outcome], path:
     save(lambda: _drawn(scenario, flown, found), path)
 
 
-def _drawn(scenario: Scenario, flown: Rollout, found: list[Outcome]) -> Any:
+def _drawn(scenario: Scenario, flown: Rollout, found: list[Outcome]) -> Figure:
     """Return the figure: a map of failures and bars of their numbers."""
     figure = new_figure(12, 5.5)
     axes = figure.subplots(1, 2, width_ratios=(3, 2))

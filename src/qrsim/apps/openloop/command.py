@@ -6,7 +6,7 @@ import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -108,7 +108,7 @@ class OpenLoop:
         return states
 
 
-def known_vehicles() -> dict[str, Any]:
+def known_vehicles() -> dict[str, type[Quadrotor]]:
     """Return name -> class of the vehicle models with the identified quadrotor's states and commands."""
     from qrsim.models.vehicles.quadrotor import Quadrotor
     from qrsim.scenarios.catalogue import VEHICLES

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 from qrsim.scenarios.scenario import Scenario
 
+if TYPE_CHECKING:
+    from qrsim.tasks.baselines import BaselinePolicy
 
-def task_policy(scenario: Scenario, source: str, seed: int, precision: str) -> tuple[Any, int]:
+
+def task_policy(scenario: Scenario, source: str, seed: int, precision: str) -> tuple[BaselinePolicy, int]:
     """Return the policy of a scenario's task that ``source`` names, and its period in ticks.
 
     Args:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -104,7 +104,7 @@ class Run:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check, fly, summarise."""
+        """Check the scenario, fly it, and print a summary."""
         # Importing and compiling make many objects and no garbage worth looking for; ``fly`` turns this on again.
         gc.disable()
         try:
@@ -172,20 +172,20 @@ class Run:
         from qrsim.runs.recorder import fly
         from qrsim.runs.waiting import waiting_since
 
-        functions: dict[str, Any] = {}
+        policy = estimator = None
         if self.policy is not None or self.estimator is not None:
             from qrsim.interface.policies import load_function
             from qrsim.scenarios.registry import made
 
             if self.policy is not None and not self._of_task:
-                functions["policy"] = load_function("policy", str(self.policy), (BASELINE,))
+                policy = load_function("policy", str(self.policy), (BASELINE,))
             if self.estimator is not None:
-                functions["estimator"] = made("estimator", self.estimator)
+                estimator = made("estimator", self.estimator)
         policy_ticks = self.policy_ticks
         if self._of_task:
             from qrsim.apps.run.baseline import task_policy
 
-            functions["policy"], policy_ticks = task_policy(scenario, str(self.policy), self.seed, self.precision)
+            policy, policy_ticks = task_policy(scenario, str(self.policy), self.seed, self.precision)
         try:
             with _progress(scenario) as progress:
                 return fly(
@@ -195,7 +195,8 @@ class Run:
                     precision=self.precision,
                     every=every,
                     realtime=self.realtime,
-                    **functions,
+                    policy=policy,
+                    estimator=estimator,
                     policy_ticks=policy_ticks,
                     progress=progress,
                     view=page,

@@ -38,6 +38,7 @@ class Constants:
         return offset
 
     def _append(self, kind: str, values: str) -> None:
+        """Append an array, as LLVM's type and its values in text."""
         self._types.append(kind)
         self._values.append(f"{kind} [{values}]")
 

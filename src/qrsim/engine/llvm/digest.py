@@ -118,5 +118,5 @@ def _array_digest(array: NumpyArray) -> object:
 
 
 def _raise_unknown() -> NoReturn:
-    """Raise an UnknownError."""
+    """Raise an UnknownError: the program contains a value without a digest."""
     raise UnknownError

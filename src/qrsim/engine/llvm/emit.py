@@ -77,6 +77,7 @@ class Emitter(Loops):
         return [scope.offsets[key][place] for scope, key in zip(scopes, keys, strict=True)]
 
     def _straight(self, step: Step) -> None:
+        """Write the scalar nodes of a step, outside any loop, and note their values."""
         self.scope = Scope((), [], None, {}, {})
         for node in step.nodes:
             lanes = self._lanes_of(node)
@@ -189,7 +190,7 @@ class Emitter(Loops):
         self.scope = scopes[0]
 
     def _keep(self, step: Step, stored: set[int]) -> None:
-        # At the end, so that every read of a place comes before what is written to it.
+        """Write the stored results of a loop's turn to memory, after all reads of the turn."""
         for node in step.nodes:
             if node.number in stored and node.op != "reduce":
                 value = self.scope.values[node.number]
@@ -215,6 +216,7 @@ class Emitter(Loops):
         return pointer
 
     def _accumulate(self, node: Node, pointer: str) -> None:
+        """Write one step of a reduction: combine the present value with the accumulator at a pointer."""
         lanes = self._reduced_width(node)
         access = node.args[0]
         value = self.widened(self.value(access), node.dtype, lanes)
@@ -231,6 +233,7 @@ class Emitter(Loops):
         )
 
     def _finish(self, node: Node, pointer: str) -> None:
+        """Write the result of a reduction from its accumulator, the lanes combined if the axis of lanes is reduced."""
         lanes, axis = self._reduced_width(node), self.scope.lane_axis
         value = self.load(node.dtype, pointer, lanes)
         if axis is not None and axis in node.attributes[1]:
@@ -248,6 +251,7 @@ class Emitter(Loops):
     # Moves
 
     def _concatenation(self, node: Node) -> None:
+        """Write copies of the joined arrays to their parts of the result."""
         axis, begins, shapes = node.attributes
         place = self.places[node.number]
         for access, begin, shape in zip(node.args, begins, shapes, strict=False):
@@ -320,6 +324,7 @@ class Emitter(Loops):
         return self.emit(f"call i1 @{name}({mask} {flags})")
 
     def _branching(self, step: Step, stored: set[int]) -> None:
+        """Write a branching with two branches; all worlds take the same one, or each takes its own by a mask."""
         cond = step.nodes[0]
         self.scope = Scope((), [], None, {}, {})
         which, lanes = self.value(cond.args[0])

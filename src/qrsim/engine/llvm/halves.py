@@ -93,11 +93,12 @@ class _Half:
         return _Rows(self.writer.address(self._moved(place), offsets), place.strides[0], self.width if own else 1)
 
     def _result(self) -> _Rows:
+        """Return where the rows of the result lie in memory."""
         axes = [(None, 0), (self.vehicle, 0)][: len(self.node.shape)]
         return _Rows(self.writer.address(self._moved(self.place), axes), self.place.strides[0], self.width)
 
     def _moved(self, place: Place) -> Place:
-        """Return a place offset to the present part of the lanes."""
+        """Return a place in memory, offset to the lanes that the present turn of the loop computes."""
         if self.parts == 1 or not place.own:
             return place
         size = self.width * self.dtype.itemsize
@@ -118,6 +119,7 @@ class _Half:
         return self.writer.emit(f"getelementptr i8, ptr {first}, i64 {row * rows.stride}")
 
     def _load(self, rows: _Rows, address: str) -> str:
+        """Write a load from an address among ``rows``, and return the value, one number for each lane."""
         found = self.writer.load(self.dtype, address, rows.lanes)
         return self.writer.widened((found, rows.lanes), self.dtype, self.width)
 
@@ -126,6 +128,7 @@ class _Half:
         return self._load(self.half, self._address(self.half, place_of(row, column, self.size)))
 
     def _store(self, address: str, value: str) -> None:
+        """Write a store of a value to an address of the result, without lanes past the last vehicle."""
         mask = None
         if self.place.tight and not self.writer.side_by_side and self.vehicles % self.width:
             mask = self.writer.inside(self.vehicle, self.vehicles)

@@ -65,7 +65,7 @@ body = cache(Body)
 
 
 def types(names: tuple[str, ...], lanes: int) -> list[str]:
-    """Return LLVM's types of vectors."""
+    """Return the LLVM types of vectors of ``lanes`` numbers, for NumPy's names of dtypes."""
     return [vector(scalar_type(np.dtype(name)), lanes) for name in names]
 
 
@@ -85,6 +85,7 @@ def function(name: str, lanes: int) -> tuple[tuple[str, ...], frozenset[str]]:
     kernel, lines, declarations = KERNELS[name], list[str](), set[str]()
 
     def emit(instruction: str) -> str:
+        """Append an instruction to the function's lines and return the name of its value."""
         lines.append(f"  %v{len(lines)} = {instruction}")
         return f"%v{len(lines) - 1}"
 

@@ -48,7 +48,7 @@ class Lanes:
         return found
 
     def _set_layout(self, layout: Packer, count: int, lanes: int) -> None:
-        """Set the layout, the number of worlds and of lanes."""
+        """Set the layout of one world's state, and the number of worlds and of lanes."""
         self.layout, self.count, self._lanes = layout, count, lanes
         self.tiles = -(-count // self._lanes)
 

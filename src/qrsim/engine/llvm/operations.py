@@ -29,12 +29,7 @@ _SHIFTS = {"shift_left": "shl", "shift_right_logical": "lshr", "shift_right_arit
 
 
 class Operations:
-    """Emits the elementwise operations.
-
-    Args:
-        emit: writes an instruction and returns the name of its value.
-        declarations: takes the functions that are called.
-    """
+    """Emits the elementwise operations by ``emit``, and adds the functions that they call to ``declarations``."""
 
     def __init__(self, emit: Emit, declarations: set[str]):
         self.emit, self.declarations = emit, declarations
@@ -80,8 +75,7 @@ class Operations:
     def _to_flush(self, node: Node, argument: Node) -> bool:
         """Return whether an argument must be flushed to zero before an operation.
 
-        Min, max and select flush or not, depending on the instruction that LLVM picks, and LLVM folds constants
-        without flushing.
+        LLVM's min, max and select may flush or not, and LLVM folds constants without flushing.
         """
         return (argument.op == "constant" and _has_tiny(argument)) or (
             node.op in _CHOICES and self._may_be_tiny(argument)
@@ -120,11 +114,13 @@ class Operations:
         return self._arithmetic(how, dtype.kind, of, dtype, [a, b], lanes)
 
     def _call(self, name: str, result: str, types: list[str], values: list[str]) -> str:
+        """Write a call of a function of LLVM or C and its declaration, and return the result's name."""
         self.declarations.add(f"declare {result} @{name}({', '.join(types)})")
         arguments = ", ".join(f"{t} {v}" for t, v in zip(types, values, strict=True))
         return self.emit(f"call {result} @{name}({arguments})")
 
     def _intrinsic(self, name: str, dtype: DType, lanes: int, values: list[str]) -> str:
+        """Write a call of the LLVM intrinsic ``name`` on arguments of one type, and return the result."""
         element = scalar_type(dtype)
         of = vector(element, lanes)
         return self._call(f"llvm.{name}.{suffix(element, lanes)}", of, [of] * len(values), values)
@@ -148,6 +144,7 @@ class Operations:
         return result
 
     def _arithmetic(self, op: str, kind: str, of: str, dtype: DType, values: list[str], lanes: int) -> str:
+        """Return a sum, difference, product, quotient or remainder of two arguments."""
         if kind == "f":
             return self.emit(f"f{op} {of} {values[0]}, {values[1]}")
         if kind == "b":
@@ -194,6 +191,7 @@ class Operations:
         return self.emit(f"select {vector('i1', lanes)} {inside}, {of} {result}, {of} {zero}")
 
     def _comparison(self, op: str, kind: str, of: str, values: list[str]) -> str:
+        """Return the flags (i1) of a comparison of two arguments."""
         if kind == "f":
             return self.emit(f"fcmp {_FLOAT_COMPARISONS[op]} {of} {values[0]}, {values[1]}")
         signed = "" if op in ("eq", "ne") else "s" if kind == "i" else "u"
@@ -209,13 +207,15 @@ class Operations:
     _ceil = partialmethod(_same, "ceil")
 
     def _fms(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        # To change a sign is exact, so one rounding is left.
+        """Return a * b - c with one rounding; the change of a sign is exact."""
         return self._intrinsic("fma", node.dtype, lanes, [*values[:2], self.emit(f"fneg {of} {values[2]}")])
 
     def _fnma(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Return c - a * b with one rounding."""
         return self._intrinsic("fma", node.dtype, lanes, [self.emit(f"fneg {of} {values[0]}"), *values[1:]])
 
     def _neg(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Return the negative of the argument."""
         if node.dtype.kind == "f":
             return self.emit(f"fneg {of} {values[0]}")
         return self.emit(f"sub {of} {splat('0', scalar_type(node.dtype), lanes)}, {values[0]}")
@@ -229,12 +229,12 @@ class Operations:
         return self._call(f"llvm.smax.{suffix(scalar_type(node.dtype), lanes)}", of, [of, of], [values[0], negative])
 
     def _sign(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Return the sign of the argument; of NaN and of both zeros it is the number itself, as in JAX."""
         dtype, element = node.dtype, scalar_type(node.dtype)
         zero, one, minus = (splat(literal(v, dtype), element, lanes) for v in (0, 1, -1))
         mask = vector("i1", lanes)
         above = self._comparison("gt", dtype.kind, of, [values[0], zero])
         below = self._comparison("lt", dtype.kind, of, [values[0], zero])
-        # Of NaN and of both zeros the sign is the number itself, as in JAX.
         rest = self.emit(f"select {mask} {below}, {of} {minus}, {of} {values[0]}")
         return self.emit(f"select {mask} {above}, {of} {one}, {of} {rest}")
 
@@ -257,9 +257,8 @@ class Operations:
     _max = partialmethod(_ordered, "max")
 
     def _limited(self, how: str, of: str, value: str, limit: str, number: float, lanes: int) -> str:
-        """Return the minimum or maximum of a value and a known number."""
+        """Return the minimum or maximum of a value and a known number; of two zeros the positive one is the larger."""
         positive = math.copysign(1.0, number) > 0.0
-        # Of two zeros the positive one is the larger.
         takes_equal = number == 0.0 and positive == (how == "max")
         compare = ("ole" if takes_equal else "olt") if how == "min" else ("oge" if takes_equal else "ogt")
         taken = self.emit(f"fcmp {compare} {of} {limit}, {value}")
@@ -276,19 +275,21 @@ class Operations:
         return self._call(f"llvm.{sign}{how}.{suffix(scalar_type(dtype), lanes)}", of, [of, of], [a, b])
 
     def _clamp(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Return the second argument clipped to the first and the third."""
         low, value, high = values
         return self._extreme(
             "min", node.dtype, of, self._extreme("max", node.dtype, of, value, low, lanes), high, lanes
         )
 
     def _select_n(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Return the third argument where the first is true, else the second."""
         if len(values) != 3 or node.args[0].node.dtype.kind != "b":
             raise UnsupportedError("a selection among several")
         result = vector(scalar_type(node.dtype), lanes)
         return self.emit(f"select {vector('i1', lanes)} {values[0]}, {result} {values[2]}, {result} {values[1]}")
 
     def _rsqrt(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        # Not from the estimate of the processor, which rounds in another way on each kind of processor.
+        """Return 1 / sqrt, not the processor's estimate, whose rounding depends on the processor."""
         one = splat(literal(1.0, node.dtype), scalar_type(node.dtype), lanes)
         return self._arithmetic("div", "f", of, node.dtype, [one, self._sqrt(node, of, values, lanes)], lanes)
 
@@ -306,13 +307,13 @@ class Operations:
         return self.emit(f"{'f' if node.dtype.kind == 'f' else ''}mul {of} {values[0]}, {values[0]}")
 
     def _integer_pow(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Return a whole power by repeated squares, in XLA's order, so that both round alike."""
         power, kind = int(node.attributes[0]), node.dtype.kind
         if kind not in "fiu" or (kind != "f" and power < 0):
             raise UnsupportedError("this whole power")
         if power == 0:
             return splat(literal(1, node.dtype), scalar_type(node.dtype), lanes)
         multiply = "fmul" if kind == "f" else "mul"
-        # By squares, in the order in which XLA does it, so that both round alike.
         result, square, left = None, values[0], abs(power)
         while left:
             if left & 1:
@@ -331,10 +332,7 @@ class Operations:
         return values[0] if to == of else self.emit(f"bitcast {of} {values[0]} to {to}")
 
     def whole_part(self, before: DType, after: DType, of: str, value: str, lanes: int) -> str:
-        """Convert a float to an integer, truncated and clipped to the type's range; NaN gives 0.
-
-        LLVM has an intrinsic for this, which it takes apart into scalars.
-        """
+        """Convert a float to an integer, truncated and clipped; NaN gives 0. LLVM's intrinsic would be scalars."""
         limits, element, mask = np.iinfo(after), scalar_type(before), vector("i1", lanes)
         to, signed = vector(scalar_type(after), lanes), after.kind == "i"
         low, beyond = (splat(literal(float(n), before), element, lanes) for n in (limits.min, limits.max + 1))
@@ -352,6 +350,7 @@ class Operations:
         return self.emit(f"select {mask} {missing}, {to} {splat('0', scalar_type(after), lanes)}, {to} {found}")
 
     def _convert_element_type(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Return the argument converted to the dtype of the node."""
         before, after = node.args[0].node.dtype, node.dtype
         to = vector(scalar_type(after), lanes)
         if before.kind == "b":
@@ -378,6 +377,7 @@ class Operations:
 
 
 def _has_tiny(constant: Node) -> bool:
+    """Return whether a constant contains a subnormal number."""
     sizes = np.abs(np.frombuffer(constant.attributes[0], constant.dtype))
     return bool(((sizes > 0.0) & (sizes < np.finfo(constant.dtype).tiny)).any())
 

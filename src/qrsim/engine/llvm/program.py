@@ -64,7 +64,7 @@ class Mode:
 
     @property
     def worlds(self) -> int:
-        """Number of worlds that one call advances."""
+        """Number of worlds that one call of the program advances."""
         return self.lanes if self.side_by_side else 1
 
 

@@ -63,7 +63,7 @@ _STAGED = {
 
 
 def _rows() -> dict[str, Rule]:
-    """Return primitive's name -> rule."""
+    """Return the rule of each primitive by the primitive's name."""
     rows = {name: Rule("elementwise", name) for name in _UNARY}
     rows |= {name: Rule("elementwise", name) for name in _OTHERS}
     rows["add_jaxvals"] = Rule("elementwise", "add")

@@ -76,6 +76,7 @@ class Scheduler:
         found: list[Step] = []
 
         def take(step: Step) -> None:
+            """Append a step and mark its nodes as computed."""
             waiting.take(step.nodes)
             found.append(step)
 
@@ -202,6 +203,7 @@ def materialised(steps: list[Step], results: list[Access]) -> tuple[set[int], se
     needed, short = {access.node.number for access in results}, set()
 
     def visit(steps: list[Step]) -> None:
+        """Collect the numbers of nodes that steps, and the steps of their branches, read from memory."""
         for step in steps:
             if step.kind in NESTED:
                 needed.update(access.node.number for access in branch_results(step))

@@ -75,6 +75,7 @@ class Sharing:
             self._alone = self._cut = self._read = self._read_cut = False
 
     def _scalars(self, steps: Iterable[Step], stored: set[int]) -> None:
+        """Write scalar steps, which every thread computes; a barrier precedes reads of what other threads wrote."""
         for step in steps:
             read = [access.node for node in step.nodes for access in node.args
                     if access.node.number not in self.writer.scalars and self._changes(access.node.number)]  # fmt: skip
@@ -171,12 +172,15 @@ class SharedNeighbours(Neighbours):
         self._sharing = sharing
 
     def _alone(self) -> AbstractContextManager[None]:
+        """Context for code that only the first thread runs."""
         return self._sharing.first_thread(wait=False)
 
     def _meet(self) -> None:
+        """Write a barrier of all threads."""
         self._sharing.meet(needed=True)
 
     def _parted(self, count: int) -> AbstractContextManager[tuple[str, str] | None]:
+        """Context for the present thread's part of ``count`` elements; gives its begin and end, None for all."""
         return self._sharing.part(count)
 
     def _append(self, flags: str, first: str, near: str, number: str) -> None:

@@ -64,6 +64,7 @@ class Grouping:
         return found
 
     def _new_group(self, extent: int) -> int:
+        """Note a new group of steps along an axis of this extent, and return the group's number."""
         self.extents[len(self.extents) + 1] = extent
         return len(self.extents)
 
@@ -93,6 +94,7 @@ class Grouping:
         return None
 
     def _fits_alone(self, step: Step) -> bool:
+        """Return whether a step can be cut into strips without other steps in its group."""
         extent = self._extent(step)
         return extent > 0 and self._fits(step, extent, set())
 
@@ -160,6 +162,7 @@ class Grouping:
         return small and all(self._reads_own(node, extent, made) for node in step.nodes)
 
     def _reads_own(self, node: Node, extent: int, made: set[int]) -> bool:
+        """Return whether a node's loop reads only its own elements of arrays that the group changes."""
         return all(self._own(access, shape, extent, made, moved) for access, shape, moved in _reads(node))
 
     def _own(self, access: Access, shape: Shape, extent: int, made: set[int], moved: bool = False) -> bool:
@@ -249,6 +252,7 @@ class Lifetimes:
         )
 
     def _moved_within(self, node: Node, group: int) -> bool:
+        """Return whether all copies of a node to the state are in this group."""
         return all(
             each == group for each, numbers in zip(self._late, self._moved, strict=True) if node.number in numbers
         )
@@ -262,7 +266,7 @@ class Lifetimes:
 
 
 def _independent(late: Sequence[Late], places: Mapping[int, Place]) -> bool:
-    """Return whether no set of copies reads what another one writes."""
+    """Return whether no set of copies reads an array that another set writes."""
     written = [{(to.pointer, to.offset) for _, _, to in each.moves} for each in late]
     for i, each in enumerate(late):
         elsewhere = set().union(*(targets for j, targets in enumerate(written) if j != i))

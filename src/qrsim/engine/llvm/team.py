@@ -84,6 +84,7 @@ class Team:
         """Advance a state by ``count`` ticks; see ``Program``."""
 
         def run(together: bool, first: int, ticks: int) -> None:
+            """Advance the state by some ticks, with all threads (``together``) or one."""
             if together:
                 self._program.together(self._on_seats, addresses, tick + first, ticks)
             else:
@@ -95,6 +96,7 @@ class Team:
         """Advance a state by a tick per row, and write it after each tick to the row."""
 
         def run(together: bool, first: int, ticks: int) -> None:
+            """Advance the state by some ticks and store each in its row, with all threads (``together``) or one."""
             some = rows[0][first : first + ticks], rows[1][first : first + ticks]
             if together:
                 self._program.keeping_together(self._on_seats, addresses, tick + first, some)

@@ -56,6 +56,7 @@ class Tracer(Indexing):
             environment[variable] = value if isinstance(value, View) else self.graph.constant(value)
 
         def read(atom: object) -> View:
+            """Return the view of a variable or a literal of the jaxpr."""
             if isinstance(atom, jex.Literal):
                 of: Any = atom.aval
                 return self.graph.constant(np.asarray(atom.val, of.dtype))
@@ -76,8 +77,7 @@ class Tracer(Indexing):
     def _used_once(self, jaxpr: jex.Jaxpr) -> set[jex.Var]:
         """Return the variables that are used exactly once in a jaxpr, by an equation or as a result.
 
-        A product among them may be fused with its sum (see ``_contracted``). The sets are kept, because a function may
-        be called many times.
+        A product among them may be fused with its sum (see ``_contracted``). Sets are kept for later calls.
         """
         if jaxpr not in self._variables_used_once:
             uses = chain(jaxpr.outvars, *(equation.invars for equation in jaxpr.eqns))
@@ -86,6 +86,7 @@ class Tracer(Indexing):
         return self._variables_used_once[jaxpr]
 
     def _equation(self, equation: Any, inputs: list[View], products: _Products) -> list[View]:
+        """Add the nodes of one equation of a jaxpr, and return its results."""
         rule = rule_of(equation)
         for variable in (*equation.invars, *equation.outvars):
             # Known here, where the line of the program is known too.
@@ -104,8 +105,7 @@ class Tracer(Indexing):
 
         Compilers fuse a product and a sum if they see both together, so the last bit depends on the surrounding
         program. Here it depends only on the function that contains both. A product that is used elsewhere too is
-        rounded, so that it is the same number everywhere. If both terms are products, both are rounded, so that
-        a * b - c * d is zero for equal products.
+        rounded, so that it is the same number everywhere. Two products are both rounded: a * b - a * b is zero.
         """
         shape = tuple(out.shape)
         plain = self.apply(op, shape, out.dtype, *inputs)
@@ -163,10 +163,10 @@ class Tracer(Indexing):
         return self._reduced(op, inputs[0], out, parameters["axes"])
 
     def _reduced(self, op: str, operand: View, out: ShapedArray | Like, axes: Sequence[int]) -> View:
+        """Return a reduction of an array along some axes; axes of one element have nothing to reduce."""
         kept = [axis for axis in range(len(operand.shape)) if axis not in axes]
         reduced = [axis for axis in axes if operand.shape[axis] != 1]
         moved = operand.moved({axis: i for i, axis in enumerate(kept)}, tuple(out.shape))
-        # Along axes of one element there is nothing to reduce.
         if not reduced:
             return moved
         loop = [axis for axis, extent in enumerate(operand.shape) if extent != 1]
@@ -281,9 +281,9 @@ class Tracer(Indexing):
         return self._join(inputs, tuple(out.shape), out.dtype, parameters["dimension"])
 
     def _join(self, parts: list[View], shape: Shape, dtype: DType, axis: int) -> View:
+        """Return arrays joined along an axis; empty ones are left out, as they would be a loop over nothing."""
         if 0 in shape:
             return self.spread(self.graph.constant(np.zeros((), dtype)), shape)
-        # What is empty has no step of its own, and would be a loop over nothing.
         parts = [part for part in parts if 0 not in part.shape]
         if len(parts) == 1:
             return parts[0]
@@ -309,6 +309,7 @@ class Tracer(Indexing):
         return [self._branch_result(cond, i, views) for i, views in enumerate(zip(*results, strict=True))]
 
     def _branch_result(self, cond: Node, place: int, views: tuple[View, ...]) -> View:
+        """Return result number ``place`` of a branching; ``views`` are this result in each branch."""
         first = views[0]
         node = self.graph.node(
             "output",
@@ -357,6 +358,8 @@ class Tracer(Indexing):
         turn = jex.jaxpr_as_fun(parameters["jaxpr"])
 
         def loop(*given: Array) -> tuple[Array, ...]:
+            """Return the final carry of the scan, written as a while loop with a counter."""
+
             def body(state: tuple[Array, ...]) -> tuple[Array, ...]:
                 return (state[0] + 1, *turn(*given[:constants], *state[1:]))
 
@@ -393,4 +396,5 @@ class _Products:
         return None if isinstance(atom, jex.Literal) else self.made.get(atom)
 
     def only_here(self, atom: object) -> bool:
+        """Return whether a variable is used exactly once."""
         return atom in self._used_once

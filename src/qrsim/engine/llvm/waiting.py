@@ -93,6 +93,7 @@ class Waiting:
         domain = first.domain
 
         def fits(node: Node) -> bool:
+            """Return whether a node can be computed in the loop over this domain."""
             return node.domain == domain and node.op not in NO_LOOP and node.number not in left_out
 
         found: list[Node] = []

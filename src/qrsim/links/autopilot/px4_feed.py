@@ -113,7 +113,7 @@ class Px4Feed:
         return [True] * len(times) if before is None else [now != old for now, old in zip(times, before, strict=True)]
 
     def _vector(self, i: int, row: list[float], column: int, news: dict[int, list[bool]]) -> list[float] | None:
-        """Return the three numbers from a column on if the reading is new and free of NaN; otherwise None."""
+        """Return three numbers of ``row`` from a column on; None if the reading is not new or has NaN."""
         if column not in news or not (news[column][i] or self._sight.stopped[i]):
             return None
         axes = row[column : column + 3]

@@ -6,7 +6,6 @@ import math
 import struct
 import time
 from collections.abc import Callable
-from typing import Any
 
 from qrsim.links.mavlink import requests, table
 from qrsim.links.mavlink.dialect import BY_NUMBER, LAYOUTS, Message
@@ -22,6 +21,7 @@ from qrsim.links.mavlink.stack.contracts import (
     LocalTarget,
     Target,
     Text,
+    Triple,
 )
 from qrsim.links.mavlink.system import System
 from qrsim.links.mavlink.telemetry import ENCODERS
@@ -131,9 +131,9 @@ def _set_mode(system: System, link: Link, frame: Frame) -> None:
 # ---- set-points ----
 
 
-def _axes(m: Message, *names: str) -> Any:
+def _axes(m: Message, x: str, y: str, z: str) -> Triple:
     """Return the values of the named fields of a message as a tuple."""
-    return tuple(getattr(m, name) for name in names)
+    return getattr(m, x), getattr(m, y), getattr(m, z)
 
 
 def _take(system: System, link: Link, target: Target) -> None:
@@ -143,7 +143,7 @@ def _take(system: System, link: Link, target: Target) -> None:
 
 
 def _local_target(system: System, link: Link, frame: Frame) -> None:
-    """Take SET_POSITION_TARGET_LOCAL_NED."""
+    """Pass the set-point of SET_POSITION_TARGET_LOCAL_NED to the stack."""
     m = frame.message()
     target = LocalTarget(
         m.coordinate_frame,
@@ -158,7 +158,7 @@ def _local_target(system: System, link: Link, frame: Frame) -> None:
 
 
 def _global_target(system: System, link: Link, frame: Frame) -> None:
-    """Take SET_POSITION_TARGET_GLOBAL_INT."""
+    """Pass the set-point of SET_POSITION_TARGET_GLOBAL_INT to the stack."""
     m = frame.message()
     target = GlobalTarget(
         m.coordinate_frame,
@@ -175,7 +175,7 @@ def _global_target(system: System, link: Link, frame: Frame) -> None:
 
 
 def _attitude_target(system: System, link: Link, frame: Frame) -> None:
-    """Take SET_ATTITUDE_TARGET."""
+    """Pass the set-point of SET_ATTITUDE_TARGET to the stack."""
     m = frame.message()
     rates = _axes(m, "body_roll_rate", "body_pitch_rate", "body_yaw_rate")
     _take(system, link, AttitudeTarget(m.type_mask, m.q, rates, m.thrust))
@@ -260,7 +260,7 @@ def _file(system: System, link: Link, frame: Frame) -> None:
 
 
 def _logs(system: System, link: Link, frame: Frame) -> None:
-    """Send an empty LOG_ENTRY: the vehicle has no logs."""
+    """Answer a request for the list of logs with an empty LOG_ENTRY: the vehicle has no logs."""
     link.say("LOG_ENTRY")
 
 

@@ -21,7 +21,7 @@ _KINDS = {number: (number.to_bytes(3, "little"), bytes([extra])) for number, ext
 
 
 def frame(number: int, payload: bytes, sequence: int, system: int, component: int = 1) -> bytes:
-    """Return a frame of version 2.
+    """Return a MAVLink 2 frame with a message's payload.
 
     Args:
         number: of the message.

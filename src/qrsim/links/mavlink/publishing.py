@@ -37,7 +37,7 @@ class Publisher:
         self._schedule: Schedule | None = None
 
     def publish(self, tick: int, wall: float) -> None:
-        """Send what is due at a tick on all links; ``wall`` [s] is the time of ``time.monotonic``."""
+        """Send the messages due at a tick on all links; ``wall`` [s] is the time of ``time.monotonic``."""
         if len(self._systems) < MANY:
             for system in self._systems:
                 system.publish(tick, wall)

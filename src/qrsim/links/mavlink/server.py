@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import time
 import traceback
 from collections.abc import Callable, Iterable
@@ -95,7 +96,9 @@ class Server:
         """Return statistics of the real-time pace."""
         return self._pacer.report()
 
-    async def _open(self, sock: Any, system: System, rates: dict[str, float], peer: Address, phase: float) -> None:
+    async def _open(
+        self, sock: socket.socket, system: System, rates: dict[str, float], peer: Address, phase: float
+    ) -> None:
         """Serve a system on a UDP socket; ``peer`` is where messages go before anybody has sent one."""
         loop = asyncio.get_running_loop()
         await loop.create_datagram_endpoint(lambda: _Datagrams(self, system, rates, peer, phase), sock=sock)
@@ -135,10 +138,11 @@ class _Datagrams(asyncio.DatagramProtocol):
         self._transport: Any = None
 
     def connection_made(self, transport: object) -> None:
+        """Keep the transport, and add this address to the links of the system."""
         self._transport = transport
         self._system.links.append(self._link)
 
-    def datagram_received(self, data: bytes, address: Any) -> None:
+    def datagram_received(self, data: bytes, address: Address) -> None:
         """Handle the frames of a datagram, and answer to its sender from now on."""
         for frame in self._reader.datagram(data):
             self._peer = address

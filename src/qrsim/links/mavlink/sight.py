@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 
@@ -76,7 +75,7 @@ class StackSight(Sight):
                 return np.asarray(self._simulation.truth.on_ground).tolist()
             layout, buffers = self._simulation.packed
             # The only part of the state that is read, as opening all of it takes longer than a tick.
-            state: Any = SimpleNamespace(standing=layout.leaf(buffers, leaf))
+            state = SimpleNamespace(standing=layout.leaf(buffers, leaf))
             found += np.asarray(fleet.vehicle.on_ground(state)).tolist()
         return found
 

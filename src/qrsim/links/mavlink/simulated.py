@@ -274,7 +274,7 @@ def _magnetometer(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, F
 
 
 def _inertial(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
-    """Return the faults of gyroscope and accelerometer, which may be one sensor."""
+    """Return {target: fault} of gyroscope and accelerometer, by SIM_ parameters; None: no fault."""
     force, stuck = UNITS[ACCEL].field, values["SIM_ACCEL1_FAIL"]
     found: dict[str, dict[str, dict[str, float]]] = {}
     of_accelerometer = _nonzero(values, "ACC1_BIAS", force)

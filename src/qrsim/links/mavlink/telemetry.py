@@ -26,8 +26,7 @@ from qrsim.links.shared import sight as s
 # MAVLink 2.
 PROTOCOL = 3
 GRAVITY = 9.80665
-# ESTIMATOR_STATUS: attitude, both velocities, positions horizontal relative and absolute and vertical absolute.
-# EKF_UNINITIALIZED of the other one.
+# ESTIMATOR_STATUS: attitude, both velocities, horizontal positions relative and absolute, vertical one; uninitialized.
 _ESTIMATES, _NO_ESTIMATE = 0x1 | 0x2 | 0x4 | 0x8 | 0x10 | 0x20 | 0x100 | 0x200, 0x400
 # MAV_ODOM and MAV_ESTIMATOR_TYPE of a filter with GNSS; frames local NED and body FRD.
 LOCAL_NED, BODY_FRD, GPS_INS = 1, 12, 5
@@ -47,6 +46,7 @@ def bounded(value: float, scale: float, low: int, high: int) -> int:
 
 
 def _short(value: float, scale: float) -> int:
+    """Return ``value * scale`` rounded and clipped to the range of an int16; 0 for NaN."""
     return bounded(value, scale, -32768, 32767)
 
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.links.contracts import Order
 from qrsim.links.mavlink.stack.contracts import NAN, Seen, Stack, Triple
 from qrsim.links.shared import sight as s
@@ -34,7 +33,7 @@ class View:
 
     def __init__(self, stack: Stack, unix: float):
         self.stack, self.unix = stack, unix
-        self.numbers: Any = np.full(s.WIDTH, NAN)
+        self.numbers = np.full(s.WIDTH, NAN)
         self._row: list[float] | None = None
         self.seen = Seen()
         self.order: Order | None = None
@@ -46,7 +45,7 @@ class View:
         self.around: Around | None = None
         self.number = self.turn = 0
 
-    def look(self, numbers: object) -> None:
+    def look(self, numbers: NumpyArray) -> None:
         """Set the vehicle's readings (WIDTH,) of the present tick."""
         self.numbers, self._row = numbers, None
 

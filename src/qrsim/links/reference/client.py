@@ -234,8 +234,7 @@ class Client(SharedCalls):
         Args:
             task: name; or
             scenario: a scenario as YAML text, which names no files; neither: the task that is played already.
-            seed: of all randomness; default: the next one of the server, or where the task is played already the next
-                episode of the series that its seed has begun.
+            seed: of all randomness; default: the next one of the server, or of the series that the task has begun.
         """
         request = pb.Play(task=task, scenario=scenario, seed=_checked_seed(seed))
         found = self._call(Message(type=Message.PLAY, play=request), Message.EPISODE).episode
@@ -305,10 +304,10 @@ class Client(SharedCalls):
         self.time_step, self.size = info.timestep, info.numUAVs
 
     def _call(self, request: Message, expected: Message.Type) -> Message:
+        """Send a request and return the reply; if sending fails, raise the server's last message, which says more."""
         try:
             self._open_socket().sendall(frame(request.SerializeToString()))
         except OSError as error:
-            # What the server said before it closed the connection says more than this.
             try:
                 return self._checked_reply(self._receive(0.5), expected)
             except ConnectionFailed:
@@ -318,6 +317,7 @@ class Client(SharedCalls):
         return self._checked_reply(reply, expected)
 
     def _checked_reply(self, reply: Message, expected: Message.Type) -> Message:
+        """Return a reply of the expected type; raises Refused, InvalidState or ConnectionFailed otherwise."""
         if reply.type == expected and not (expected == Message.ACK and reply.ack.error):
             return reply
         if reply.type == Message.ACK:
@@ -343,6 +343,7 @@ class Client(SharedCalls):
             raise self._close_with(f"this is no qrsim server: {error}") from None
 
     def _decode_pushed(self) -> None:
+        """Decode the messages that have arrived, without waiting; the next to receive reports a closed connection."""
         connection = self._open_socket()
         connection.settimeout(0.0)
         try:
@@ -352,7 +353,6 @@ class Client(SharedCalls):
             pass
         except OSError as error:
             raise self._close_with(f"the connection is lost: {error.strerror or error}") from None
-        # Where it has ended, the next to receive says so.
         try:
             while (payload := self._deframer.next()) is not None:
                 self._pushed.append(self._checked_reply(Message.FromString(payload), Message.SENSED).sensed)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.tree import field_info
+from qrsim.files import Content
 from qrsim.interface.arrays import as_array
 from qrsim.interface.readings import FleetReading
 from qrsim.links.reference.kinds import TYPES
@@ -83,7 +84,7 @@ def _limits_message(fleet: Fleet) -> Part:
     return message
 
 
-def _part(spec: Any, known: Mapping[str, object]) -> Part:
+def _part(spec: str | Content, known: Mapping[str, object]) -> Part:
     """Return a component's description as a protobuf message: its type, parameters and units."""
     content = {"type": spec} if isinstance(spec, str) else dict(spec)
     kind = str(content.pop("type"))
@@ -105,7 +106,7 @@ def _units_by_field(kind: object) -> dict[str, str]:
     return {field.name: field_info(field).unit for field in dataclasses.fields(kind)}
 
 
-def _values(content: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+def _values(content: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, object]]:
     """Yield (dotted name, text or flat list of numbers) of all entries of a part of a scenario.
 
     Lists of points are flattened. Several such lists, such as the courtyards of a building, are numbered, and so are

@@ -124,7 +124,7 @@ class EpisodeSession:
         self._running, self._step = True, 0
 
     def act(self, request: Act) -> Outcome:
-        """Advance by a step.
+        """Advance the episode by a step with the agents' actions, and return the outcome.
 
         Raises:
             UsageError: the episode has ended; or wrong actions or answers, and nothing has changed.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import replace
-from typing import Any
 
 from qrsim.errors import UsageError
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
@@ -32,7 +31,7 @@ async def clear(client: Client, message: Message) -> None:
 def request_of(asked: pb.Inject) -> Request:
     """Return the request of an INJECT message; raises UsageError for invalid texts and numbers given twice."""
     _check_texts([asked.target, asked.kind, asked.field, *asked.vehicle, *(each.name for each in asked.number)])
-    numbers: dict[str, Any] = {"field": asked.field} if asked.HasField("field") else {}
+    numbers: dict[str, object] = {"field": asked.field} if asked.HasField("field") else {}
     for each in asked.number:
         if each.name in numbers:
             raise UsageError(f"INJECT: {each.name[:60]} is given twice")
@@ -52,7 +51,7 @@ def _check_texts(texts: list[object]) -> None:
 async def _apply_request(client: Client, what: str, request: Request) -> None:
     """Apply a request to the client's session or to its claimed vehicles, and acknowledge it."""
     session, sharing = client.required_session(), client.server.sharing
-    still: contextlib.AbstractAsyncContextManager[Any] = contextlib.nullcontext()
+    still: contextlib.AbstractAsyncContextManager[object] = contextlib.nullcontext()
     if sharing is not None:
         request, still = _claimed_request(client, sharing, what, request), sharing.lock
     async with still:

@@ -264,7 +264,7 @@ def _state_places(fleet: FleetState) -> NumpyArray:
     """Return the indices (n, 13) of the state vectors in the packed state; -1 for parts that the state lacks."""
     own = vars(fleet.vehicle)
     nothing = np.full(len(fleet.violation.code), -1)
-    columns: list[Any] = []
+    columns: list[NumpyArray] = []
     for name in POSE:
         columns += vars(own[name]).values() if name in own else [nothing] * 3
     return np.stack([*columns, own.get("thrust", nothing)], axis=1)

@@ -35,7 +35,7 @@ MOST_TICKS_OF_ACT = 10_000
 
 
 async def init(connection: Client, message: Message) -> None:
-    """Start a task."""
+    """Start a task for the client, and send the first states and TASKINFO."""
     server, request = connection.server, message.init
     realtime = server.options.realtime or float(request.realTime)
     session_options = await server.run_in_thread(lambda: _session_options(connection, request.task, realtime=realtime))
@@ -204,7 +204,7 @@ async def restart(connection: Client, message: Message) -> None:
         _send_session(connection, session)
 
 
-def _still(connection: Client, what: str = "") -> contextlib.AbstractAsyncContextManager[Any]:
+def _still(connection: Client, what: str = "") -> contextlib.AbstractAsyncContextManager[object]:
     """Return a context in which a shared world does not advance; ``what``: a change, which needs the world alone.
 
     Args:
@@ -219,11 +219,11 @@ def _still(connection: Client, what: str = "") -> contextlib.AbstractAsyncContex
         return contextlib.nullcontext()
     if what:
         sharing.check_alone(connection, what)
-    return cast("contextlib.AbstractAsyncContextManager[Any]", sharing.lock)
+    return cast("contextlib.AbstractAsyncContextManager[object]", sharing.lock)
 
 
 def _send_session(connection: Client, session: Session) -> None:
-    """Send the client its session, and its state to those that watch."""
+    """Send a client the description of its session, and the state to all who watch it."""
     simulation = session.simulation
     message = pb.Session(
         id=session.number,
@@ -352,7 +352,7 @@ async def act(connection: Client, message: Message) -> None:
 
 
 async def say(connection: Client, message: Message) -> None:
-    """Queue messages for the radios of vehicles, and acknowledge it."""
+    """Queue a client's messages for the radios of vehicles, and acknowledge the request."""
     session, words = connection.required_session(), words_of(message.say)
     if isinstance(session, SharedSession):
         session.plant.say(connection.number, words)

@@ -218,7 +218,7 @@ class _FleetSensed:
         return [getattr(readings, sensor).reasons[row] for sensor in self._fleet.sensor_names]
 
     def _with_pictures(self, row: int, name: str, why: str, reasons: Sequence[str]) -> bytes:
-        """Return the encoded message of a vehicle with cameras."""
+        """Return the encoded readings message of one vehicle in a fleet with cameras."""
         found = Readings.Vehicle(name=name, valid=not why, reason=why)
         readings = self._fleet_reading()[self._fleet.name]
         for sensor_name, reason in zip(self._fleet.sensor_names, reasons, strict=True):

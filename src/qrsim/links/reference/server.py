@@ -208,7 +208,7 @@ class Server:
     # ---- requests ----
 
     async def answer(self, connection: Connection, message: Message) -> None:
-        """Answer a request.
+        """Answer a request of a connection.
 
         Raises:
             QrsimError: it was wrong; nothing was sent.
@@ -317,7 +317,7 @@ class Server:
         return await asyncio.get_running_loop().run_in_executor(session.thread, work)
 
     async def advance(self, connection: Connection, session: Session, command: object, ticks: int) -> None:
-        """Advance a session in its own thread.
+        """Advance a session in its thread by some ticks, flown by a command.
 
         Raises:
             UsageError: the command cannot be flown, and nothing has changed; or its client leaves meanwhile.

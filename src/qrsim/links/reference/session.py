@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -88,7 +88,7 @@ class Session:
         self.scenario = options.scenario
         self.thread = ThreadPoolExecutor(1, thread_name_prefix=f"session-{number}")
         self._options, self._seeds = options, options.seeds
-        self._seconds: dict[Any, tuple[float, int]] = {}
+        self._seconds: dict[object, tuple[float, int]] = {}
         self._events: deque[Content] = deque()
         self._lost_events = 0
         self._writer: RunWriter | None = None
@@ -99,7 +99,7 @@ class Session:
 
     @property
     def size(self) -> int:
-        """Number of vehicles."""
+        """Number of vehicles of the session."""
         return self.simulation.size
 
     @property

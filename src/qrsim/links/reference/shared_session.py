@@ -83,7 +83,7 @@ class SharedSession(Session):
         self.start_clock()
 
     def start_clock(self, factor: float | None = None) -> None:
-        """Begin to count the pace, at another factor if one is given; raises UsageError for one that is none."""
+        """Start pacing at the present time, at another factor if one is given; raises UsageError for a bad one."""
         factor = self.pacer.factor if factor is None else factor
         if self.pace == "free":
             self.pacer = Metronome(factor, self.time, self.time_step)
@@ -165,7 +165,7 @@ class SharedSession(Session):
             self._keeping.submit(super().keep_requests)
 
     def keep_events(self, found: list[dict[str, object]]) -> None:
-        """Store events, in the writing thread."""
+        """Store events in the run folder, by the writing thread."""
         if threading.current_thread().name.startswith("keep-"):
             super().keep_events(found)
         elif found:

@@ -120,7 +120,7 @@ class Sharing:
     # ---- orders ----
 
     def order(self, client: Client, orders: Sequence[Order], source_tick: int | None) -> int:
-        """Take orders, and return the tick at which they take effect; raises UsageError."""
+        """Queue a client's orders, and return the tick at which they take effect; raises UsageError for bad ones."""
         plant = self.session.plant
         plant.check(client.number, orders)
         plant.order(orders, source_tick)

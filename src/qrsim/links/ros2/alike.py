@@ -47,12 +47,12 @@ class Alike:
         self._status = None if first.status is None else self._view(*first.status)
 
     def _view(self, offset: int, code: str, count: int) -> NumpyArray:
-        """Return the numbers (k, count) of all messages that begin at an offset."""
+        """Return a writable view (k, count) of the numbers at a byte offset of all k messages."""
         kind, (length, size) = np.dtype(f"<{code}"), self._bytes.shape
         return np.ndarray((length, count), kind, self._bytes, offset, (size, kind.itemsize))
 
     def messages(self, numbers: NumpyArray, stamps: Sequence[tuple[int, int]]) -> list[bytes | None]:
-        """Return what ``Publication.message`` returns for each.
+        """Return the serialised message of each publication, or None for no message.
 
         Args:
             numbers: (n, WIDTH) of all vehicles.

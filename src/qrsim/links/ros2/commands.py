@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Container
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -69,7 +69,7 @@ class Thrust:
 Wish = Motion | Place | Tilt | Thrust
 
 
-def topics_of(namespace: str, kinds: Any) -> list[tuple[str, Topic]]:
+def topics_of(namespace: str, kinds: Container[str]) -> list[tuple[str, Topic]]:
     """Return (kind of command, topic) for every topic that a vehicle with these kinds of orders subscribes to."""
     return [(own, Topic(f"/{namespace}/{own}", kind, "command")) for own, kind, order in TAKEN if order in kinds]
 

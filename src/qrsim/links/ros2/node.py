@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import Protocol
 
 from qrsim.links.ros2 import Message
 from qrsim.links.ros2.topics import Topic
@@ -29,7 +30,7 @@ class Reader(Protocol):
 class Service(Protocol):
     """Answers requests of a service."""
 
-    def take(self) -> list[tuple[Any, Any]]:
+    def take(self) -> Sequence[tuple[object, Message]]:
         """Return the requests that have arrived, oldest first: a handle for ``reply``, and the message."""
 
     def reply(self, request: Message, response: Message) -> None:

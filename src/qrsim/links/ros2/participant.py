@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import atexit
-from typing import Any
 
 import numpy as np
 from cyclonedds.builtin import (
@@ -75,7 +74,7 @@ class Participant:
         self._remarked: set[str] = set()
         self._publishers = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
         self._subscribers = BuiltinDataReader(self._participant, BuiltinTopicDcpsSubscription)
-        self._info: Any = None
+        self._info: Writer | None = None
 
     def writer(self, topic: Topic) -> Writer:
         """Return a new writer of a topic."""

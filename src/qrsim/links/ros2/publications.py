@@ -64,6 +64,7 @@ class Publications:
         for number, fleet in enumerate(world.fleets):
 
             def sensors(column: int, number: int = number) -> Any:
+                """Return the sensor of a kind (by its column of the log) of this fleet; None without one."""
                 return sensor(number, column)
 
             for vehicle in range(fleet.size):
@@ -151,12 +152,12 @@ class Publications:
         """Return the message of one vehicle's topic; None if it is not sent at this tick.
 
         Args:
-            publication: of the vehicle.
-            row: of it.
-            numbers: (WIDTH,) of it.
+            publication: the topic's kind of message and its sensor, if it has one.
+            row: the vehicle's number.
+            numbers: (WIDTH,) values for the vehicle's messages.
             now: the tick, and whether estimates are due.
-            stamp: when its estimate held.
-            news: of sensors by column.
+            stamp: time of the vehicle's estimate, seconds and nanoseconds.
+            news: for each sensor (by column of the log) which vehicles have a new reading, and its times.
         """
         if publication.sensor is not None:
             fresh, times = news[publication.sensor]

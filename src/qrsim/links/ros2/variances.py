@@ -42,7 +42,7 @@ def of_pressure(sensor: object, vehicle: int) -> float:
 
 
 def of_attitude(sensor: object, vehicle: int) -> float:
-    """Return the variance of an angle [rad^2]."""
+    """Return the variance [rad^2] of a vehicle's attitude angles from a sensor; 0 for other types of sensor."""
     return own(sensor.std, vehicle) ** 2 if isinstance(sensor, AttitudeEstimator) else 0.0
 
 

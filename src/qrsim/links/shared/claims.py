@@ -33,7 +33,7 @@ class Claims:
         return sorted(set(self._holders.values()))
 
     def take(self, holder: int, wanted: Sequence[str]) -> tuple[str, ...]:
-        """Claim vehicles, all of them or none; without names all that are free. Return those that are new.
+        """Claim vehicles, all of them or none (without names: all free ones); return the newly claimed names.
 
         Raises:
             UsageError: no vehicle is called so, takes orders, or is free; another one has it, who is named.

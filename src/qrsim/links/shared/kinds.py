@@ -6,7 +6,6 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -89,7 +88,7 @@ def _units_by_field(command: type) -> dict[str, str]:
     return {field.name: field_info(field).unit or "1" for field in dataclasses.fields(command)}
 
 
-def record_of(kind: str, columns: NumpyArray, command: type) -> Any:
+def record_of(kind: str, columns: NumpyArray, command: type) -> object:
     """Return the set-point or command of n vehicles as a record of an order kind.
 
     Args:

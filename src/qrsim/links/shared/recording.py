@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -82,7 +81,7 @@ class Recording:
         """Note that the vehicle with an index was reset at the present tick, before its requests."""
         self._restarted[row] = self._simulation.tick
 
-    def said(self, messages: Sequence[tuple[int, Any, int]]) -> None:
+    def said(self, messages: Sequence[tuple[int, list[float], int]]) -> None:
         """Note messages that were passed to radios at the present tick: sender, numbers (D,), receiver or -1."""
         assert self._spoken is not None
         for sender, numbers, receiver in messages:

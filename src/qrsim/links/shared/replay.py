@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -126,7 +125,7 @@ def _flights(
                 begin = until
 
 
-def _same_orders(arrays: Any, first: int, count: int) -> Iterator[tuple[int, int]]:
+def _same_orders(arrays: Mapping[str, NumpyArray], first: int, count: int) -> Iterator[tuple[int, int]]:
     """Yield begin and end of runs of ticks with equal orders, so that each run is flown by one call.
 
     Radio messages are sent and vehicles are put back ahead of the first tick of a run only.

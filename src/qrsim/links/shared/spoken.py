@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -59,7 +59,7 @@ class Spoken:
             *(Column(name, "", f"number {i} of it", "float64") for i, name in enumerate(self.names())),
         ]
 
-    def read(self, arrays: Any, row: int) -> None:
+    def read(self, arrays: Mapping[str, NumpyArray], row: int) -> None:
         """Load the recorded radio messages of a row of a recording."""
         self.tick[...], self.to[...] = arrays[TICK][row], arrays[TO][row]
         for i, name in enumerate(self.names()):

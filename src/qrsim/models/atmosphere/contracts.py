@@ -194,7 +194,7 @@ class Updraft(Protocol):
         return self
 
     def draw(self, draw: Draw) -> object:
-        """Return the random part of an episode's updraft from ``drawn_ids`` ids, None if nothing is random."""
+        """Return the random numbers of an episode's updraft; None if it has none."""
         return None
 
     @abstractmethod

@@ -81,7 +81,7 @@ class DiscreteGust(Gust):
     def velocity_ned(
         self, position_ned: Vec3, seconds: Array, fraction: Array, convection_ned: Vec3 | None = None
     ) -> Vec3:
-        """Return the gust's part of the air's velocity [m/s] in NED, for each of (n,) vehicles.
+        """Return the contribution of the gust to the air's velocity [m/s] in NED, for each of (n,) vehicles.
 
         Args:
             position_ned: (n,) [m].

@@ -66,6 +66,7 @@ class WindGrid(Wind):
         level, share = self._level(height_agl)
 
         def at(axis: Array) -> Array:
+            """Return one component of the velocity, interpolated between the two layers around the height."""
             axis = jnp.asarray(axis)
             return axis[level] + share * (axis[level + 1] - axis[level])
 

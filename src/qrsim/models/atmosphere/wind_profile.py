@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -36,7 +35,7 @@ class ProfileTable:
     lowest: tuple[Array, Array] = quantity(unit="m/s", doc="(T,) velocity to north and east at the lowest height")
     slopes: tuple[Array, Array] = quantity(unit="1/s", doc="(T, Z - 1) its change with height in each layer")
 
-    def at(self, height: Array, logarithm: Array, row: Any) -> tuple[Array, Array]:
+    def at(self, height: Array, logarithm: Array, row: Array | int) -> tuple[Array, Array]:
         """Return the velocities to north and east (n,) [m/s] at heights (n,) [m] in one row, a time of the table.
 
         Args:
@@ -56,6 +55,7 @@ class ProfileTable:
             return north, east
 
         def at(axis: Array) -> Array:
+            """Return one component of the velocity, interpolated between the two heights of the table."""
             axis = jnp.asarray(axis)
             return axis[row] + share * (axis[row + 1] - axis[row])
 

@@ -53,6 +53,7 @@ class WindSeries(Wind):
         share = jnp.clip(since / interval, 0.0, 1.0)
 
         def at(axis: Array) -> Array:
+            """Return one component of the velocity (n,), interpolated between two times of the series."""
             axis = jnp.asarray(axis)
             return jnp.broadcast_to(axis[before] + share * (axis[before + 1] - axis[before]), height_agl.shape)
 

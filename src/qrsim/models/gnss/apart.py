@@ -38,7 +38,7 @@ def _normals(draw: Draw, slots: Slots) -> tuple[list[Drawn], list[Drawn]]:
 
 
 def apart_init(budget: ErrorBudget, draw: Draw, slots: Slots) -> Apart:
-    """Return stationary first states; ``budget`` is the ErrorBudget."""
+    """Return stationary random first states of the errors of each satellite."""
     each, together = _normals(draw, slots)
     of_each, of_all = budget.processes()
     return Apart(

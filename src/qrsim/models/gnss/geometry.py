@@ -17,7 +17,7 @@ from jax import Array
 from qrsim.core.fastmath import exp, log
 from qrsim.core.tree import quantity, record, select
 from qrsim.core.vectors import Vec3
-from qrsim.models.gnss.parameters import ReceiverParameters, column, times
+from qrsim.models.gnss.parameters import ReceiverParameters, across, column, times
 from qrsim.models.gnss.sight import LETTERS
 from qrsim.models.gnss.slots import NOBODY, Slots
 from qrsim.models.gnss.solving import Gains, Solution, Symmetric, factor, robust, solve, sums
@@ -126,12 +126,6 @@ class View:
     extra: Array = quantity(unit="m", doc="(K, m) error by a reflection")
     multipath: Array = quantity(unit="1", doc="(K, m) sum of both halves, of unit variance each")
     counted: Array = quantity(doc="(K, m) bool: above the mask")
-
-
-def across(parameter: object) -> Array:
-    """Return a parameter () unchanged, or (n,) as (1, n), to broadcast against arrays (slots, receivers)."""
-    value = jnp.asarray(parameter)
-    return value[None, :] if value.ndim else value
 
 
 def thermal_variance(receiver: ReceiverParameters) -> Array:

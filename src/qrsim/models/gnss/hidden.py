@@ -23,13 +23,12 @@ from qrsim.models.gnss.geometry import (
     CHIP_M,
     Geometry,
     View,
-    across,
     carrier_to_noise,
     geometry_of,
     multipath_std,
 )
 from qrsim.models.gnss.interference import Effect
-from qrsim.models.gnss.parameters import ReceiverParameters
+from qrsim.models.gnss.parameters import ReceiverParameters, across
 from qrsim.models.gnss.skyline import Skyline
 from qrsim.models.gnss.slots import Slots
 

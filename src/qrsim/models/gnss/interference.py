@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import jax.numpy as jnp
 from jax import Array
@@ -151,8 +151,8 @@ class Effect:
 
     jam: Array = quantity(unit="1", doc="increase of the inverse of C/N0, relative to 45 dB-Hz")
     misled: Array | None = quantity(doc="bool: the receiver is spoofed; None without spoofers")
-    offset_ned: Any = quantity(unit="m", doc="offset of positions by spoofers, or None")
-    rate_ned: Any = quantity(unit="m/s", doc="offset of velocities by spoofers, or None")
+    offset_ned: Vec3 | None = quantity(unit="m", doc="offset of positions by spoofers, or None")
+    rate_ned: Vec3 | None = quantity(unit="m/s", doc="offset of velocities by spoofers, or None")
     above: Array = quantity(unit="1", doc="satellites above the mask that send")
     lost: Array = quantity(unit="1", doc="number of these that are lost to jammers")
 

@@ -10,8 +10,8 @@ from qrsim.core.noise import Draw
 from qrsim.core.vectors import Vec3
 from qrsim.models.gnss.apart import Apart, apart_at, apart_init, apart_step
 from qrsim.models.gnss.fixes import GnssState
-from qrsim.models.gnss.geometry import Geometry, across, left_signal
-from qrsim.models.gnss.parameters import ReceiverParameters, column, times
+from qrsim.models.gnss.geometry import Geometry, left_signal
+from qrsim.models.gnss.parameters import ReceiverParameters, across, column, times
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.gnss.slots import Slots
 
@@ -63,7 +63,7 @@ def own_error(now: Geometry, bias: tuple[Array, ...], position_ned: Vec3, fast: 
 def step_multipath(
     receiver: ReceiverParameters, state: GnssState, draw: Draw, slots: Slots, same: Array, velocity_ned: Vec3
 ) -> tuple[Array, Array]:
-    """Return both halves of the multipath (K, n) a period later; that of a satellite in a new slot is drawn again."""
+    """Return fast and slow parts of the multipath (K, n) a period later, drawn again for satellites in new slots."""
     # Not normal, which would take half of a fix's time: the sums over time and satellites are.
     drawn = draw.uniform_pairs(slots.ids + jnp.uint32(MULTIPATH_PAIRS))
     way = velocity_ned.norm() * (receiver.period / receiver.multipath_length)

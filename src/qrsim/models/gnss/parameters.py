@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, ClassVar, Literal
 
+import jax.numpy as jnp
 from jax import Array
 
 from qrsim.core.presets import Presets
@@ -115,6 +116,12 @@ class ReceiverParameters:
     def takes_base(self) -> bool:
         """True if the receiver uses corrections of a base station."""
         return self.corrections in ("dgps", "rtk")
+
+
+def across(parameter: object) -> Array:
+    """Return a parameter () unchanged, or (n,) as (1, n), to broadcast against arrays (slots, receivers)."""
+    value = jnp.asarray(parameter)
+    return value[None, :] if value.ndim else value
 
 
 def column(receiver: ReceiverParameters) -> int:

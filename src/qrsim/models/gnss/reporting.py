@@ -89,7 +89,7 @@ def fix_of(
 
 def misled(effect: Effect | None, error: Vec3, velocity: Vec3) -> tuple[Vec3, Vec3]:
     """Return position errors and velocities with the offsets of spoofers added."""
-    if effect is None or effect.misled is None:
+    if effect is None or effect.offset_ned is None or effect.rate_ned is None:
         return error, velocity
     return error + effect.offset_ned, velocity + effect.rate_ned
 

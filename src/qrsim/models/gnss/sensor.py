@@ -19,7 +19,6 @@ from qrsim.models.gnss.fixes import GnssFix, GnssState
 from qrsim.models.gnss.geometry import (
     AWAY,
     Geometry,
-    across,
     aged,
     geometry_of,
     passed,
@@ -30,7 +29,7 @@ from qrsim.models.gnss.geometry import (
 from qrsim.models.gnss.hidden import solved
 from qrsim.models.gnss.interference import Effect, jammed, lied_to
 from qrsim.models.gnss.own_errors import MULTIPATH_PAIRS, common_errors, first_common, own_error, step_multipath
-from qrsim.models.gnss.parameters import ReceiverParameters, times
+from qrsim.models.gnss.parameters import ReceiverParameters, across, times
 from qrsim.models.gnss.per_satellite import with_satellites
 from qrsim.models.gnss.receivers import SkyState
 from qrsim.models.gnss.reporting import fix_of, lagged, misled, moved, placed_at, plain

@@ -93,7 +93,7 @@ class Violation:
         return Violation(code, value)
 
     def or_else(self, other: Violation) -> Violation:
-        """Return this violation, and where it is empty (code 0) the other one."""
+        """Return this violation, replaced by the other one for vehicles without any (code 0)."""
         here = self.code != 0
         return Violation(jnp.where(here, self.code, other.code), jnp.where(here, self.value, other.value))
 

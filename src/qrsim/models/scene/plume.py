@@ -129,7 +129,7 @@ class GaussianPlume(Plume):
 
     @property
     def ids(self) -> int:
-        """Number of sources drawn."""
+        """Number of ids for random draws: one for each of at most ``most`` sources."""
         return self.most
 
     def init(self, draw: Draw, area: object) -> GaussianState:
@@ -191,7 +191,7 @@ class DispersionPlume(Plume):
 
     @property
     def ids(self) -> int:
-        """Number of sources drawn."""
+        """Number of ids for random draws: one for each of at most ``most`` sources."""
         return self.most
 
     def init(self, draw: Draw, area: object) -> Sources:
@@ -200,7 +200,7 @@ class DispersionPlume(Plume):
         return Sources(position, jnp.where(there, uniform(draw, 4, self.rate_min, self.rate_max), 0.0))
 
     def concentration(self, state: Sources, position_ned: Vec3, wind: Wind, area: object, since: Array) -> Array:
-        """Return the concentration at positions (n,)."""
+        """Return the concentration at positions (n,), zero at positions upwind of all sources."""
         along, across = wind.along_across(_offsets(position_ned, state.position_ned))
         spread = _spread_at(self.spread_factor, self.spread_exponent, along)
         vertical = _reflected(position_ned, state.position_ned, spread)
@@ -254,7 +254,7 @@ class PuffPlume(Plume):
 
     @property
     def ids(self) -> int:
-        """Number of sources drawn."""
+        """Number of ids for random draws: one for each of at most ``most`` sources."""
         return self.most
 
     def init(self, draw: Draw, area: object) -> PuffState:

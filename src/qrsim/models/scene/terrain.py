@@ -97,7 +97,7 @@ class PatchyGround(GroundCover):
         start = _Pouring(cells, corner, corner, nothing, nothing, first + 1)
 
         def step(now: _Pouring) -> _Pouring:
-            """Return the state after one more draw: a drop moves on, or a new drop starts."""
+            """Return the state after one more draw of random numbers: a drop moves on, or a new drop starts."""
             chance = self._uniforms(draw, now.draws)
             place = now.cells[now.drop[0], now.drop[1]] == number
             pouring = now.left > 0
@@ -128,7 +128,7 @@ class PatchyGround(GroundCover):
         return found[0], found[1], found[2]
 
     def _jumped(self, centre: Array, chance: tuple[Array, Array, Array]) -> Array:
-        """Return the cell after a random jump from ``centre``, wrapped around at the edges."""
+        """Return the cell after a random jump from ``centre``, wrapped at the edges; ``chance``: uniforms in (0, 1)."""
         length = -self.jump * log(chance[0])
         sine, cosine = sincos(2.0 * math.pi * chance[1])
         steps = jnp.round(jnp.stack([length * cosine, length * sine])).astype(jnp.int32)

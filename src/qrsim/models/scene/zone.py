@@ -191,7 +191,7 @@ class Zones:
 def _stretch(
     begin: Triple, end: Triple, cuts: Sequence[float], counts: Callable[[float, float, float], bool]
 ) -> tuple[float, Triple | None]:
-    """Return the length [m] of the parts of a way that count, judged at their middles, and where the first begins.
+    """Return the length [m] of the parts of a way where ``counts`` holds, and where the first of them begins.
 
     Args:
         begin, end: of the way, NED [m].

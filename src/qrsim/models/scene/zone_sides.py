@@ -18,7 +18,7 @@ BESIDE = 1e-3
 
 
 def heights_of(zone: Zone) -> tuple[float, float]:
-    """Return top and bottom of a zone as down coordinates [m] from its level."""
+    """Return top and bottom of a zone as down coordinates [m] relative to its reference level."""
     return -min(zone.ceiling, OPEN), OPEN if zone.floor <= 0.0 else -zone.floor
 
 

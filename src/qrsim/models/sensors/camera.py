@@ -32,7 +32,7 @@ class TakesPictures(Protocol):
     """Method of sensors with ``takes_pictures``, in addition to their contract."""
 
     def develop(self, reading: object, around: Surroundings, stream: Stream, size: Array) -> Picture:
-        """Return the scores of the last picture of each vehicle (n,); see ``Camera.develop``."""
+        """Return the last picture of each vehicle (n,), scores for windows of the ground; see ``Camera.develop``."""
         ...
 
 

@@ -48,7 +48,7 @@ def ratios(camera: Any, reading: Any, around: Surroundings, stream: Stream, size
     vehicles, wide = to.shape[0], min(COLUMNS, camera.most_columns)
 
     def turn(now: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
-        """Return the loop's state with one piece of one row of one picture computed."""
+        """Return the loop's state with one block of one picture's row of windows computed."""
         vehicle, row, left, found = now
         # The last piece of the longest row ends with it.
         left_most = jnp.minimum(left, camera.most_columns - wide)
@@ -105,7 +105,7 @@ def _persons(own: Any, view: Any, around: Surroundings, tick: Array, size: Array
 
 
 def _present(shown: _Shown, row: Array, column: Array) -> Array:
-    """Return (C,) bool: a missing person is nearest in a window of row ``row`` ()."""
+    """Return (C,) bool: in a window of row ``row`` () a missing person is the nearest object."""
 
     def compare() -> Array:
         """Return (C,) bool by comparing each window with those of all persons."""

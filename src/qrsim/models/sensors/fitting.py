@@ -76,7 +76,7 @@ class Transit:
         return Transit((*self.readings[1:], reading), (*self.taken[1:], now), (*self.due[1:], due))
 
     def delivered(self, tick: Array) -> Record:
-        """Return the newest reading (n,) with its due tick reached."""
+        """Return the newest reading (n,) that a delay has let through by this tick."""
         newest = self.readings[0]
         for reading, due in zip(self.readings[1:], self.due[1:], strict=True):
             newest = select(due <= tick, reading, newest)

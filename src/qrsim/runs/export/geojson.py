@@ -61,7 +61,7 @@ def _segment_feature(track: Track, number: int, segment: Segment) -> dict[str, o
 
 
 def _event_feature(mark: Mark) -> dict[str, object]:
-    """Return an event as a feature."""
+    """Return an event as a GeoJSON feature."""
     point = None if mark.geodetic is None else {"type": "Point", "coordinates": _coordinates(mark.geodetic)}
     event = asdict(mark.event)
     seconds, name = event.pop("time"), event.pop("vehicle")

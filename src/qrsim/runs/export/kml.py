@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from types import ModuleType
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -62,7 +63,7 @@ def write(content: Tracks, path: Path, heights: Heights = "ground") -> Written:
     return Written(path, content.counts)
 
 
-def _track_style(simplekml: Any, number: int, kind: str) -> object:
+def _track_style(simplekml: ModuleType, number: int, kind: str) -> object:
     """Return the line style of a vehicle's track."""
     red, green, blue = VEHICLES[number % len(VEHICLES)].tolist()
     style = simplekml.Style()

@@ -47,11 +47,11 @@ class Group(NamedTuple):
 
     @property
     def schema(self) -> str:
-        """Name of the schema."""
+        """Name of the schema of the group's messages."""
         return f"qrsim.{self.name}"
 
     def describe(self) -> foxglove.Schema:
-        """Return the schema: units and meanings are those of the columns."""
+        """Return the message's schema, with units and meanings of the columns."""
         found: foxglove.Schema = {"type": "object", "properties": {"timestamp": foxglove.TIME}}
         for column in self.columns:
             at = found

@@ -133,7 +133,7 @@ class _Writer:
         return _said(waypoint.item, speed, waypoint.climb, waypoint.sink, yaw_deg)
 
     def _shared_until(self, waypoint: Waypoint, until: Condition) -> Content:
-        """Return the entries of the legs before a condition is met: item, speeds, yaw."""
+        """Return the entries that all legs up to a condition share: item number, speeds and yaw."""
         speed = self.plan.hover_speed if until.speed is None else until.speed
         return _said(waypoint.item, speed, until.climb, until.sink, until.yaw_deg)
 

@@ -66,6 +66,7 @@ def lines_of(source: str, paths: list[str]) -> dict[str, int]:
     parse = decoder.parse_object
 
     def parse_object(text_and_begin: tuple[str, int], *args: object) -> tuple[Any, int]:
+        """Parse one JSON object and note the offset at which its text begins."""
         found, end = parse(text_and_begin, *args)
         # Kept, because the number of an object that is gone may become another's.
         kept.append(found)

@@ -152,6 +152,7 @@ class Ignored:
         return self._line(self.what if self.on_route is None else self.on_route)
 
     def _line(self, what: str) -> str:
+        """Return the message for an ignored item: its number, name and reason."""
         return f"{self.name}: {what}" if self.item is None else f"item {self.item}, {self.name}: {what}"
 
 

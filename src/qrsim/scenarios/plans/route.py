@@ -82,6 +82,7 @@ class Route:
         self.ignored.append(Ignored(flight.jump.number, "DO_JUMP", "", "repeated once, not endlessly"))
 
     def _add_one(self, item: SimpleItem) -> None:
+        """Add one mission item to the route; a fault in it becomes a problem of the plan."""
         self._item = item
         try:
             self._add(item.content, item.path)
@@ -313,7 +314,7 @@ def _at(latitude: float, longitude: float, altitude: float, above: Above, height
 
 
 def _is_placeless(params: Sequence[object]) -> bool:
-    """Return whether an item has no place, so that it is at the one before: both coordinates null or 0."""
+    """Return whether an item has no position and takes that of the item before: both coordinates null or 0."""
     return (params[4] is None and params[5] is None) or (params[4] == 0.0 and params[5] == 0.0)
 
 

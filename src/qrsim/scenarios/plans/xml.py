@@ -13,6 +13,7 @@ class _Builder(ElementTree.TreeBuilder):
     """Refuses a document type before any of its entities is read."""
 
     def doctype(self, name: str, pubid: str | None, system: str | None) -> NoReturn:
+        """Raise _DocumentTypeError: a document type may define entities that expand without limit."""
         raise _DocumentTypeError
 
 

@@ -69,7 +69,7 @@ class Boundary:
 
     @property
     def runs(self) -> int:
-        """Number of runs."""
+        """Number of runs flown for the boundary."""
         return sum(trial.runs for trial in self.trials)
 
     @property

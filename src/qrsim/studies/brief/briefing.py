@@ -106,7 +106,7 @@ class Brief:
         return found
 
     def missing_text(self) -> str:
-        """Return the text that the brief is incomplete; "" for a complete one."""
+        """Return the reason, as text, that the brief is incomplete; "" for a complete one."""
         if self.left_out:
             return f"not flown, because no time was left: {', '.join(self.left_out)}"
         return "" if self.complete else "the brief was stopped before it was complete"
@@ -196,6 +196,7 @@ class Brief:
 
 
 def _share(hits: int, total: int) -> Content:
+    """Return a number of runs as a share of all, with its Wilson interval."""
     low, high = wilson(hits, total)
     return {"runs": hits, "share": hits / total, "low": low, "high": high}
 
@@ -272,14 +273,14 @@ def _read_others(brief: Brief, stages: Sequence[str]) -> None:
 
 
 def keep(brief: Brief) -> None:
-    """Read the runs stored before an interruption; the verdicts of the last look hold."""
+    """Read the runs stored before an interruption; the verdicts of the last interim analysis hold."""
     _read(brief, look=None)
     if brief.winds is not None:
         _winds(brief, None, polar=True)
 
 
 def _read(brief: Brief, look: int | None) -> None:
-    """Read the nominal runs stored up to a look and judge them; None: all of them, keeping the last verdicts."""
+    """Read and judge the nominal runs up to an interim analysis (``look``); None: all, with the last verdicts kept."""
     stores = []
     starts = len(brief.flights.starts)
     for piece in pieces(brief.operation.criteria.p_loss):
@@ -299,11 +300,12 @@ def _read(brief: Brief, look: int | None) -> None:
 
 
 def _store(brief: Brief, part: Piece) -> Path:
+    """Return the path of a study's store of runs."""
     return brief.folder / f"{part.name}.zarr"
 
 
 def _nominal(brief: Brief, flyer: Flyer | None) -> bool:
-    """Fly the nominal stage look by look, or without a flyer only read it; return whether it reached a verdict."""
+    """Fly the nominal stage up to a verdict, or without a flyer only read it; return whether it reached one."""
     for piece in pieces(brief.operation.criteria.p_loss):
         parts = piece.parts(len(brief.flights.starts))
         if flyer is None:

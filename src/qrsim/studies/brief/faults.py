@@ -166,6 +166,7 @@ def _outcome(results: Results, here: NumpyArray, fault: str, part: float, begun:
     """Return the shares of outcomes of the runs ``here`` after a fault at ``part`` of the mission, ``begun`` [s]."""
 
     def of(metric: str) -> NumpyArray:
+        """Return a metric of the runs ``here``."""
         return results.metric(metric)[here]
 
     crashed = (of("crashed") > 0.0) | ((of("stopped") > 0.0) & (of("left_area") == 0.0))

@@ -123,6 +123,7 @@ def _number_legs(axes: Axes, vehicle: Any, line: NumpyArray) -> None:
 
 
 def _vehicles(scenario: Scenario) -> list[Any]:
+    """Return the specifications of the vehicles that fly a mission."""
     return [vehicle for fleet in scenario.spec.fleets.values() for vehicle in fleet.vehicles if vehicle.legs]
 
 
@@ -188,6 +189,7 @@ def time_figure(
 
 
 def _draw_sky(axes: PolarAxes, sky: Sky, last_s: float) -> None:
+    """Draw the number of satellites and the PDOP over time, at the place with the worst sky."""
     place, hours = sky.worst_place(), sky.seconds / 3600.0
     axes.axvspan(0.0, last_s / 3600.0, color="#dddddd", lw=0)
     axes.plot(hours, sky.count[:, place], color="#1f4e8c", lw=1.0)

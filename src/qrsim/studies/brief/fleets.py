@@ -64,7 +64,7 @@ class Place:
     alone: bool
 
     def path(self, number: str) -> str:
-        """Return the scenario path of this vehicle's value of a number such as ``battery.capacity``."""
+        """Return the path, in the scenario, of a parameter such as ``battery.capacity`` for this vehicle."""
         return f"fleets.{self.fleet}.{number}" + ("" if self.alone else f".{self.row}")
 
 

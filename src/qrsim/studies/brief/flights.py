@@ -188,6 +188,7 @@ def bearing_deg(wind: WindSpec) -> float:
 
 
 def _check_homes(operation: OperationSpec, plans: tuple[Plan, ...]) -> None:
+    """Raise UsageError if the homes of two plans are too far apart for one world."""
     first = plans[0].home
     site = Site.from_degrees(first.latitude_deg, first.longitude_deg, first.altitude_amsl)
     for mission, plan in zip(operation.missions, plans, strict=True):

@@ -107,7 +107,7 @@ def undecided(rows: Sequence[Row]) -> bool:
 def judge(
     runs: Runs, criteria: CriteriaSpec, look: int | None, energy: bool = True, low_battery: float = 0.15
 ) -> list[Row]:
-    """Return a row for each criterion that the nominal runs decide.
+    """Return a row for each criterion that the nominal runs decide; ``look`` numbers the interim analysis.
 
     Args:
         runs: flown so far.
@@ -124,7 +124,7 @@ def judge(
 
 
 def _levels(look: int | None) -> tuple[float | None, float | None]:
-    """Return the error probability that a look may spend on "go" and on "no-go"; None for no decision."""
+    """Return the error probabilities for "go" and "no-go" at an interim analysis; None for no decision."""
     if look is None:
         return None, None
     return (None if look == 0 else spent(look)), spent(look + 1)
@@ -276,4 +276,5 @@ def _empty(value: float) -> str:
 
 
 def _percent(share: float) -> str:
+    """Return a share as a percentage in text."""
     return f"{100.0 * share:.2g} %" if share < 0.1 else f"{100.0 * share:.0f} %"

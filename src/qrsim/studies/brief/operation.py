@@ -244,6 +244,7 @@ def with_paths(content: Content, changed: Callable[[str], str]) -> Content:
     found = copy.deepcopy(content)
 
     def change(part: Any, key: Any) -> None:
+        """Change an entry in place if it is a file path."""
         if isinstance(part[key], str) and (key != "vehicle" or Path(part[key]).suffix):
             part[key] = changed(part[key])
 

@@ -101,6 +101,7 @@ def _notes(brief: Brief) -> Iterator[tuple[str, str]]:
 
 
 def _percents(shares: Sequence[float]) -> str:
+    """Return shares as percentages in text, separated by slashes."""
     return "/".join(f"{100 * share:.0f}" for share in shares) + " %"
 
 

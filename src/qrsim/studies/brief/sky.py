@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -75,11 +74,11 @@ def sky_of(scenario: Scenario) -> Sky:
     The orbits are those of the scenario. A satellite counts if it is above the receiver's mask, belongs to one of its
     systems, and no obstacle or ground is in the way.
     """
-    spec: Any = scenario.spec
-    receiver: Any = next(
+    spec = scenario.spec
+    receiver = next(
         sensor for fleet in spec.fleets.values() for sensor in fleet.sensors.values() if sensor.type == "gnss"
     )
-    ephemeris: Any = for_receivers(spec, component(spec.world.sky.orbits, known.ORBITS, spec))
+    ephemeris = for_receivers(spec, component(spec.world.sky.orbits, known.ORBITS, spec))
     start = gps_seconds_from_utc(spec.start_time)
     first, last = ephemeris.span_gps_seconds
     times = start + np.arange(0.0, DAY_S + 1.0, STEP_S)

@@ -56,17 +56,17 @@ def runs_needed(limit: float, hits: int = 0, alpha: float = ALPHA) -> int:
 
 
 def spent(look: int) -> float:
-    """Return the part of ALPHA that a look (1, 2, ...) may use; all looks together use ALPHA."""
+    """Return the part of ALPHA that interim analysis ``look`` (1, 2, ...) may use; all together use ALPHA."""
     return ALPHA / (look * (look + 1))
 
 
 def first_look(limit: float) -> int:
-    """Return the number of runs of the first look: the fewest that without a loss give a go."""
+    """Return the number of runs of the first interim analysis: the fewest that give a go if none is lost."""
     return runs_needed(limit, 0, spent(1))
 
 
 def looks(limit: float) -> Iterator[int]:
-    """Yield the total runs at looks 1, 2, ...; each total is twice the one before."""
+    """Yield the total number of runs at each interim analysis (a look); each total is twice the one before."""
     runs = first_look(limit)
     while True:
         yield runs
@@ -74,7 +74,7 @@ def looks(limit: float) -> Iterator[int]:
 
 
 def allowed(limit: float, look: int) -> int:
-    """Return the largest number of losses at a look that still gives a go."""
+    """Return the largest number of losses at interim analysis ``look`` that still gives a go."""
     runs = first_look(limit) * 2 ** (look - 1)
     hits = 0
     while upper(hits + 1, runs, spent(look)) < limit:

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -73,7 +72,7 @@ class Piece:
 
 
 def pieces(p_loss: float) -> Iterator[Piece]:
-    """Yield the parts of the nominal stage, without end; the totals double from the second look on."""
+    """Yield the parts of the nominal stage, without end; from the second interim analysis on, the total doubles."""
     first = first_look(min(p_loss, UNFINISHED))
     done = 0
     if first > FEWEST:
@@ -163,7 +162,7 @@ class Flyer:
         told: called after each batch, with the study's name, and its episodes done and planned.
     """
 
-    def __init__(self, folder: Path, client: Any, minutes: float, told: Callable[[str, int, int], None]):
+    def __init__(self, folder: Path, client: object, minutes: float, told: Callable[[str, int, int], None]):
         self.folder, self.client, self.minutes, self.told = folder, client, minutes, told
         self.begun = time.monotonic()
         self._first: Plan | None = None
@@ -214,6 +213,7 @@ class Flyer:
         done = sum(plan.batch(i).episodes for i, known in enumerate(store.done) if known)
 
         def progress(batch: Batch) -> None:
+            """Report a flown batch; raises OutOfTimeError if the deadline has passed and batches are missing."""
             nonlocal done, begun
             now = time.monotonic()
             self.batch_s, begun = max(self.batch_s, now - begun), now

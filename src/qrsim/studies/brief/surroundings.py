@@ -98,7 +98,7 @@ def site_of(operation: OperationSpec, plan: Plan, below: Content) -> Content:
 
 
 def ground_of(site: SiteSpec) -> Content:
-    """Return the content of ground and buildings for a site."""
+    """Return the scenario content for the terrain and the buildings of a site."""
     found: Content = {}
     if site.terrain:
         found["ground"] = {"type": "dem", "file": site.terrain if len(site.terrain) > 1 else site.terrain[0]}

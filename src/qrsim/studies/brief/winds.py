@@ -113,7 +113,10 @@ def boundary_of(
     """
 
     def flying(part: str) -> Callable[[int, list[Point]], tuple[list[Trial], bool]]:
+        """Return the function that flies the points of one part of the boundary, in rounds."""
+
         def fly(number: int, points: list[Point]) -> tuple[list[Trial], bool]:
+            """Fly the points of a round; return their trials and whether all are complete."""
             name = f"{part}_{number}"
             complete = flyer is not None and flyer.fly(wind_study(name, seed + SEEDS * number, points, winds))
             found = _trials(folder / f"{name}.zarr", points, reserve)
@@ -196,4 +199,5 @@ def wind_row(flights: Flights, limit: float | None, winds: Winds | None, boundar
 
 
 def _against(wind: float, low: float, high: float) -> Verdict:
+    """Return the verdict of a wind [m/s] against a limit between ``low`` and ``high`` [m/s]."""
     return "go" if wind < low - BELOW else "no-go" if wind > high else "marginal"

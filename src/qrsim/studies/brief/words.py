@@ -76,6 +76,7 @@ def spread(first: str, minutes: float, count: int) -> tuple[str, ...]:
 
 
 def _written(time: datetime) -> str:
+    """Return a time in UTC as ISO 8601 text, such as 2026-05-01T10:00:00Z."""
     return time.astimezone(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jax import Array
@@ -54,7 +53,7 @@ class Law:
     name: str
     chosen: Proposal
     front: list[tuple[int, float]]
-    expression: Any
+    expression: object
 
     @property
     def terms(self) -> dict[tuple[int, ...], float] | None:

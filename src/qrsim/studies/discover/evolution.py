@@ -53,7 +53,7 @@ class Proposal:
 
     @property
     def size(self) -> int:
-        """Number of nodes."""
+        """Number of nodes of the proposed law."""
         return len(self.tree)
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.errors import LogError
 from qrsim.studies.flight_logs.preparing import prepare
 from qrsim.studies.flight_logs.signals import FlightLog, Floats, Track
@@ -55,7 +56,7 @@ def read_ulog(path: Path) -> FlightLog:
     return prepare(path, "PX4 ULog", tracks, notes)
 
 
-def _tracks(topics: dict[str, Any], notes: list[str]) -> dict[str, Track]:
+def _tracks(topics: Mapping[str, Mapping[str, NumpyArray]], notes: list[str]) -> dict[str, Track]:
     """Return the signals of the topics in SI, adding notes on choices."""
     tracks: dict[str, Track] = {}
 
@@ -83,7 +84,7 @@ def _tracks(topics: dict[str, Any], notes: list[str]) -> dict[str, Track]:
     return tracks
 
 
-def _euler(data: Any, name: str) -> tuple[Floats, Floats, Floats]:
+def _euler(data: Mapping[str, NumpyArray], name: str) -> tuple[Floats, Floats, Floats]:
     """Return ZYX angles [rad] of a topic's quaternion, body to NED."""
     w, x, y, z = (np.asarray(data[f"{name}[{i}]"], np.float64) for i in range(4))
     return (

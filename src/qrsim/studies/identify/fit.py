@@ -109,7 +109,7 @@ class _Sum:
         self.robust = question.robust
         self.evaluations = 0
         self.pace: Pace | None = None
-        self._last: tuple[Any, list[Misfit]] | None = None
+        self._last: tuple[object, list[Misfit]] | None = None
 
     def be_robust(self, robust: bool) -> None:
         """Choose the loss of residuals, in flight and in the starts of windows alike."""

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from qrsim.errors import UsageError
 from qrsim.files import Content
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from qrsim.studies.identify.at_rest import Noise
 
 PRESET = "icm42688p"
@@ -91,7 +93,7 @@ def _print_terms(found: Mapping[str, Noise], content: Content, *, quiet: bool) -
     print(f"sensor: {content['file']}\npicture: {content['picture']}")
 
 
-def draw(found: Mapping[str, Noise]) -> Any:
+def draw(found: Mapping[str, Noise]) -> Figure:
     """Draw the Allan deviations of each axis and of the fit."""
     import numpy as np
 

@@ -62,7 +62,7 @@ class Covariance:
 
     @property
     def std(self) -> Floats:
-        """Standard errors, (K,)."""
+        """Standard errors (K,) of the constants."""
         return np.sqrt(np.maximum(np.diag(self.matrix), 0.0))
 
     @property

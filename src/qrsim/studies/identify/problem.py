@@ -235,7 +235,7 @@ class Shooting:
             self.gust = np.maximum(np.sqrt(np.stack([across, across, down], axis=1).ravel()), SMALLEST_GUST)
 
     def _gusts(self) -> Floats:
-        """Return the gusts and drifts of each window's start."""
+        """Return the gust and drift states at the start of each window."""
         return self.starts[:, list(self.piece.gusts)]
 
     def simulated(self, values: Mapping[str, float]) -> Floats:

@@ -131,7 +131,7 @@ def worse(
 
 
 def _ratios(aspect: str, score: Content) -> dict[str, float]:
-    """Return channel -> held-out error divided by the start's error, for the channels of an aspect."""
+    """Return for each channel of an aspect the held-out error divided by that with the start constants."""
     before, after = score["start"], score["identified"]
     found = {}
     for channel in channels_in(aspect):

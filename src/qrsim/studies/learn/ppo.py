@@ -180,7 +180,7 @@ class Algorithm:
         settings, rows = self.settings, _rows_of(learner.weights, samples, self.settings)
 
         def minibatch(learner: Learner, chosen: Array) -> tuple[Learner, Array]:
-            """Take a step of the gradient."""
+            """Update the learner by one gradient step on a minibatch of samples."""
             part = jax.tree.map(lambda leaf: leaf[chosen], rows)
             slope, divergence = jax.grad(partial(_loss, settings), has_aux=True)(learner.weights, part)
             with _usual_promotion():
@@ -229,7 +229,7 @@ def _advantages(reward: Array, value: Array, after: Array, ended: Array, setting
     error = reward + settings.discount * after - value
 
     def back(later: Array, row: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Add the later errors of the same episode."""
+        """Return the sum of temporal-difference errors, discounted, one step further back in the same episode."""
         error, ended = row
         now = error + jnp.where(ended, 0.0, settings.discount * settings.trace) * later
         return now, now

@@ -144,7 +144,7 @@ class Training:
 
     @property
     def iterations(self) -> int:
-        """Iterations per cycle, enough for an episode to end."""
+        """Number of iterations in a cycle of the training, enough for an episode to end."""
         return -(-self.flights.batch.functional.play.steps // self.horizon)
 
     def cycles(self, told: Callable[[int], None] = lambda steps: None) -> Iterator[Tried]:

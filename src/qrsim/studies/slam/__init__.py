@@ -7,7 +7,7 @@ Read ``estimate.py`` first.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from qrsim.studies.slam.cooperative import CooperativeSlam
@@ -24,7 +24,7 @@ _MODULES = {
 }
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     # Imported on first use: the command's help needs none of it.
     if name in _MODULES:
         from importlib import import_module

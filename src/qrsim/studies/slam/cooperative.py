@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -202,18 +202,17 @@ def graph_of(
     prior: str,
 ) -> tuple[Graph, Floats]:
     """Return one vehicle's graph, with its own part of the fixes' error as a state, and its initial states."""
-    how: dict[str, Any] = {"graph": "gnss", "states": states, "prior": prior}
+    make = partial(make_graph, flight, ranging, active, graph="gnss", states=states, prior=prior)
     if bias_time_constant is None:
-        return make_graph(flight, ranging, active, fix_std=fix_std, bias_time_constant=None, **how)
+        return make(fix_std=fix_std, bias_time_constant=None)
     own = own_time_constant or bias_time_constant
     # What is left of a fix beside both parts: what they move by within an interval.
     twice = -2.0 * flight.ticks * flight.time_step
     moved = -share * math.expm1(twice / bias_time_constant) - (1.0 - share) * math.expm1(twice / own)
     white = fix_std * math.sqrt(moved)
     if share >= 1.0:
-        return make_graph(flight, ranging, active, fix_std=white, bias_time_constant=None, **how)
-    how["fix_std"] = fix_std * math.sqrt(1.0 - share)
-    graph, x = make_graph(flight, ranging, active, bias_time_constant=own, **how)
+        return make(fix_std=white, bias_time_constant=None)
+    graph, x = make(fix_std=fix_std * math.sqrt(1.0 - share), bias_time_constant=own)
     with jax.enable_x64(True):
         return replace(graph, fix_weight=jnp.where(graph.fix_weight > 0.0, 1.0 / white, 0.0)), x
 

@@ -25,6 +25,7 @@ from qrsim.core.tree import quantity, record, replace, setting
 from qrsim.engine.settings import quick_jit
 from qrsim.errors import UsageError
 from qrsim.models.vehicles.process_noise import PROCESS_NOISE_STEP_S
+from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.studies.slam.flight import SIZE, Flight, Floats, advance, dead_reckon
 from qrsim.studies.slam.ranging import Ranging
 
@@ -43,7 +44,7 @@ ESTIMATE_STD = np.array([100.0, 100.0, 0.5] + [0.01] * 3 + [0.5] * 3 + [0.05] * 
 class Graph:
     """Data of a problem: T + 1 states of D numbers, L landmarks."""
 
-    vehicle: Any = quantity(doc="vehicle model, float64")
+    vehicle: Quadrotor = quantity(doc="vehicle model, float64")
     commands: Array = quantity(doc="(T, K, 5) commands as flown")
     air_ned: Array = quantity(unit="m/s", doc="(T, K, 3) known wind")
     nominal: Array = quantity(doc="(T + 1, 13) dead-reckoned states; only poses use them")

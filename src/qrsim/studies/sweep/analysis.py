@@ -207,6 +207,7 @@ def terms(values: NumpyArray, squares: bool) -> NumpyArray:
 
 
 def _logistic(score: NumpyArray) -> NumpyArray:
+    """Return the logistic function of a score, a probability."""
     return 1.0 / (1.0 + np.exp(-np.clip(score, -50.0, 50.0)))
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
 
 from qrsim.core.arrays import NumpyArray
@@ -111,10 +111,13 @@ def draw_map(results: Results, pair: tuple[Parameter, Parameter], metric: str) -
     return figure
 
 
-def _mesh(axes: Axes, pair: tuple[Parameter, Parameter], values: NumpyArray, colours: str, **limits: Any) -> Any:
+def _mesh(
+    axes: Axes, pair: tuple[Parameter, Parameter], values: NumpyArray, colours: str, most: float | None = None
+) -> QuadMesh:
     """Draw values at pairs of levels (L1, L2) as a colour mesh, the first parameter to the right."""
     one, other = pair
-    image = axes.pcolormesh(edges(one), edges(other), values.T, cmap=colours, **limits)
+    least = None if most is None else 0.0
+    image = axes.pcolormesh(edges(one), edges(other), values.T, cmap=colours, vmin=least, vmax=most)
     # What was not flown has no colour of the scale.
     axes.set_facecolor(NOT_FLOWN)
     _scale(axes, one, other)
@@ -140,7 +143,7 @@ def draw_boundary(results: Results, found: Boundary, pair: tuple[Parameter, Para
     figure = new_figure(7.2, 5.6)
     axes = figure.subplots()
     shares = heat_map(*pair, results.failed.astype(float))
-    image = _mesh(axes, pair, shares, "YlOrRd", vmin=0.0, vmax=1.0)
+    image = _mesh(axes, pair, shares, "YlOrRd", most=1.0)
     figure.colorbar(image, ax=axes, label="part of the episodes that failed")
     which = [numbers[parameter.name] for parameter in pair]
     lines = [found.line(number, 120)[:, number] for number in which]

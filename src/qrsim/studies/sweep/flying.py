@@ -71,7 +71,7 @@ def dumped(group: Group) -> bytes:
 
 @lru_cache(maxsize=8)
 def _function(what: str, source: str, digest: str) -> Any:
-    """Load a user's function, the same object for all batches, so that it compiles once."""
+    """Load a user's function; all batches get the same object, so that it compiles once."""
     from pathlib import Path
 
     from qrsim.errors import UsageError
@@ -95,7 +95,7 @@ def _own_metrics(job: Job) -> tuple[Any, Mapping[str, Metric]]:
 
 
 def _roll_out(job: Job) -> dict[str, NumpyArray]:
-    """Fly the worlds of a batch side by side."""
+    """Fly the worlds of a batch side by side, and return their metrics by name."""
     import jax
 
     from qrsim.engine.settings import use_compilation_cache

@@ -79,7 +79,7 @@ class Group:
     def varied(
         self, numbers: Mapping[str, NumpyArray]
     ) -> tuple[PyTreeDef, list[NumpyArray], list[NumpyArray], tuple[bool, ...]]:
-        """Return structure, shared leaves, varied leaves (W, ...), and the flags that tell them apart."""
+        """Return a world's tree structure, shared leaves, varied leaves (W, ...), and per leaf whether it is varied."""
         assert self.places is not None
         leaves, structure = self._leaves
         own: dict[int, NumpyArray] = {}

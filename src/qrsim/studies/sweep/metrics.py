@@ -40,6 +40,7 @@ def _over(reduce: Callable[..., NumpyArray], name: str) -> Callable[[Found], Num
     """Return a function that reduces a per-vehicle metric to one value per episode, ignoring NaN."""
 
     def of(found: Found) -> NumpyArray:
+        """Return the metric (W,) of W worlds, reduced over the vehicles; NaN if no vehicle has a value."""
         with warnings.catch_warnings():
             # A vehicle without a value does not count; an episode in which nobody has one has none.
             warnings.simplefilter("ignore", RuntimeWarning)
@@ -55,6 +56,7 @@ def _if_known(reduce: Callable[..., NumpyArray], name: str) -> Callable[[Found],
 
 
 def _root_mean_square(values: NumpyArray, axis: int) -> NumpyArray:
+    """Return the root mean square along an axis, ignoring NaN."""
     return np.sqrt(np.nanmean(values * values, axis=axis))
 
 
@@ -62,6 +64,7 @@ def _stopped(*kinds: str) -> Callable[[Found], NumpyArray]:
     """Return a function that counts each episode's vehicles that stopped for one of ``kinds``, or any reason."""
 
     def of(found: Found) -> NumpyArray:
+        """Return the number of vehicles (W,) that stopped for one of the reasons."""
         from qrsim.models.scene.area import REASONS
 
         bad = [code for code, (kind, _) in enumerate(REASONS) if code and (not kinds or kind in kinds)]
@@ -86,6 +89,7 @@ def _of_least(name: str, part: str) -> Callable[[Found], NumpyArray]:
     """Return a function for the ``part`` (or number) of the vehicle with the smallest ``name`` in each episode."""
 
     def of(found: Found) -> NumpyArray:
+        """Return the value (W,) for the vehicle with the smallest metric; NaN if no vehicle has one."""
         values = np.asarray(found[name], np.float64)
         vehicle = np.argmin(np.where(np.isnan(values), np.inf, values), axis=1)
         parts = np.broadcast_to(np.arange(values.shape[1]), values.shape)

@@ -62,6 +62,7 @@ def _episode(source: str, name: str, reduce: Callable[..., NumpyArray]) -> Calla
     """Return a function that reduces a user's metric (W, n) to episodes (W,), and leaves one of (W,) as it is."""
 
     def of(found: Found) -> NumpyArray:
+        """Return the user's metric (W,) of the worlds; raises UsageError if it is missing or has another shape."""
         if name not in found:
             raise UsageError(f"own_metrics: {source}: finish does not return '{name}'; it returns {sorted(found)}")
         values = np.asarray(found[name], np.float64)

@@ -103,12 +103,12 @@ class Plan:
 
     @property
     def points(self) -> int:
-        """Number of conditions."""
+        """Number of conditions of the study."""
         return math.prod(self.shape[:-1])
 
     @property
     def episodes(self) -> int:
-        """Number of episodes."""
+        """Number of episodes of the study."""
         return math.prod(self.shape)
 
     @cached_property
@@ -144,7 +144,7 @@ class Plan:
 
     @property
     def batches(self) -> int:
-        """Number of batches."""
+        """Number of batches of the study."""
         return math.prod(self.grid)
 
     def region(self, index: int) -> tuple[slice, ...]:

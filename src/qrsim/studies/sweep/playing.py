@@ -87,7 +87,10 @@ def _summed() -> Any:
     """Return the compiled program that updates flight metrics by the states of some ticks."""
 
     def summed(flight: object, world: World, states: object, ticks: object) -> object:
+        """Return the flight's metrics, updated by the states of all ticks in turn."""
+
         def one(known: Any, at: Any) -> Any:
+            """Update the metrics by the state of one tick."""
             state, tick = at
             return FLIGHT_METRICS.update(known, world, state, tick), None
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -59,7 +57,7 @@ class Parameter:
 
     @property
     def label(self) -> str:
-        """Name and unit, for an axis."""
+        """Name and unit of the parameter, for the axis of a figure."""
         return f"{self.name} [{self.unit}]" if self.unit and self.unit != "1" else self.name
 
 
@@ -125,7 +123,7 @@ class Results:
         return self.positions // self.dataset.sizes["seed"]
 
     def metric(self, name: str) -> NumpyArray:
-        """Return a metric (E,).
+        """Return the values (E,) of a metric in all E episodes.
 
         Raises:
             UsageError: the store does not have it.
@@ -232,7 +230,7 @@ class Results:
                 found[path] = float(self.dataset[item.name or path].values[index])
         return found
 
-    def summary(self) -> Mapping[str, Any]:
+    def summary(self) -> Content:
         """Return the number of episodes planned and stored, with the study's name."""
         return {
             "study": self.spec.name,

@@ -91,7 +91,7 @@ class Store:
             raise
 
     def _say_anew(self) -> None:
-        """Update descriptions and limits in the store's attributes that have changed since it was made."""
+        """Update the attributes of the store, descriptions and limits, to those of the present plan."""
         group, about = zarr.open_group(self.path, mode="r+"), _attributes(self.plan)
         if dict(group.attrs) != about:
             group.attrs.update(about)

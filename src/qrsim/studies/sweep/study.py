@@ -321,7 +321,7 @@ def _own_metrics(spec: StudySpec, source: str) -> dict[str, Metric]:
 
 
 def _code(what: str, name: str, folder: Path) -> tuple[str, str]:
-    """Return a function's name with absolute paths, and a digest of its file."""
+    """Return a function's name FILE:FUNCTION with an absolute path, and a digest of the file."""
     if what == "policy" and name == BASELINE:
         return name, ""
     teams = sources_by_team(name) if what == "policy" else None

@@ -106,7 +106,7 @@ def autocovariance(errors: Floats, lag: int) -> Floats:
 
 
 def _drift_checks(name: str, of: Process) -> list[Check]:
-    """Return the checks of standard deviation, time constant and autocorrelation of a process."""
+    """Return the checks of an error process against theory: standard deviation, time constant, autocorrelation."""
     count = 2 * (len(LAGS) + 3)
     z, variance = widest_z(count), of.std**2
     reason = (

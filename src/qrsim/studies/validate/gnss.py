@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,7 +41,7 @@ LENGTHS = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 175])
 # Windows at which the simulation is held against its closed form.
 CHECKED = (1, 16, 64)
 PAPER = "gauss_markov_2"
-MODELS: dict[str, tuple[Any, str]] = {
+MODELS: dict[str, tuple[object, str]] = {
     PAPER: (GaussMarkov2(), "second-order Gauss-Markov, 0.589 m, 40.1 s and 4 s: the model behind the paper's figures"),
     "ou": (OrnsteinUhlenbeckErrors(), "Ornstein-Uhlenbeck, 12.35 m, 2000 s: the reference implementation's other one"),
     "consumer": (
@@ -83,7 +83,7 @@ def simulate(name: str, orbits: Path, record: Recorded, seeds: int) -> tuple[Sim
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Compare the recorded receiver with simulated ones, and return the outcome of this part."""
+    """Compare the recorded receiver with simulated ones, and return the outcome for the report's part on GNSS."""
     record = recorded_receiver(paths[RECORDING])
     seeds = SEEDS if full else FEW_SEEDS
     runs, used = {}, (0, 0)
@@ -141,7 +141,7 @@ def _allan_checks(runs: dict[str, Simulated], seeds: int) -> list[Check]:
 
 
 def _results(
-    record: Recorded, deviation: Floats, runs: dict[str, Simulated], inside: Content, seeds: int, used: Any
+    record: Recorded, deviation: Floats, runs: dict[str, Simulated], inside: Content, seeds: int, used: tuple[int, int]
 ) -> Content:
     """Return the numbers of the comparison as plain values."""
     windows = [round(float(length) * record.period, 6) for length in LENGTHS]
@@ -244,7 +244,7 @@ def _model_findings(numbers: Content) -> list[Finding]:
 
 
 def _summarise(numbers: Content) -> str:
-    """Return the conclusion of this part in one sentence."""
+    """Return one sentence that concludes the comparison of GNSS error models with the recording."""
     share = numbers[PAPER]["inside_share"]
     return (
         "The simulation has the Allan deviation that its model should have; the recording is within the paper's model's"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -48,11 +47,11 @@ def _simulate_gusts(turbulence: Turbulence, wind: LogShear, height: jax.Array, k
     stream, mean = key.stream("gust", ids), wind.velocity_ned(height)
     still, like = Vec3.zeros(height.shape, height.dtype), jnp.zeros((), height.dtype)
 
-    def tick(state: Any, now: jax.Array) -> Any:
+    def tick(state: object, now: jax.Array) -> tuple[object, None]:
         """Advance the turbulence by one tick."""
         return turbulence.step(state, Draw(stream, now, like), height, still, mean, DT), None
 
-    def some(state: Any, start: jax.Array) -> Any:
+    def some(state: object, start: jax.Array) -> tuple[object, jax.Array]:
         """Advance by EVERY ticks; return the state, and the gust (vehicles, 3)."""
         state, _ = jax.lax.scan(tick, state, start + jnp.arange(EVERY, dtype=jnp.uint32))
         return state, turbulence.gust_ned(state, height).stack()

@@ -120,7 +120,7 @@ def _sheet_checks(found: Mapping[str, Mapping[str, Chips]]) -> list[Check]:
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Simulate all presets with data sheets, and return the outcome of this part."""
+    """Simulate all presets with data sheets, and return the outcome for the report's part on IMUs."""
     found = {preset: chips_of(preset, CHIPS if full else FEW_CHIPS) for preset in DATA_SHEETS}
     checks = _sheet_checks(found)
     return Outcome(

@@ -50,7 +50,7 @@ BODY = f"""<?xml version="1.0"?>
 
 
 def is_installed() -> bool:
-    """Return whether JSBSim is installed."""
+    """Return whether the package JSBSim is installed."""
     return importlib.util.find_spec("jsbsim") is not None
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
@@ -68,11 +68,11 @@ def _picture_pdf(shown: Picture) -> bytes:
     return buffer.getvalue()
 
 
-def _wrapped_lines(text: str, indent: str = "", **style: Any) -> Iterator[Line]:
+def _wrapped_lines(text: str, indent: str = "", *, bold: bool = False) -> Iterator[Line]:
     """Yield the lines of a text, wrapped to the width of the page."""
-    width = PER_BOLD_LINE if style.get("bold") else PER_LINE
+    width = PER_BOLD_LINE if bold else PER_LINE
     for line in textwrap.wrap(text, width, subsequent_indent=indent) or [""]:
-        yield Line(line, **style)
+        yield Line(line, bold=bold)
 
 
 def _front_page(results: Sequence[Result], about: Mapping[str, object]) -> Iterator[Line]:
@@ -139,7 +139,7 @@ def _part_tables(result: Result) -> Iterator[Line]:
 
 
 def _finding_lines(found: Finding) -> Iterator[Line]:
-    """Yield the lines of a finding."""
+    """Yield the printed lines of one finding of the report."""
     yield from _wrapped_lines(f"{found.verdict}: {found.name}: {found.number}", "    ", bold=True)
     yield from _wrapped_lines(f"    {found.reading}", "    ")
 

@@ -55,7 +55,7 @@ def mean_square(difference: Floats, names: tuple[str, ...]) -> dict[str, float]:
 
 
 def read_table(path: Path, columns: int) -> Floats:
-    """Read one recording.
+    """Read the numbers of one recording.
 
     Raises:
         RunError: the file is absent, unreadable or has another number of columns.

@@ -71,7 +71,7 @@ class Finding:
     reading: str
 
     def to_json(self) -> dict[str, str]:
-        """Return the fields."""
+        """Return the fields of the finding by name."""
         return {"name": self.name, "number": self.number, "verdict": self.verdict, "reading": self.reading}
 
 

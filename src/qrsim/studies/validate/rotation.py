@@ -37,7 +37,7 @@ def rotation_match(path: Path, precision: str = "float64") -> Match:
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Compare the rig's rotation with the model, and return the outcome of this part."""
+    """Compare the rig's rotation with the model, and return the outcome for the report's part on rotation."""
     from qrsim.studies.validate.pictures import match_figure, picture
 
     match = rotation_match(paths[RECORDING])

@@ -54,7 +54,7 @@ def thrust_errors(path: Path, precision: str = "float64") -> dict[str, float]:
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Compare the rig's thrust with the model, and return the outcome of this part."""
+    """Compare the rig's thrust with the model, and return the outcome for the report's part on thrust."""
     from qrsim.studies.validate.pictures import match_figure, picture
 
     match = thrust_match(paths[RECORDING])

@@ -113,7 +113,7 @@ def consistency(flight: Outdoor) -> dict[str, float]:
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Compare the outdoor flight with the model, and return the outcome of this part."""
+    """Compare the outdoor flight with the model, and return the outcome for the report's part on translation."""
     flight = fly_recorded(paths[RECORDING])
     match, force = velocity_match(flight), specific_force_errors(flight)
     winds, own = fly_winds(flight), consistency(flight)
@@ -187,7 +187,7 @@ def _from_start(flight: Outdoor, position: Floats) -> Floats:
 
 
 def _summarise(numbers: Content) -> str:
-    """Return the conclusion of this part."""
+    """Return the text that concludes the comparison of the translation model with the recorded flight."""
     share, windy = numbers["velocity_explained_share"], numbers["fitted_wind"]["velocity_explained_share"]
     lost = numbers["horizontal_position_error_m"]["still_air"]["after_160_s"]
     return (

@@ -101,7 +101,7 @@ def spectra_figure(case: Case, sources: dict[str, Floats], levels: dict[str, Flo
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Compare gusts with closed forms and JSBSim, and return the outcome of this part."""
+    """Compare gusts with closed forms and JSBSim, and return the outcome for the report's part on turbulence."""
     from qrsim.studies.validate.pictures import picture
 
     oracle = is_installed()
@@ -281,7 +281,7 @@ def _gust_findings(numbers: Content, oracle: bool) -> list[Finding]:
 
 
 def _summarise(numbers: Content, oracle: bool) -> str:
-    """Return the conclusion of this part in one sentence."""
+    """Return one sentence that concludes the comparison of simulated gusts with theory."""
     ours = numbers["spectra"]["ours"]
     largest = max(ours[axis]["largest_db_from_closed_form"] for axis in COMPONENTS[:3])
     reading = f"Gusts have the standard's variances and correlations within chance, and its spectra to {largest:.1f} dB"

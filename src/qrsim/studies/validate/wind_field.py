@@ -201,7 +201,7 @@ def _field_checks(
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Simulate gusts at pairs of points, and return the outcome of this part."""
+    """Simulate gusts at pairs of points, and return the outcome for the report's part on the wind field."""
     worlds = WORLDS if full else FEW_WORLDS
     points, frozen, carried = two_points(worlds), travelling(20), travelling(worlds, "lifetime")
     near = points["3"]["along"][0]

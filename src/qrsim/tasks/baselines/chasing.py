@@ -41,7 +41,7 @@ class Chasing:
         self._drift = np.zeros(2)
 
     def act(self, seen: NumpyArray) -> NumpyArray:
-        """Return the actions (n, 2)."""
+        """Return the actions (n, 2) of the cats for observations."""
         seen = np.asarray(seen, np.float64)
         place, velocity = seen[:, :2], seen[:, 2:4]
         mouse = np.mean(place + seen[:, 4:6], axis=0)

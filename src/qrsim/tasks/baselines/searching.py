@@ -49,7 +49,7 @@ class Searching:
         self._place: NumpyArray | None = None
 
     def act(self, seen: dict[str, NumpyArray]) -> NumpyArray:
-        """Return the actions (n, 3)."""
+        """Return the actions (n, 3) of the search for observations."""
         place = np.asarray(seen["vehicle"][:, :3], np.float64).copy()
         for i in range(len(place)):
             if int(seen["grid"][i][0]):

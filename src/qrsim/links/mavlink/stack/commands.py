@@ -104,10 +104,12 @@ def _z_of(stack: Flight, command: Command) -> float:
 
 
 def _land(stack: Flight, command: Command) -> Result:
+    """Land where the vehicle is (MAV_CMD_NAV_LAND)."""
     return stack.request(Mode.LAND)
 
 
 def _return(stack: Flight, command: Command) -> Result:
+    """Return to the launch position (MAV_CMD_NAV_RETURN_TO_LAUNCH)."""
     return stack.request(Mode.RTL)
 
 

@@ -321,7 +321,7 @@ class Stack(Protocol):
         """Take stick positions, each -1 to 1, positive right, forwards, up and right; NaN: unchanged."""
 
     def follow_target(self, target: FollowTarget) -> None:
-        """Take the position of the target of follow-me."""
+        """Take the position of the moving target that the mode FOLLOW_TARGET follows."""
 
     def modes(self) -> tuple[ModeInfo, ...]:
         """Return the modes of the vehicle: those that clients can request, and those of failsafes."""

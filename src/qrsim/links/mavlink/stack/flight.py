@@ -42,8 +42,7 @@ class Flight:
         factor: simulated seconds per second of wall time.
 
     Attributes:
-        mode: what it does.
-        armed: whether its motors may turn.
+        mode, armed: the flight mode, and whether the motors may turn.
         guided: whether HOLD is ArduPilot's GUIDED.
         craft, plan, offboard, orbit, follow, by_sticks, failsafes, checks: its parts.
         rally: points of the rally plan.
@@ -170,6 +169,7 @@ class Flight:
         return self._loiters
 
     def _take_off(self) -> Order | None:
+        """Return the order to climb to the take-off altitude; once there, switch to HOLD."""
         craft, here = self.craft, self.craft.seen.position_ned
         if self._goal is None:
             self._goal = (here[0], here[1], craft.home_z - self.parameters["MIS_TAKEOFF_ALT"])

@@ -65,7 +65,7 @@ class FlightStack(Flight):
         return Ack(obey(self, command))
 
     def set_mode(self, base_mode: int, custom_mode: int) -> Result:
-        """Obey or refuse a SET_MODE message; it is refused without the custom-mode flag."""
+        """Change the mode as a SET_MODE message asks, or refuse it; without the custom-mode flag it is refused."""
         if not base_mode & 1:
             return Result.UNSUPPORTED
         return self.request_number(custom_mode)
@@ -93,7 +93,7 @@ class FlightStack(Flight):
             self.switch(Mode.POSITION)
 
     def follow_target(self, target: FollowTarget) -> None:
-        """Take the position of the target of follow-me."""
+        """Take the position of the moving target that the mode FOLLOW_TARGET follows."""
         self.follow.take(target, self.craft)
 
     def modes(self) -> tuple[ModeInfo, ...]:

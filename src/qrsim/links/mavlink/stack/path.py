@@ -179,12 +179,15 @@ def _answer(error: float, most: float, jerk: float) -> float:
 
 
 def _within(value: float, limit: float) -> float:
+    """Return a value clipped to [-limit, limit]."""
     return min(max(value, -limit), limit)
 
 
 def _minus(end: Triple, begin: Triple) -> Triple:
+    """Return the vector from ``begin`` to ``end``."""
     return end[0] - begin[0], end[1] - begin[1], end[2] - begin[2]
 
 
 def _dot(first: Triple, second: Triple) -> float:
+    """Return the dot product of two vectors."""
     return first[0] * second[0] + first[1] * second[1] + first[2] * second[2]

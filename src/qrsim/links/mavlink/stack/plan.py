@@ -123,7 +123,7 @@ def place_of(item: Item, craft: Craft, otherwise: Triple) -> Triple:
 
 
 def _above_ground(item: Item, craft: Craft, otherwise: Triple) -> Triple:
-    """Return the position NED [m] of an item whose altitude counts from the terrain below it."""
+    """Return the position NED [m] of an item with its altitude above terrain; ``otherwise`` if it has no place."""
     ground_down = craft.facts.ground_down
     assert ground_down is not None
     north, east = otherwise[:2]

@@ -69,7 +69,7 @@ class Tour(Mission):
     # ---- flight ----
 
     def _stay(self, craft: Craft) -> Order | None:
-        """Return the order to circle at the usual radius."""
+        """Return the order to circle the place flown to before, or else a point near the vehicle; never None."""
         if self._goal is None:
             self._goal = self._from or orbits.fitted(craft, craft.seen.position_ned, orbits.usual_radius(craft))
         return orbits.circle(craft, self._goal, orbits.usual_radius(craft))

@@ -83,7 +83,7 @@ class Way:
         return self._at_goal[1]
 
     def _beyond_goal(self, radius: float) -> float:
-        """Compute ``beyond_goal`` [m], less than half the radius for turns of more than 90 degrees."""
+        """Return how far [m] the path goes past its goal: half the radius, less for turns of more than 90 degrees."""
         if self._after is None:
             return 0.5 * radius
         come, leave = np.subtract(self._goal, self.begin), np.subtract(self._after, self._goal)

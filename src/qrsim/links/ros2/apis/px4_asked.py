@@ -85,17 +85,17 @@ class Asked:
         self._send_target()
 
     def _set_trajectory(self, message: object) -> None:
-        """Store a TrajectorySetpoint, and fly by it."""
+        """Store a TrajectorySetpoint, and let the vehicle follow it."""
         self._motion = message
         self._send_if_alive()
 
     def _set_attitude(self, message: object) -> None:
-        """Store a VehicleAttitudeSetpoint, and fly by it."""
+        """Store a VehicleAttitudeSetpoint, and let the vehicle follow it."""
         self._attitude = message
         self._send_if_alive()
 
     def _set_rates(self, message: object) -> None:
-        """Store a VehicleRatesSetpoint, and fly by it."""
+        """Store a VehicleRatesSetpoint, and let the vehicle follow it."""
         self._rates = message
         self._send_if_alive()
 

@@ -175,7 +175,7 @@ class FixedWing(Aeroplane, Vehicle):
 
 
 def _motion_of(state: FixedWingState) -> Motion:
-    """Return the integrated part of a state, with zero displacement."""
+    """Return the quantities of a state that the solver integrates; the displacement in the step begins at 0."""
     zero = jnp.zeros_like(state.airspeed)
     return Motion(Vec3(zero, zero, zero), state.quaternion, state.velocity_body, state.rates_body)
 

@@ -6,7 +6,7 @@ import functools
 import math
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -103,14 +103,14 @@ class Multirotor(Airframe, Vehicle):
         throttle = self.throttle_of(jnp.asarray(self.mass * self.gravity / self.site_share))
         return AttitudeCommand(zero, zero, jnp.broadcast_to(throttle, like.shape), zero)
 
-    def clip(self, command: object, powered: bool = False) -> tuple[Any, Array]:
+    def clip(self, command: object, powered: bool = False) -> tuple[object, Array]:
         """Return a command clipped to its limits, and (n,) bool: clipping changed it."""
         if isinstance(command, Powered):
             inside, changed = clipped(command.command)
             return replace(command, command=inside), changed
         return clipped(command)
 
-    def powered(self, command: object, voltage: Array | None) -> Any:
+    def powered(self, command: object, voltage: Array | None) -> object:
         """Return a command with a battery's voltage (n,) [V] set; None means the nominal voltage."""
         return command if voltage is None else Powered(command, voltage)
 

@@ -200,6 +200,6 @@ class Rover(Vehicle):
 
 
 def _motion_of(state: RoverState) -> _Motion:
-    """Return the integrated part of a state, with zero displacement."""
+    """Return the quantities of a state that the solver integrates; the displacement in the step begins at 0."""
     zero = jnp.zeros_like(state.speed)
     return _Motion(Plane(zero, zero, state.attitude.yaw), state.speed, state.slip_speed, state.yaw_rate, state.steering)

@@ -163,6 +163,6 @@ class DifferentialRover(Vehicle):
 
 
 def _motion_of(state: DifferentialRoverState) -> _Motion:
-    """Return the integrated part of a state, with zero displacement."""
+    """Return the quantities of a state that the solver integrates; the displacement in the step begins at 0."""
     zero = jnp.zeros_like(state.left)
     return _Motion(Plane(zero, zero, state.attitude.yaw), state.left, state.right)
