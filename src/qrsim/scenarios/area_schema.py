@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache, partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
@@ -20,15 +20,18 @@ MOST_CORNERS = 1000
 class _Polygon(Strict):
     """Shows the corners as a PolygonArea has them."""
 
+    if TYPE_CHECKING:
+        corners_ned: list[tuple[float, float]]
+
     @property
     def north(self) -> list[float]:
         """North coordinates of the corners [m]."""
-        return [north for north, _ in self.corners_ned]  # type: ignore[attr-defined]
+        return [north for north, _ in self.corners_ned]
 
     @property
     def east(self) -> list[float]:
         """East coordinates of the corners [m]."""
-        return [east for _, east in self.corners_ned]  # type: ignore[attr-defined]
+        return [east for _, east in self.corners_ned]
 
 
 @cache

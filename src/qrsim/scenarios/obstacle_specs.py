@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache, partial
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
@@ -34,10 +34,14 @@ STEEL: dict[str, tuple[object, object]] = {
 class _Prism(Strict):
     """Shows the corners as a PrismObstacle has them."""
 
+    if TYPE_CHECKING:
+        corners_ned: list[tuple[float, float]]
+        holes_ned: list[list[tuple[float, float]]]
+
     @property
     def _edges(self) -> Any:
         """The edges of the outline and its holes, as ``edges_of`` returns them."""
-        return edges_of([self.corners_ned, *self.holes_ned])  # type: ignore[attr-defined]
+        return edges_of([self.corners_ned, *self.holes_ned])
 
     @property
     def north(self) -> list[float]:

@@ -114,7 +114,8 @@ class Air(Contents):
         tick = np.int32(round(time / self.world.time_step))
         with jax.enable_x64(self._dtype == np.float64):
             found = self._ask(beside.world, beside.drawn, beside.field, tick, places.astype(self._dtype))
-            return tuple(np.asarray(part, np.float64) for part in found)  # type: ignore[return-value]
+            mean, gusts, heights = (np.asarray(part, np.float64) for part in found)
+            return mean, gusts, heights
 
 
 def blows_as_a_field(world: World) -> bool:

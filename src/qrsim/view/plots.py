@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import threading
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -112,10 +111,11 @@ class Plots:
             return None
         if wish.get("highlights") is True:
             return _packed({"number": wish.get("number"), "lines": [], "highlights": self.highlights()})
-        numbers = [wish.get(name) for name in ("from", "to", "bins")]
-        if not all(isinstance(value, int | float) and math.isfinite(value) for value in numbers):
+        wished = [wish.get(name) for name in ("from", "to", "bins")]
+        numbers = [float(value) for value in wished if isinstance(value, int | float) and abs(value) < 1e12]
+        if len(numbers) < len(wished):
             return None
-        start, end, bins = map(float, numbers)  # type: ignore[arg-type]
+        start, end, bins = numbers
         count = int(min(MOST_BINS, max(FEWEST_BINS, bins)))
         start, end = max(0.0, start), min(self._recording.end, end)
         if not start < end:

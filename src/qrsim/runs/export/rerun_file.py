@@ -105,8 +105,9 @@ def _log_poses(
     for i, vehicle in enumerate(run.vehicles):
         entity = rr.new_entity_path(["world", vehicle])
         parts: dict[str, Any] = {"translation": where[:, i]}
-        if all(angle is not None for angle in angles):
-            roll, pitch, yaw = (angle[:, i] for angle in angles)  # type: ignore[index]
+        known = [angle[:, i] for angle in angles if angle is not None]
+        if len(known) == 3:
+            roll, pitch, yaw = known
             turned = quaternion_of(np.stack((roll, -pitch, np.pi / 2 - yaw), axis=-1))
             parts["quaternion"] = turned[:, [1, 2, 3, 0]]
         out.send_columns(entity, [time], rr.Transform3D.columns(**parts))

@@ -26,7 +26,7 @@ from qrsim.studies.validate.receiver import (
     simulated_receivers,
     sky_over,
 )
-from qrsim.studies.validate.report import Check, Finding, Outcome, Part, Picture
+from qrsim.studies.validate.report import Check, Finding, Outcome, Part, Picture, Verdict
 from qrsim.studies.validate.statistics import CONFIDENCE, mean_and_error, widest_z
 
 RECORDING, ORBITS = "gps_static.csv", "ngs15992_16to17.sp3"
@@ -213,12 +213,12 @@ def _model_findings(numbers: Content) -> list[Finding]:
     found = []
     for name, (_, words) in MODELS.items():
         share = numbers[name]["inside_share"]
-        verdict = "fits" if share >= 0.9 else "fits in part" if share >= 0.5 else "does not fit"
+        verdict: Verdict = "fits" if share >= 0.9 else "fits in part" if share >= 0.5 else "does not fit"
         found.append(
             Finding(
                 f"Allan deviation under {name}",
                 f"the recording is within the 90 % band at {100 * share:.0f} % of windows and axes",
-                verdict,  # type: ignore[arg-type]
+                verdict,
                 f"{words[0].upper()}{words[1:]}. Outside: {_describe_outside(numbers, name)}.",
             )
         )

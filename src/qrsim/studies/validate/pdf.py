@@ -63,8 +63,9 @@ def figures(results: Sequence[Result]) -> dict[str, bytes]:
 
 def _picture_pdf(shown: Picture) -> bytes:
     """Return a picture as a PDF without a date."""
+    assert shown.figure is not None
     buffer = io.BytesIO()
-    shown.figure.savefig(buffer, format="pdf", metadata={"CreationDate": None})  # type: ignore[union-attr]
+    shown.figure.savefig(buffer, format="pdf", metadata={"CreationDate": None})
     return buffer.getvalue()
 
 

@@ -122,7 +122,8 @@ class Asked:
             return self._motion_target(mode)
         if mode.attitude and self._attitude is not None:
             thrust = -float(self._attitude.thrust_body[2])
-            return AttitudeTarget(NO_RATES, tuple(map(float, self._attitude.q_d)), (0.0, 0.0, 0.0), thrust)  # type: ignore[arg-type]
+            w, x, y, z = map(float, self._attitude.q_d)
+            return AttitudeTarget(NO_RATES, (w, x, y, z), (0.0, 0.0, 0.0), thrust)
         if mode.body_rate and self._rates is not None:
             rates, thrust = self._rates, -float(self._rates.thrust_body[2])
             turn = (float(rates.roll), float(rates.pitch), float(rates.yaw))
