@@ -72,7 +72,7 @@ def make(function: Function, shared: Shared, own: Packer, state: Packer | None, 
 
 
 def make_look(function: Function, shared: Shared, state: Packer, found: Packer, extent: Extent) -> Looks:
-    """Return a program that computes extra arrays from the states of worlds that a program of ``make`` flies.
+    """Return a program that computes arrays for an observer, such as pictures, from the states of flown worlds.
 
     Args:
         function: ``call(shared, state, arrays, tick)`` of one world returns the arrays, in place of zeros.

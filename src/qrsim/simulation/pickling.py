@@ -12,7 +12,7 @@ from qrsim.files.code import FileModules, files_of, load_files
 
 
 def with_files(item: object, tree: object, protocol: int | None) -> tuple[object, ...] | None:
-    """Return the ``__reduce_ex__`` result for an object with classes from users' files; None without such classes.
+    """Return the ``__reduce_ex__`` result for an object that names, in ``tree``, classes of users' files; else None.
 
     Args:
         item: the object, with ``__getstate__`` and ``__setstate__``.

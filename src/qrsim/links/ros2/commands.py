@@ -112,7 +112,7 @@ def _motion_of(own: str, twist: Message) -> Motion:
 
 
 def _angles(own: str, quaternion: object) -> tuple[float, float, float] | None:
-    """Return roll, pitch and yaw [rad] of an orientation; None for four zeros."""
+    """Return roll, pitch, yaw [rad] of a quaternion in a message on topic ``own``, FRD to NED; None for four zeros."""
     numbers = [_finite(own, f"orientation.{axis}", value) for axis, value in _axes(quaternion, "xyzw")]
     if math.hypot(*numbers) < 1e-6:
         return None

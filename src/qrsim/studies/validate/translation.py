@@ -147,7 +147,7 @@ def _reference_checks(match: Match, force: dict[str, dict[str, float]]) -> list[
 
 
 def _results(flight: Outdoor, match: Match, force: dict[str, dict[str, float]], winds: Windy) -> Content:
-    """Return the numbers of the comparison as plain values."""
+    """Return the numbers for the report: errors of velocity, force and path, recorded against simulated."""
     half = len(match.time) // 2
     recorded = Match(match.time, match.recorded, winds.velocity["fitted wind"], AXES)
     second = {
