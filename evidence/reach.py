@@ -1,4 +1,4 @@
-"""Speed asked of this package: every ratio that is measured inside the project, in one run on one machine."""
+"""Ratios of speed in one run on one machine: batches, one world, bounds in C++, recording, environments, servers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 from evidence._processes import printed
 
-DOC = "the speed asked of the simulator and what is reached, in one run: batches, one world, bounds, recording, servers"
+DOC = "ratios of speed in one run: batches, one world, bounds in C++, recording, environments, servers"
 SEED = 0
 # At commit f2c2fb2, on two cores of an AMD EPYC with AVX-512: ratios mean little on machines of another kind.
 BEFORE = {
