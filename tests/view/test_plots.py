@@ -13,6 +13,7 @@ import pytest
 
 from qrsim.models.scene.area import BoxArea
 from qrsim.runs import Column, RunInfo, RunWriter, open_run
+from qrsim.view import highlights
 from qrsim.view.derived import nearest, to_fence
 from qrsim.view.highlights import highlights_of
 from qrsim.view.plots import Plots, binned, extremes
@@ -85,13 +86,17 @@ def test_what_is_derived(plots: Plots):
     assert {"derived.fence_distance", "derived.speed"}.isdisjoint(plots.quantities)
 
 
-def test_highlights_say_who_and_when(plots: Plots):
+def test_highlights_say_who_and_when(plots: Plots, monkeypatch: pytest.MonkeyPatch):
     # The first vehicle begins 5 m from the second, whose estimate is 5 m = 2.5 standard deviations off.
     assert plots.highlights() == [
         (0.0, "closest to another vehicle: a_0, 5.00 m"),
         (0.0, "largest error of the estimate: <b>, 5.00 m"),
         (0.0, "estimate first outside its 95 % band: <b>"),
     ]
+    # The first one's error is 3 m = 1.5 standard deviations.
+    for band, told in ((1.0, "first outside its 95 % band: a_0; then <b> 0.0 s"), (9.0, "never outside its 95 % band")):
+        monkeypatch.setattr(highlights, "BAND", band)
+        assert plots.highlights()[-1][1] == f"estimate {told}"
     data = plots.answer({"number": 3, "lines": [], "highlights": True})
     assert data is not None
     assert json.loads(data[4:])["highlights"][0] == [0.0, "closest to another vehicle: a_0, 5.00 m"]

@@ -18,6 +18,9 @@ from qrsim.view.series import BETWEEN, Series
 Highlight = tuple[float | None, str]
 # Distance [m] from which two runs count as apart, and the half width of the 95 % band in standard deviations.
 APART, BAND = 1.0, 1.96
+SIGMAS = "derived.estimate_error_sigmas"
+# Vehicles that one highlight names after the first.
+MOST_NAMED = 8
 # Links with fewer packets than this are not compared.
 FEWEST_PACKETS = 10
 # Quantity, whether its largest value counts, and text with places for the vehicle and the value.
@@ -51,6 +54,11 @@ def _guarded(find: Callable[..., Iterator[Highlight]], *given: object) -> list[H
 def _named(own: Series, vehicle: int) -> str:
     """Return the name of a vehicle, after the letter of its run."""
     return f"{own.member.letter} {own.member.recording.run.vehicles[vehicle]}".strip()
+
+
+def _of_run(own: Series) -> str:
+    """Return the end of a text about a whole run: its letter, or nothing if there is one run."""
+    return f": {own.member.letter}" if own.member.letter else ""
 
 
 def _extreme(own: Series, name: str, most: bool, words: str) -> Iterator[Highlight]:
@@ -87,10 +95,22 @@ def _first_above(own: Series, name: str, level: float) -> tuple[float, int] | No
 
 
 def _outside(own: Series) -> Iterator[Highlight]:
-    """Yield a highlight for the first time that an estimate left its 95 % band."""
-    first = _first_above(own, "derived.estimate_error_sigmas", BAND)
-    if first is not None:
-        yield first[0], f"estimate first outside its 95 % band: {_named(own, first[1])}"
+    """Yield which estimates left their 95 % band, each with its first time [s], the earliest first."""
+    if SIGMAS not in own.quantities:
+        return
+    time, values = own.values(SIGMAS)
+    with np.errstate(invalid="ignore"):
+        above = (values > BAND) & _counts(own, time)
+    outside = [(float(time[np.argmax(rows)]), i) for i, rows in enumerate(above.T) if rows.any()]
+    if not outside:
+        yield None, f"estimate never outside its 95 % band{_of_run(own)}"
+        return
+    (first, vehicle), *others = sorted(outside)
+    names = own.member.recording.run.vehicles
+    also = [f"{names[i]} {at:.1f} s" for at, i in others[:MOST_NAMED]]
+    more = [f"{len(others) - MOST_NAMED} more"] if len(others) > MOST_NAMED else []
+    then = f"; then {', '.join([*also, *more])}" if also else ""
+    yield first, f"estimate first outside its 95 % band: {_named(own, vehicle)}{then}"
 
 
 def _lost_satellite(own: Series) -> Iterator[Highlight]:
@@ -108,7 +128,7 @@ def _apart(own: Series) -> Iterator[Highlight]:
 
 
 def _worst_link(own: Series) -> Iterator[Highlight]:
-    """Yield the radio link that lost the largest part of its packets."""
+    """Yield the radio link that lost the largest part of its packets, or that none was lost."""
     run = own.member.recording.run
     if "measurements" not in run or not links_logged(run["measurements"].columns()):
         return
@@ -119,3 +139,5 @@ def _worst_link(own: Series) -> Iterator[Highlight]:
     if share > 0.0:
         link = f"{_named(own, int(sender))} to {run.vehicles[receiver]}"
         yield None, f"worst radio link: {link}, {share:.1%} of {int(sent[sender, receiver])} packets lost"
+    elif share == 0.0:
+        yield None, f"radio: no packet lost of {int(sent.sum())} within reach{_of_run(own)}"
