@@ -18,7 +18,7 @@ from qrsim.view.series import BETWEEN, Series
 Highlight = tuple[float | None, str]
 # Distance [m] from which two runs count as apart, and the half width of the 95 % band in standard deviations.
 APART, BAND = 1.0, 1.96
-SIGMAS = "derived.estimate_error_sigmas"
+SIGMAS, SPEED = "derived.estimate_error_sigmas", "derived.speed"
 # Vehicles that one highlight names after the first.
 MOST_NAMED = 8
 # Links with fewer packets than this are not compared.
@@ -39,7 +39,7 @@ def highlights_of(runs: Sequence[Series]) -> list[Highlight]:
     found = [
         line for name, most, words in EXTREMES for own in runs for line in _guarded(_extreme, own, name, most, words)
     ]
-    for find in (_outside, _lost_satellite, _apart, _worst_link):
+    for find in (_outside, _stopped, _lost_satellite, _apart, _worst_link):
         found += [line for own in runs for line in _guarded(find, own)]
     return found
 
@@ -111,6 +111,17 @@ def _outside(own: Series) -> Iterator[Highlight]:
     more = [f"{len(others) - MOST_NAMED} more"] if len(others) > MOST_NAMED else []
     then = f"; then {', '.join([*also, *more])}" if also else ""
     yield first, f"estimate first outside its 95 % band: {_named(own, vehicle)}{then}"
+
+
+def _stopped(own: Series) -> Iterator[Highlight]:
+    """Yield the speed [m/s] of each vehicle that stopped, such as after a collision, at the last time before."""
+    if SPEED not in own.quantities:
+        return
+    time, values = own.values(SPEED)
+    for event, vehicle in sorted(own.member.recording.stops, key=lambda stop: stop[0].time)[:MOST_NAMED]:
+        rows = np.flatnonzero(time < event.time + own.member.shift - 1e-6)
+        if len(rows) and np.isfinite(speed := float(values[rows[-1], vehicle])):
+            yield float(time[rows[-1]]), f"speed before it stopped: {_named(own, vehicle)}, {speed:.1f} m/s"
 
 
 def _lost_satellite(own: Series) -> Iterator[Highlight]:
