@@ -26,8 +26,8 @@
   }
   const plots = document.createElement("button");
   plots.style.cssText = "border:1px solid #8888;border-radius:4px;background:none;font:inherit;cursor:pointer;color:inherit";
-  plots.textContent = "Plots";
-  plots.title = "quantities over time (P)";
+  plots.textContent = innerWidth < 600 ? "Plots" : "Plots and events";
+  plots.title = "highlights, events, and quantities over time (P)";
   plots.onclick = () => { window.qrsimPlots?.toggle(); plots.blur(); };
   bar.append(button, track, label, plots);
   document.body.append(bar);
