@@ -49,7 +49,7 @@ REPORT = ROOT / "docs" / "evidence" / "learn.json"
 
 
 def key(task: str) -> str:
-    """Return what a task is called in the results."""
+    """Return the name of a task in the results."""
     return task.replace("/", "_")
 
 

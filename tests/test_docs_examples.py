@@ -60,7 +60,7 @@ def examples(language: str) -> list[Any]:
 
 @pytest.fixture(autouse=True)
 def _sweeps_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fly sweeps in this process; tests/studies/sweep/test_workers.py starts processes of its own."""
+    """Fly sweeps in this process; tests/studies/sweep/test_workers.py starts separate processes."""
     monkeypatch.setattr("qrsim.studies.sweep.cluster.workers_of", lambda *asked: contextlib.nullcontext())
     monkeypatch.setattr(
         "qrsim.studies.sweep.sweeping.sweep", lambda plan, store, client, progress: sweep_here(plan, store, progress)

@@ -221,7 +221,7 @@ class Caught(Reached):
 
 
 def _lacking(batch: Batch) -> Floats:
-    """Return what the true velocities lack of the wanted ones, (N, 3) NED [m/s]."""
+    """Return the wanted velocities minus the true ones, (N, 3) NED [m/s]."""
     wanted = batch.seen[..., 9:12] + batch.seen[..., 3:6]
     found: Floats = (wanted - _velocity_ned(batch.truth)).reshape(-1, 3)
     return found

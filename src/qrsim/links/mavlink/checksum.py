@@ -17,7 +17,7 @@ def check_of(data: bytes) -> bytes:
 
 
 def checks_of(data: bytes, starts: Sequence[int], stops: Sequence[int]) -> list[bytes]:
-    """Return what ``check_of`` returns, for each part of ``data`` from a start to before its stop."""
+    """Return ``check_of`` of each part of ``data``, from a start to before its stop."""
     turned = data.translate(_TURNED)
     return [_SENT[crc_hqx(turned[start:stop], 0xFFFF)] for start, stop in zip(starts, stops, strict=True)]
 

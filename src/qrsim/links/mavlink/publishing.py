@@ -14,7 +14,7 @@ from qrsim.links.mavlink.streams import STREAMED, Schedule
 from qrsim.links.mavlink.system import System
 from qrsim.links.mavlink.telemetry_rows import BY_ROWS, Rows
 
-# From so many vehicles on, all at once takes less time than one by one.
+# Fewest vehicles that are encoded together; fewer take less time one by one.
 MANY = 4
 _NUMBERS = np.array(STREAMED)
 _SIZES = np.array([BY_NUMBER[number].struct.size for number in STREAMED])

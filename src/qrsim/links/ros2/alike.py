@@ -10,7 +10,7 @@ from qrsim.core.arrays import NumpyArray
 from qrsim.links.ros2 import numbers as n
 from qrsim.links.ros2.vehicle import Publication
 
-# From so many messages on, all at once takes less time than one by one.
+# Fewest messages that are filled together; fewer take less time one by one.
 MANY = 4
 
 

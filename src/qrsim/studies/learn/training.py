@@ -26,7 +26,7 @@ from qrsim.tasks.learned import PolicyFile, Scaling, forward
 
 # Decisions of each row in an iteration, and of all rows at least.
 HORIZON, FEWEST = 32, 2048
-# The moments of inputs are those of every so many decisions; the ones between hardly differ.
+# Interval, in decisions, of the inputs whose moments are taken; those between hardly differ.
 THINNED = 4
 # Seeds of the episodes that are learned from, of those that policies are tried in, and how many these are.
 LEARNED, TRIED, TRIES = 10**9, 5 * 10**8, 64
