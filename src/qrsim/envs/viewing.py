@@ -9,7 +9,7 @@ from qrsim.envs.batch import Batch
 from qrsim.envs.functional import Functional
 from qrsim.envs.scoring import neutral
 from qrsim.errors import UsageError
-from qrsim.tasks.learned import View, observed_names
+from qrsim.tasks.learned import View, observed_names, side_of_fleet
 
 # Wanted time between two decisions [s]; a task with longer steps has one for each.
 DECISION = 0.1
@@ -18,27 +18,38 @@ REACHES = {"pitch": 0.3, "roll": 0.3, "throttle": 0.2, "yaw_rate": 0.05}
 # What is commanded in the vehicle's own axes, which makes a policy turn with its heading.
 BODY = ("pitch", "roll")
 # A pursuer sees and moves relative to the direction of the first mouse, as it looks alike from all sides.
+AHEAD_OF_MOUSE = ("cat_0_offset_north", "cat_0_offset_east")
 AHEAD, LEVEL = ("mouse_0_offset_north", "mouse_0_offset_east"), ("velocity_north", "velocity_east")
 # What is never commanded: a battery is full.
 GIVEN = ("battery",)
 
 
-def view_of(functional: Functional) -> View:
+def view_of(functional: Functional, fleet: str | None = None) -> View:
     """Return the learner's view of a task: inputs, outputs, and the time between decisions.
 
+    Args:
+        functional: the task.
+        fleet: whose agents learn, of several.
+
     Raises:
-        UsageError: a policy of this kind cannot fly the task.
+        UsageError: a policy of this kind cannot fly the task, or it is not said whose agents learn.
     """
     play, name = functional.play, functional.name
     if play.task.hands_in:
         raise UsageError(f"{name}: its score is of an answer that agents hand in, which a learned policy does not give")
+    several = len(play.sides) > 1
+    if several and fleet is None:
+        fleets = ", ".join(side.fleet for side in play.sides)
+        raise UsageError(f"{name}: agents are of the fleets {fleets}; choose the one that learns by --fleet")
+    side = side_of_fleet(play, fleet)
     try:
-        observed = observed_names(play)
+        observed = observed_names(play, fleet)
     except UsageError as error:
         raise UsageError(f"{name}: {error}") from None
-    acts = tuple(axis.name for axis in play.axes)
+    acts = tuple(axis.name for axis in side.axes)
     turns = "yaw" in observed and all(axis in acts for axis in BODY)
-    chases = AHEAD[0] in observed and all(axis in acts for axis in LEVEL)
+    towards = next((pair for pair in (AHEAD, AHEAD_OF_MOUSE) if pair[0] in observed), None)
+    chases = towards is not None and all(axis in acts for axis in LEVEL)
     pairs = tuple(
         (number, observed.index(name.removesuffix("north") + "east"))
         for number, name in enumerate(observed)
@@ -58,9 +69,10 @@ def view_of(functional: Functional) -> View:
         pairs=pairs,
         yaw=observed.index("yaw") if turns else None,
         flown=flown,
-        centre=tuple(round(neutral(play, axis), 6) for axis in play.axes),
+        centre=tuple(round(neutral(play, axis), 6) for axis in side.axes),
         reach=tuple(REACHES.get(act, 1.0) for act in acts),
-        ahead=(observed.index(AHEAD[0]), observed.index(AHEAD[1])) if chases else None,
+        ahead=(observed.index(towards[0]), observed.index(towards[1])) if chases and towards is not None else None,
+        fleet=fleet if several else None,
         turned=(flown.index(acts.index(LEVEL[0])), flown.index(acts.index(LEVEL[1]))) if chases else None,
     )
 

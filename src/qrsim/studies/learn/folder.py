@@ -191,6 +191,9 @@ def _plan_of(training: Training) -> dict[str, Any]:
         "envs": plan.envs,
         "tries": plan.tries,
         "settings": asdict(plan.settings),
+        "start": plan.start,
+        "fleet": plan.fleet,
+        "others": plan.others,
     }
 
 
