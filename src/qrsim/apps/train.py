@@ -101,9 +101,8 @@ class Train:
         folder = self.out or Path("runs") / f"{_name_of(plan)}-policy-seed{self.seed}"
         if folder.exists() and not self.resume and not (folder.is_dir() and not any(folder.iterdir())):
             raise UsageError(f"{folder} exists and is never overwritten; choose another --out, or add --resume")
-        training = Training(plan)
+        training = Training(plan, begins=not self.resume)
         if not self.resume:
-            training.read_start()
             make_folder(folder)
         elif warning := restore(training, folder):
             print(f"warning: {warning}", file=sys.stderr)

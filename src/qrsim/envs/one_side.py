@@ -11,6 +11,7 @@ import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.envs.batch import Batch
+from qrsim.errors import UsageError
 from qrsim.tasks.baselines.many import Many
 from qrsim.tasks.learned import LIMIT, PolicyFile, forward, side_of_fleet
 
@@ -104,6 +105,8 @@ class Others:
         play = batch.functional.play
         names = [side.fleet for side in play.sides if side.fleet != learner]
         self.fleet = file.view.fleet if file.view.fleet is not None else names[0]
+        if self.fleet == learner:
+            raise UsageError(f"--others {file.name}: it flies fleet '{learner}', which learns")
         side_of_fleet(play, self.fleet)
         file.check(play, self.fleet)
         self._file, self._agents = file, len(side_of_fleet(play, self.fleet).names)

@@ -41,6 +41,8 @@ def view_of(functional: Functional, fleet: str | None = None) -> View:
     if several and fleet is None:
         fleets = ", ".join(side.fleet for side in play.sides)
         raise UsageError(f"{name}: agents are of the fleets {fleets}; choose the one that learns by --fleet")
+    if not several and fleet is not None:
+        raise UsageError(f"--fleet {fleet}: {name} has agents of {play.sides[0].fleet} only")
     side = side_of_fleet(play, fleet)
     try:
         observed = observed_names(play, fleet)

@@ -7,7 +7,7 @@ the time, so it imitates the form of a baseline that has no clock.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +27,7 @@ from qrsim.tasks.baselines.many import Many
 from qrsim.tasks.learned import LIMIT, Scaling, forward
 
 # Rounds of episodes, and blocks of steps of the gradient after each of them and after the last; their rate falls to 0.
-ROUNDS, BLOCKS, LAST_BLOCKS = 30, 6, 40
+ROUNDS, BLOCKS, LAST_BLOCKS = 24, 4, 30
 # Steps of the gradient in a block, states of each, and the rate of Adam.
 STEPS, ROWS, RATE = 250, 1024, 3e-3
 # Noise of the outputs that are flown, so that states near the flown ones are seen too.
@@ -42,15 +42,11 @@ class Imitated:
 
     Attributes:
         layers: of the network.
-        scaling: of its inputs.
         decisions: flown by all agents.
-        error: (rounds,) root mean square of the outputs' difference from the baseline's in each round's states.
     """
 
     layers: Any
-    scaling: Scaling
     decisions: int
-    error: list[float]
 
 
 class States:
@@ -73,7 +69,7 @@ def fly_round(
     act: Callable[[Floats], Floats] | None,
     rng: np.random.Generator,
     states: States,
-) -> tuple[int, float]:
+) -> int:
     """Fly one episode for each seed, and add its states and the baseline's outputs to ``states``.
 
     Args:
@@ -85,12 +81,12 @@ def fly_round(
         states: is added to.
 
     Returns:
-        The number of decisions, and the sum of the squared differences between ``act`` and the baseline.
+        The number of decisions.
     """
     flights.begin(seeds)
     batch = flights.batch
     taught = _by_baseline(batch)
-    alive, count, squares = np.ones(flights.rows, bool), 0, 0.0
+    alive, count = np.ones(flights.rows, bool), 0
     for _ in range(min(steps, batch.functional.play.steps)):
         features = flights.features()
         action = taught()
@@ -98,7 +94,6 @@ def fly_round(
         states.add(features[alive], wanted[alive])
         outputs = wanted if act is None else act(features)
         count += int(alive.sum())
-        squares += float(np.square(outputs - wanted)[alive].mean(axis=1).sum())
         flown = outputs + NOISE * rng.standard_normal(outputs.shape, np.float32)
         flights.last = flown.clip(-LIMIT, LIMIT)
         action = flights.view.action(flights.last, flights.seen).reshape(batch.size, flights.agents, -1)
@@ -106,7 +101,7 @@ def fly_round(
         alive &= ~np.repeat(terminated, flights.agents)
         if not alive.any():
             break
-    return count, squares
+    return count
 
 
 def _by_baseline(batch: Batch | OneSide) -> Callable[[], Floats]:
@@ -160,40 +155,32 @@ class Fit:
         return jax.lax.scan(step, carry, (inputs, outputs, rates))[0]
 
 
-def imitate(
-    flights: Flights, layers: Any, moments: Moments, rounds: Sequence[Floats], rng: np.random.Generator
-) -> Imitated:
+def imitate(flights: Flights, layers: Any, moments: Moments, seed: int, rng: np.random.Generator) -> Imitated:
     """Return a network that does as the task's baseline.
 
     Args:
         flights: of the learner.
         layers: of the network, before.
         moments: of the inputs; the states of all rounds are added.
-        rounds: seeds (B,) of the episodes of each.
+        seed: of the first episode; those of the others follow.
         rng: of noise and rows.
 
     Raises:
         UsageError: the task has no baseline.
     """
     fit, states, decisions = Fit(layers), States(), 0
-    errors: list[float] = []
     act: Callable[[Floats], Floats] | None = None
-    for number, seeds in enumerate(rounds):
+    for number in range(ROUNDS):
+        seeds = seed + flights.batch.size * number + np.arange(flights.batch.size)
         begun = len(states.inputs)
         # Vehicles meet at the start, which is a small part of a whole episode.
         steps = flights.batch.functional.play.steps if number % CUT == 0 else SHORT
-        count, squares = fly_round(flights, seeds, steps, act, rng, states)
-        decisions, errors = decisions + count, [*errors, float(np.sqrt(squares / count))]
+        decisions += fly_round(flights, seeds, steps, act, rng, states)
         moments.add(np.concatenate(states.inputs[begun:]))
         scaling = moments.scaling()
         inputs, outputs = scaling.scaled(np.concatenate(states.inputs)), np.concatenate(states.outputs)
-        last = number == len(rounds) - 1
-        blocks = LAST_BLOCKS if last else BLOCKS
-        rates = np.float32(RATE) * (
-            np.linspace(1.0, 0.0, blocks * STEPS, endpoint=False) if last else np.ones(blocks * STEPS)
-        )
-        for part in np.split(rates.astype(np.float32), blocks):
-            fit.improve(inputs, outputs, part, rng)
+        for rates in _rates(number == ROUNDS - 1):
+            fit.improve(inputs, outputs, rates, rng)
         flown = jax.tree.map(np.asarray, fit.layers)
 
         def act(features: Floats, flown: Any = flown, scaling: Scaling = scaling) -> Floats:
@@ -201,4 +188,11 @@ def imitate(
             found: Floats = forward(flown, scaling.scaled(features))
             return found
 
-    return Imitated(fit.layers, scaling, decisions, errors)
+    return Imitated(fit.layers, decisions)
+
+
+def _rates(last: bool) -> list[Floats]:
+    """Return the rates of all blocks of steps after a round; after the last they fall to 0."""
+    blocks = LAST_BLOCKS if last else BLOCKS
+    part = np.linspace(1.0, 0.0, blocks * STEPS, endpoint=False) if last else np.ones(blocks * STEPS)
+    return np.split((RATE * part).astype(np.float32), blocks)

@@ -7,7 +7,8 @@ from typing import Any
 
 from qrsim.envs.functional import Functional
 from qrsim.studies.learn.ppo import Settings
-from qrsim.studies.learn.training import BASELINE, Plan
+from qrsim.studies.learn.starting import BASELINE
+from qrsim.studies.learn.training import Plan
 from qrsim.tasks.landing import Land
 from qrsim.tasks.pursuit import Pursuit
 

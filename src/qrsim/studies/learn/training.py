@@ -24,14 +24,12 @@ from qrsim.envs.one_side import OneSide, Others
 from qrsim.envs.viewing import batch_of, view_of
 from qrsim.errors import RunError, UsageError
 from qrsim.studies.learn.flights import Flights
-from qrsim.studies.learn.imitating import ROUNDS, imitate
+from qrsim.studies.learn.imitating import imitate
 from qrsim.studies.learn.moments import Moments
 from qrsim.studies.learn.ppo import Algorithm, Learner, Pair, Samples, Settings
-from qrsim.tasks.baselines import baseline
+from qrsim.studies.learn.starting import BASELINE, read_start
 from qrsim.tasks.learned import PolicyFile, forward, read_policy
 
-# A start: imitation of the task's baseline.
-BASELINE = "baseline"
 # Decisions of each row in an iteration, and of all rows at least.
 HORIZON, FEWEST = 32, 2048
 # Interval, in decisions, of the inputs whose moments are taken; those between hardly differ.
@@ -109,6 +107,7 @@ class Training:
 
     Args:
         plan: what is trained.
+        begins: whether it begins; else a checkpoint is restored, and nothing is read that the plan starts with.
 
     Attributes:
         best: the policy that did best so far, and its row; None before the first cycle.
@@ -118,9 +117,13 @@ class Training:
         MissingExtraError: optax is not installed.
     """
 
-    def __init__(self, plan: Plan):
+    def __init__(self, plan: Plan, begins: bool = True):
         self.plan = plan
-        self.view = view_of(Functional.of(plan.task, plan.overrides), plan.fleet)
+        functional = Functional.of(plan.task, plan.overrides)
+        self.view = view_of(functional, plan.fleet)
+        self._read = read_start(plan.start, functional.play, self.view, plan.settings.width) if begins else None
+        if plan.others is not None and self.view.fleet is None:
+            raise UsageError(f"--others {plan.others}: all agents of {self.view.task} learn")
         self._opponent = None if plan.others is None else read_policy(plan.others)
         self.algorithm = Algorithm(self.view, plan.settings)
         use_compilation_cache()
@@ -134,23 +137,20 @@ class Training:
         self.cycle, self.steps = 0, 0
         self.best: tuple[PolicyFile, Tried] | None = None
         self.curve: list[Tried] = []
-        self._read: PolicyFile | None = None
 
     def flights_of(self, episodes: int) -> Flights:
         """Return flights of ``episodes`` parallel episodes, with the learner's inputs and outputs."""
         batch = batch_of(self.plan.task, episodes, list(self.plan.overrides), self.view)
-        side = self._side(batch)
+        side = self.side_of(batch)
         return Flights(side, self.view, objective_of(side, self.plan.settings.discount))
 
-    def _side(self, batch: Batch) -> Any:
+    def side_of(self, batch: Batch) -> Any:
         """Return a batch as the learner's fleet sees it.
 
         Raises:
             UsageError: the policy of the others does not fit, or there are none.
         """
         if self.view.fleet is None:
-            if self.plan.others is not None:
-                raise UsageError(f"--others {self.plan.others}: all agents of {self.view.task} learn")
             return batch
         others = None if self._opponent is None else Others(self._opponent, batch, self.view.fleet)
         return OneSide(batch, self.view.fleet, others)
@@ -218,32 +218,12 @@ class Training:
         found: tuple[Learner, Any] = self.algorithm.improve(self.learner, self._pair, samples, orders, *falling)
         return found
 
-    def read_start(self) -> None:
-        """Read the policy that the plan starts with, and check that it fits; for a baseline, that the task has one.
-
-        Raises:
-            UsageError: there is no such file or baseline, or it is of another task, version or size.
-        """
-        play, start = self.flights.batch.functional.play, self.plan.start
-        if start == BASELINE:
-            baseline(play)
-        elif start is not None:
-            found = read_policy(start)
-            found.maker(play, self.view.task, self.view.version)
-            sizes, wanted = ([layer[0].shape for layer in layers] for layers in (found.layers, self._policy().layers))
-            if sizes != wanted or found.view != self.view:
-                raise UsageError(f"--start {start}: {_difference(found, sizes, wanted)}")
-            self._read = found
-
     def _start(self, rng: np.random.Generator, seed: int) -> None:
         """Make the policy that of the plan's start; the scaling of its inputs then stays as it is."""
         if self.plan.start == BASELINE:
-            rounds = [seed + number * self.plan.envs + np.arange(self.plan.envs) for number in range(ROUNDS)]
-            imitated = imitate(self.flights, self.learner.weights["policy"], self.moments, rounds, rng)
+            imitated = imitate(self.flights, self.learner.weights["policy"], self.moments, seed, rng)
             self.steps, layers = self.steps + imitated.decisions, imitated.layers
         else:
-            if self._read is None:
-                self.read_start()
             assert self._read is not None
             self.moments = Moments.of(self._read.scaling)
             layers = [tuple(map(jnp.asarray, layer)) for layer in self._read.layers]
@@ -314,11 +294,3 @@ class Training:
         layers = tuple((np.array(weights), np.array(offset)) for weights, offset in found)
         facts = {"seed": self.plan.seed, "steps": self.steps, "overrides": list(self.plan.overrides)}
         return PolicyFile(self.view, self.scaling, layers, facts)
-
-
-def _difference(found: PolicyFile, sizes: list[Any], wanted: list[Any]) -> str:
-    """Return how a policy differs from that of a training, as text for a message."""
-    if sizes != wanted:
-        its, ours = (", ".join(f"{rows} x {columns}" for rows, columns in each) for each in (sizes, wanted))
-        return f"its layers are {its}; this training's are {ours}"
-    return f"it decides every {found.view.seconds:g} s or scales its actions in another way than this training"

@@ -23,10 +23,12 @@ AHEAD_S = 0.7
 GAIN, LEARN = 0.7, 0.15
 # Cats closer than this [m] move apart.
 SEPARATION, SEPARATION_AT_END = 6.0, 4.0
-# Without a clock: how near cats are behind the mouse, and to each other there [m], and the mouse's speed [m/s], which
-# replaces the drift. They are far where the mouse runs this far from where it is to run [rad]. Cats that are on their
-# way to the mouse keep apart by this part of their distance to it.
-NEAREST, LEAST_ROOM, FULL_SPEED, ASTRAY, ROOM = 4.4, 3.5, 3.3, 2.0, 0.5
+# Without a clock: how near cats are behind the mouse, and to each other there [m], how fast places are made good [1/s],
+# and the mouse's speed [m/s], which replaces the drift. They are far where the mouse runs this far from where it is to
+# run [rad]. They keep apart where they ask to be after so long [s], as a cat does not see the velocities of the others,
+# and on their way to the mouse by this part of their distance to it.
+NEAREST, LEAST_ROOM, SLOW_GAIN, FULL_SPEED = 4.4, 3.2, 0.5, 3.6
+ASTRAY, FARTHER_AHEAD_S, ROOM = 2.5, 1.0, 0.5
 
 
 class Chasing:
@@ -69,9 +71,11 @@ class Chasing:
         else:
             behind, distance = self._by_time()
         goal = mouse + behind * self._fan(offset, runs + turn)
-        running = (FULL_SPEED if self._timeless else MOUSE_SPEED) * np.stack([np.cos(runs), np.sin(runs)], axis=-1)
-        self._asked = np.clip(running + GAIN * (goal - place), -self._limit, self._limit)
-        wanted = self._asked + self._drift + apart(place + AHEAD_S * velocity, distance)
+        speed, gain = (FULL_SPEED, SLOW_GAIN) if self._timeless else (MOUSE_SPEED, GAIN)
+        running = speed * np.stack([np.cos(runs), np.sin(runs)], axis=-1)
+        self._asked = np.clip(running + gain * (goal - place), -self._limit, self._limit)
+        ahead = FARTHER_AHEAD_S * self._asked if self._timeless else AHEAD_S * velocity
+        wanted = self._asked + self._drift + apart(place + ahead, distance)
         return np.clip(wanted / self._limit, -1.0, 1.0)
 
     def begin(self, size: int, rows: NumpyArray | None = None) -> None:
