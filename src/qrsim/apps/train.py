@@ -29,10 +29,10 @@ class Train:
     """Train a policy for a task by proximal policy optimisation.
 
     Many episodes are flown side by side, all agents with the same policy. Training has cycles of the length of an
-    episode. After each cycle the policy flies 64 episodes that it does not learn from; their mean return and the part
-    flown to the end are printed. The best policy is kept in DIR/policy.npz, for 'qrsim score', 'qrsim run' and 'qrsim
-    check'. DIR/curve.csv has a row for each cycle. Ctrl-C ends a training, and --resume continues it from its last
-    cycle.
+    episode. After each cycle the policy flies 64 episodes that it does not learn from, or 200 with --start. Their mean
+    return and the part flown to the end are printed. The best policy is kept in DIR/policy.npz, for 'qrsim score',
+    'qrsim run' and 'qrsim check'. DIR/curve.csv has a row for each cycle. Ctrl-C ends a training, and --resume
+    continues it from its last cycle.
 
     Example:
       qrsim train keep_spot --steps 1000000

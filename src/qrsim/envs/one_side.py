@@ -21,7 +21,7 @@ class OneSide:
 
     Args:
         batch: of a task with agents of several fleets.
-        fleet: whose agents are seen from outside.
+        fleet: name of the one that is seen from outside.
         others: of one other fleet; None: the task's baseline flies all others.
 
     Attributes:

@@ -29,10 +29,10 @@ def view_of(functional: Functional, fleet: str | None = None) -> View:
 
     Args:
         functional: the task.
-        fleet: whose agents learn, of several.
+        fleet: name of the one that learns, of several.
 
     Raises:
-        UsageError: a policy of this kind cannot fly the task, or it is not said whose agents learn.
+        UsageError: a policy of this kind cannot fly the task, or it does not say which fleet learns.
     """
     play, name = functional.play, functional.name
     if play.task.hands_in:

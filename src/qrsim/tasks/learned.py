@@ -53,7 +53,7 @@ class View:
         reach: (A,) change of the action for each unit that the network returns.
         ahead: north and east of the observed offset along which the inputs are turned; None: the heading, ``yaw``.
         turned: which of the network's outputs are ahead and to the right of ``ahead``, and commanded north and east.
-        fleet: whose vehicles it flies, in a task with agents of several fleets; None: those of the only one.
+        fleet: name of the fleet that it flies, in a task with agents of several; None: the only one.
     """
 
     task: str
@@ -339,7 +339,7 @@ def observed_names(play: Play, fleet: str | None = None) -> tuple[str, ...]:
 
     Args:
         play: the task and its world.
-        fleet: whose agents observe, of several; None: of the only one.
+        fleet: name of the one that observes, of several; None: the only one.
 
     Raises:
         UsageError: the task observes a dict, or has agents of several fleets.

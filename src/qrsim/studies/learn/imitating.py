@@ -34,6 +34,8 @@ STEPS, ROWS, RATE = 250, 1024, 3e-3
 NOISE = 0.03
 # One round of so many is of whole episodes, and the others are left after so many decisions.
 CUT, SHORT = 3, 30
+# States that are kept at most; of more a part is left out.
+MOST_STATES = 4_000_000
 
 
 @dataclass(frozen=True)
@@ -50,16 +52,21 @@ class Imitated:
 
 
 class States:
-    """States that were seen, inputs (N, F), and the baseline's outputs there, (N, K)."""
+    """States that were seen, inputs (N, F), and the baseline's outputs there, (N, K).
 
-    def __init__(self) -> None:
+    Args:
+        expected: number of states that will be added; of more than ``MOST_STATES`` every second, third, ... is kept.
+    """
+
+    def __init__(self, expected: int = 0) -> None:
+        self._every = -(-max(expected, 1) // MOST_STATES)
         self.inputs: list[Floats] = []
         self.outputs: list[Floats] = []
 
     def add(self, inputs: Floats, outputs: Floats) -> None:
         """Append rows."""
-        self.inputs.append(inputs)
-        self.outputs.append(outputs)
+        self.inputs.append(inputs[:: self._every])
+        self.outputs.append(outputs[:: self._every])
 
 
 def fly_round(
@@ -75,7 +82,7 @@ def fly_round(
     Args:
         flights: of the learner.
         seeds: (B,) of the episodes.
-        steps: after which they are left, if they are longer.
+        steps: after which they are left, at most those of an episode.
         act: inputs (N, F) to outputs (N, K); None: the baseline flies.
         rng: of the noise of the outputs that are flown.
         states: is added to.
@@ -87,7 +94,7 @@ def fly_round(
     batch = flights.batch
     taught = _by_baseline(batch)
     alive, count = np.ones(flights.rows, bool), 0
-    for _ in range(min(steps, batch.functional.play.steps)):
+    for _ in range(steps):
         features = flights.features()
         action = taught()
         wanted = flights.view.output(action.reshape(flights.rows, -1), flights.seen)
@@ -168,13 +175,14 @@ def imitate(flights: Flights, layers: Any, moments: Moments, seed: int, rng: np.
     Raises:
         UsageError: the task has no baseline.
     """
-    fit, states, decisions = Fit(layers), States(), 0
+    whole = flights.batch.functional.play.steps
+    lengths = [whole if number % CUT == 0 else min(SHORT, whole) for number in range(ROUNDS)]
+    fit, states, decisions = Fit(layers), States(flights.rows * sum(lengths)), 0
     act: Callable[[Floats], Floats] | None = None
-    for number in range(ROUNDS):
+    # Vehicles meet at the start, which is a small part of a whole episode.
+    for number, steps in enumerate(lengths):
         seeds = seed + flights.batch.size * number + np.arange(flights.batch.size)
         begun = len(states.inputs)
-        # Vehicles meet at the start, which is a small part of a whole episode.
-        steps = flights.batch.functional.play.steps if number % CUT == 0 else SHORT
         decisions += fly_round(flights, seeds, steps, act, rng, states)
         moments.add(np.concatenate(states.inputs[begun:]))
         scaling = moments.scaling()

@@ -57,7 +57,7 @@ class Plan:
         settings: numbers of the algorithm.
         start: ``BASELINE``: the policy first imitates the task's baseline; the name of a policy file: it is that policy
             at first; None: it begins from nothing.
-        fleet: whose agents learn, in a task with agents of several fleets.
+        fleet: name of the one that learns, in a task with agents of several.
         others: name of a policy file that flies the agents of another fleet; None: the task's baseline does.
     """
 
