@@ -47,7 +47,7 @@ class Consistency:
 
 
 def normalised(covariance: Array, errors: Array) -> Array:
-    """Return the normalised squared error e' P^-1 e divided by the number m of errors, (..., n).
+    """Return the normalised estimation error squared e' P^-1 e, divided by the number m of errors, (..., n).
 
     Args:
         covariance: P, (..., m, m, n).
@@ -75,10 +75,10 @@ def turned(true: Euler, estimated: Quaternion) -> Vec3:
 
 
 def of_blocks(covariance: Array, errors: list[Array], known_biases: bool) -> Consistency:
-    """Return normalised squared errors (..., n): of all errors, position, velocity, attitude and biases."""
+    """Return the NEES (..., n) of all errors, and of position, velocity, attitude and sensor biases separately."""
 
     def block(first: int, end: int) -> Array:
-        """Return the normalised squared error (...) of the errors from ``first`` to ``end``."""
+        """Return the NEES (..., n) of the errors with indices from ``first`` up to ``end``, exclusive."""
         return normalised(covariance[..., first:end, first:end, :], jnp.stack(errors[first:end], axis=-2))
 
     bias = block(9, 15) if known_biases else jnp.full_like(errors[0], jnp.nan)
