@@ -66,7 +66,7 @@ WALKERS = {
 
 
 def check_systems(systems: str, what: str = "systems") -> None:
-    """Raise UsageError unless ``systems`` consists of letters of satellite systems, each at most once."""
+    """Raise UsageError unless ``systems`` has letters of satellite systems (such as "GE"), each at most once."""
     known = ", ".join(f"{letter} ({name})" for letter, name in SYSTEMS.items())
     wrong = [letter for letter in systems if letter not in SYSTEMS]
     if wrong or not systems:
@@ -79,7 +79,7 @@ def check_systems(systems: str, what: str = "systems") -> None:
 
 
 def satellite_name(number: int) -> str:
-    """Return the name of a satellite by its number (``satellite_ids``): G05 of a file, G-A1 of a nominal one."""
+    """Return a satellite's name by its number (``satellite_ids``): G05 if from a file, G-A1 if nominal."""
     letter, middle = number >> 16, (number >> 8) & 0xFF
     if letter or middle < ord("A"):
         # The constellation of GPS alone has no letters in its numbers.
@@ -111,18 +111,18 @@ class NominalConstellations(Ephemeris):
 
     @property
     def system_of(self) -> str:
-        """System letter of each of the S satellites."""
+        """System letter of each of the S satellites, such as G for GPS."""
         return "".join(name[0] for name in self.satellites)
 
     @property
     def satellite_ids(self) -> npt.NDArray[np.uint32]:
-        """A number (S,) for each satellite, the same whichever systems there are; the lower byte, of PRNs, is 0."""
+        """Number (S,) of each satellite, the same whichever systems are simulated; its lower byte, for PRNs, is 0."""
         numbers = np.arange(24, dtype=np.uint32) * np.uint32(256)
         return np.concatenate([numbers + np.uint32(ord(letter) << 16) for letter in self._letters])
 
     @property
     def span_gps_seconds(self) -> tuple[float, float]:
-        """First and last time [GPS s] with positions: minus and plus infinity."""
+        """First and last time [GPS s] with satellite positions: minus and plus infinity."""
         return -math.inf, math.inf
 
     def positions_ecef(self, gps_seconds: npt.ArrayLike) -> Float64:
@@ -140,7 +140,7 @@ class NominalConstellations(Ephemeris):
     def at(
         self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike, duration_s: float = math.inf
     ) -> KeplerOrbits:
-        """Return the orbits of a run's satellites as seen from a site.
+        """Return the orbits of the satellites in a run, as seen from a site.
 
         Args:
             site: where the signals are received.
@@ -164,7 +164,7 @@ class NominalConstellations(Ephemeris):
         return cast(orbits, dtype)
 
     def _orbits(self, letter: str, site: Site, start: float) -> KeplerOrbits:
-        """Return the orbits of the satellites of one system, by its letter, in float64."""
+        """Return the orbits of one system's satellites from ``start`` [GPS s], by its letter, in float64."""
         if letter == "G":
             return NominalConstellation().at(site, start, np.float64)
         argument, node, (*rates, inclination) = _angles(WALKERS[letter], np.array([start]))
@@ -177,7 +177,7 @@ class NominalConstellations(Ephemeris):
 
 
 def _angles(pattern: Walker, gps_seconds: Float64) -> tuple[Float64, Float64, tuple[float, float, float]]:
-    """Return argument of latitude, Earth-fixed longitude of the node [rad], their rates [rad/s], and inclination [rad].
+    """Return argument of latitude and longitude of the node [rad] at times, their rates [rad/s], and inclination [rad].
 
     Times (..., 1) give angles (..., 24). Secular rates of a circular orbit: Brouwer 1959, first order.
     """
@@ -197,7 +197,7 @@ def _angles(pattern: Walker, gps_seconds: Float64) -> tuple[Float64, Float64, tu
 
 
 def _joined(parts: list[Any]) -> Any:
-    """Return a list of arrays (S,), or of records Phase, concatenated."""
+    """Return a list of arrays (S,), or of ``Phase`` records, concatenated."""
     if isinstance(parts[0], Phase):
         names = ("units", "units_per_s", "rest", "rest_per_s")
         joined = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
