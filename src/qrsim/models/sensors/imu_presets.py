@@ -109,5 +109,5 @@ PRESETS: Presets = {
 
 
 def default(name: str) -> object:
-    """Return the value of a parameter, by name, in the default preset of IMUs."""
+    """Return a parameter's value in the default preset of IMUs, by the parameter's name."""
     return PRESETS[DEFAULT][name]

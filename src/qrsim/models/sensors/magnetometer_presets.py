@@ -50,5 +50,5 @@ PRESETS: Presets = {
 
 
 def default(name: str) -> object:
-    """Return the value of a parameter, by name, in the default preset of magnetometers."""
+    """Return a parameter's value in the default preset of magnetometers, by the parameter's name."""
     return PRESETS[DEFAULT][name]
