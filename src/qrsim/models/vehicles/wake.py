@@ -37,7 +37,7 @@ class Wake:
 
 
 def jet_axis(wake: Wake, thrust: Array, down_ned: Vec3, relative_wind_ned: Vec3) -> Vec3:
-    """Return the unit vector (n,) NED along which a wake flows: rotor outflow plus relative wind.
+    """Return the unit vectors (n,) NED along which rotor wakes flow: rotor outflow plus relative wind.
 
     Args:
         wake: of the upper vehicle.
@@ -50,7 +50,7 @@ def jet_axis(wake: Wake, thrust: Array, down_ned: Vec3, relative_wind_ned: Vec3)
 
 
 def jet_share(wake: Wake, thrust: Array, down_ned: Vec3, relative_wind_ned: Vec3) -> Array:
-    """Return the share of a vehicle's thrust, 0 to 1, that forms a jet; arguments as of ``jet_axis``.
+    """Return the share of a vehicle's thrust, 0 to 1 (n,), that forms a jet; arguments as of ``jet_axis``.
 
     All of it down to a descent at half of the induced velocity of a hover. There the vortex ring state begins, in which
     the flow returns to the rotors, and at the whole of it nothing goes away as a jet (Leishman 2006, section 2.13.6).
