@@ -68,7 +68,7 @@ def normalised(covariance: Array, errors: Array) -> Array:
 
 
 def turned(true: Euler, estimated: Quaternion) -> Vec3:
-    """Return the small rotation vector (n,) in NED [rad] from the estimated to the true attitude."""
+    """Return the small rotation vector (n,) NED [rad] that takes the estimated attitude to the true one."""
     between = Quaternion.of(true) * estimated.conjugate()
     twice = jnp.where(between.w < 0.0, -2.0, 2.0)
     return Vec3(twice * between.x, twice * between.y, twice * between.z)

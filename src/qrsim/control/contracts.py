@@ -159,7 +159,7 @@ class Estimator(Protocol):
         return None
 
     def inner(self, state: Any) -> tuple[object, object] | None:
-        """Return the other estimated quantities (such as biases) as a record of (n,), and their stds; None without."""
+        """Return other estimated quantities, such as biases, as a record of (n,), and their stds; None without any."""
         return None
 
     def consistency(self, state: Any, truth: Truth) -> Consistency | None:

@@ -120,7 +120,7 @@ class WaypointController(HeightController):
         sine, cosine = sincos(estimate.attitude.yaw)
 
         def to_heading(north: Array, east: Array) -> tuple[Array, Array]:
-            """Return forward and right components of a horizontal vector, relative to the estimated heading."""
+            """Return the forward and right components of a vector (north, east), by the estimated heading."""
             return cosine * north + sine * east, cosine * east - sine * north
 
         ahead, right = to_heading(error.x, error.y)

@@ -68,7 +68,7 @@ def independent(variances: Sequence[Array]) -> Covariance:
 
 
 def propagated(covariance: Covariance, moves: Moves, noise: Sequence[Array]) -> Covariance:
-    """Return the covariance one step later, F P F' + Q.
+    """Return the covariance P one step later, F P F' + Q: ``moves`` is F, and ``noise`` the diagonal of Q.
 
     Args:
         covariance: P.

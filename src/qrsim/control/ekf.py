@@ -323,7 +323,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         one = jnp.ones_like(state.since_fix)
 
         def new(field: str) -> tuple[Array, Array]:
-            """Return (n,) bool: the reading with this field is new, and the same flag as its sensor gives it."""
+            """Return (n,) bool: the reading with ``field`` is new, and its sensor's flag, from which that follows."""
             due = fresh[source_of(readings, field)]
             return due & (one > 0.0), due
 

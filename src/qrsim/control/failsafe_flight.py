@@ -277,7 +277,7 @@ class Failsafes:
         )
 
     def _nearest(self, home: Vec3, here: Vec3) -> tuple[Vec3, Array]:
-        """Return where a return lands (n,), home or the nearest rally point, and the down limit [m] on the way."""
+        """Return where a return lands (n,), at home or a nearer rally point, and the lowest flight level, down [m]."""
         safe, least, distance = home, home.z, _level_distance(home, here)
         for point in self.rally:
             away = _level_distance(point.place_ned, here)
@@ -367,7 +367,7 @@ def _level_distance(one: Vec3, other: Vec3) -> Array:
 def _on_the_ground(
     state: FailsafeState, seen: Watched, down: Array, share: Array, dt: float
 ) -> tuple[FailsafeState, Array, Array]:
-    """Return the state with its time on the ground, and (n,) bool: motors are to idle, the vehicle is to stay level.
+    """Return the state with its time on the ground, and two flags (n,): the motors idle, the vehicle stays level.
 
     Args:
         state: state after this step.

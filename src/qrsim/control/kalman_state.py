@@ -153,7 +153,7 @@ def swung(force: Vec3) -> tuple[dict[int, Array], ...]:
 
 
 def body_axes(turned: Rotation) -> tuple[Vec3, Vec3, Vec3]:
-    """Return the body's forward, right and down axes as unit vectors in NED."""
+    """Return the body's forward, right and down axes as unit vectors in NED, by its rotation."""
     return turned.forward, turned.right, turned.down
 
 

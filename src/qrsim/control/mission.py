@@ -298,7 +298,7 @@ def _slowed_setpoint(due: PathSetpoint, rate: Array, grounded: tuple[Array, Arra
 
 
 def _ahead(state: MissionState, leg: Mission, ends: Array, near: Array, by: Array) -> tuple[Array, Array]:
-    """Return the leg's time (n,) [s] advanced by ``by`` [s], as sum and remainder; held at stops, before corners."""
+    """Return the leg's time (n,) [s] after ``by`` [s] more, as (sum, remainder); held at stops and corners."""
     # At a waypoint without a stop the path waits in the middle of the corner until the vehicle is near.
     corner = jnp.where(near, jnp.inf, ends - 0.5 * leg.turn_s)
     most = jnp.where(leg.stops, jnp.where(leg.lands, jnp.inf, ends), corner)

@@ -136,7 +136,7 @@ def corner_speed(cut: float, turned: float, limits: Limits) -> float:
 
 
 def circle_speed(radius: float, most: float, limits: Limits) -> float:
-    """Return the largest speed [m/s], up to ``most``, on a circle of a radius [m], limited by v^2/r and v^3/r^2."""
+    """Return the largest speed [m/s], up to ``most``, on a circle of a radius [m] within the limits."""
     return min(most, math.sqrt(limits.acceleration * radius), math.cbrt(limits.jerk * radius * radius))
 
 
@@ -183,7 +183,7 @@ def _lines(start_ned: Sequence[float], legs: Sequence[Leg], limits: Limits) -> l
 
 
 def _cut_corners(parts: list[_Part], following: list[int | None], limits: Limits) -> None:
-    """Set, in place, the turns between legs that are flown through without a stop."""
+    """Set, in place, the turn between each leg and ``following`` where the path does not stop."""
     for part, number in zip(parts, following, strict=True):
         if number is None or not _flown_through(part, parts[number]):
             continue
@@ -203,7 +203,7 @@ def _flown_through(part: _Part, after: _Part) -> bool:
 
 
 def _slow_down(parts: list[_Part], following: list[int | None], limits: Limits) -> None:
-    """Lower, in place, the speeds at corners until every leg is long enough for its change of speed."""
+    """Lower, in place, the speeds at turns until every leg is long enough for its change of speed."""
     rest = _Part(parts[0].leg, parts[0].begin)
     nexts = [
         parts[number] if number is not None and part.cut_after else rest

@@ -121,7 +121,7 @@ class RoverController(Controller):
     def _along(
         self, state: RoverControllerState, estimate: Estimate, track: TrackSetpoint, speed: Array
     ) -> tuple[Array, Array, Array]:
-        """Return speed [m/s], curvature [1/m] and (n,) bool: at rest, that follow a line or circle (eqs. D7, D8)."""
+        """Return (speed [m/s], curvature [1/m], bool: at rest), each (n,), to follow a line or circle (eqs. D7, D8)."""
         ahead = jnp.maximum(self.lookahead_min, self.lookahead * jnp.abs(speed))
         aim = jnp.where(
             track.radius == 0.0, _aim_on_line(estimate, track, ahead), _aim_on_circle(estimate, track, ahead)
@@ -153,7 +153,7 @@ class RoverController(Controller):
     def _towards(
         self, estimate: Estimate, setpoint: VelocitySetpoint | PathSetpoint, speed: Array
     ) -> tuple[Array, Array]:
-        """Return the speed [m/s] and curvature [1/m] (n,) that follow a velocity or a moving point (eq. D9)."""
+        """Return the speed [m/s] and curvature [1/m] (n,) to follow a velocity or a moving point (eq. D9)."""
         north, east = setpoint.velocity_ned.x, setpoint.velocity_ned.y
         idle: Array | None = None
         if isinstance(setpoint, PathSetpoint):

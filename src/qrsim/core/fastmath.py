@@ -46,7 +46,7 @@ rounded_p = primitive_of("rounded", lambda product: jnp.minimum(product, 1e30), 
 
 
 def _polynomial(x: Array, coefficients: tuple[float, ...], rounding: Rounding = freely) -> Array:
-    """Return the value of a polynomial at x by Horner's rule, highest power first in ``coefficients``."""
+    """Return the polynomial at x with ``coefficients``, the highest power first (Horner's rule)."""
     result = jnp.full_like(x, coefficients[0])
     for coefficient in coefficients[1:]:
         result = rounding(result * x) + coefficient
@@ -83,7 +83,7 @@ def sincos_ratio(x: Array, rounding: Rounding = freely) -> tuple[Array, Array, A
 
 
 def _sincos(x: Array) -> tuple[Array, Array]:
-    """Return sine and cosine of angles [rad]."""
+    """Return sine and cosine of angles [rad] of any shape; the function that ``sincos`` compiles."""
     sine, cosine, scale = sincos_ratio(x)
     return sine / scale, cosine / scale
 
@@ -113,7 +113,7 @@ def sincos_turns(turns: Array) -> tuple[Array, Array]:
 
 
 def _sincos_turns(turns: Array) -> tuple[Array, Array, Array]:
-    """Return (a, b, cosine) of 2 pi turns with sine = a b, left to the caller so that a sum may fuse the product."""
+    """Return (a, b, cos) of 2 pi turns with sin = a b, a product left to the caller, so that a sum may fuse it."""
     part = turns - jnp.round(turns)
     z = part * part
     # Fits of sin(pi p)/p and cos(pi p) in z = p^2 on [0, 1/4], errors of sine and cosine below 4e-9 and 5e-8.

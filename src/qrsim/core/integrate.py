@@ -18,7 +18,7 @@ def _advance(state: S, slope: S, dt: float) -> S:
 
 
 def heun(slope: Slope[S, A], state: S, dt: float) -> tuple[S, A]:
-    """Return the state dt [s] later by Heun's rule, and the mean output of ``slope`` in the step.
+    """Return the state dt [s] later by Heun's rule, and the mean output; ``slope``: state -> (derivative, output).
 
     Args:
         slope: state -> (time derivative of the state, output).

@@ -66,7 +66,7 @@ def by_all_pairs(x: Array, y: Array, z: Array, reach: Array | float, count: int)
 
 
 def _all_others(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
-    """Return, for each of n points, the indices (n, n) and squared distances (n, n) of all; infinite to itself."""
+    """Return, for each of n points, indices (n, n) and squared distances (n, n) of all points; inf to itself."""
     n = x.shape[0]
     number = jnp.broadcast_to(jnp.arange(n, dtype=jnp.int32)[:, None], (n, n))
     squared = sum((axis[None, :] - axis[:, None]) ** 2 for axis in (x, y, z))
@@ -74,7 +74,7 @@ def _all_others(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
 
 
 def _squared_distances(x: Array, y: Array, z: Array, candidates: Array) -> tuple[Array, Array]:
-    """Return indices and squared distances (M, n) of candidate points; infinite for the point itself and no point."""
+    """Return indices and squared distances (M, n) of M candidates per point; infinite for itself and for none."""
     there = jnp.maximum(candidates, 0)
     squared = sum((axis[None, :] - axis.at[there].get(mode="promise_in_bounds")) ** 2 for axis in (x, y, z))
     itself = candidates == jnp.arange(x.shape[0], dtype=jnp.int32)[None, :]

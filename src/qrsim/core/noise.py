@@ -33,7 +33,7 @@ _PARITY = 0x1BD11BDA
 
 
 def threefry2x32(key: tuple[Array, Array], counter: tuple[Array, Array], rounds: int = ROUNDS) -> tuple[Array, Array]:
-    """Return the two uint32 words of the random generator Threefry-2x32 for a key and a counter, two words each.
+    """Return two random uint32 words from a key and a counter of two words each, by Threefry-2x32.
 
     Args:
         key: two uint32 arrays, broadcastable against the counter.
@@ -71,7 +71,7 @@ _THREEFRY = {
 
 
 def _box_muller(words: tuple[Array, Array], dtype: jnp.dtype) -> tuple[Array, Array]:
-    """Return two independent standard normals, of magnitude 6.66 at most, from two random uint32 words each.
+    """Return two independent standard normals, of magnitude 6.66 at most, from a pair of random uint32 words.
 
     In single precision every operation is rounded on its own, so the result is the same in whatever program it is
     computed.

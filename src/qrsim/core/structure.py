@@ -23,7 +23,7 @@ def kinds(structure: Any) -> Iterator[type]:
 
 
 def name_of(kind: type) -> str:
-    """Return the name of a type, with its module."""
+    """Return a type's full name, module included."""
     return f"{kind.__module__}:{kind.__qualname__}"
 
 

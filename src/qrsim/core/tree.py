@@ -160,7 +160,7 @@ def _register(cls: Any, data: list[str], static: list[str]) -> None:
 
 
 def _getter(names: list[str]) -> Callable[[Any], tuple[Any, ...]]:
-    """Return a function that reads the attributes ``names`` of an object as a tuple."""
+    """Return a function that returns an object's attributes ``names`` as a tuple."""
     if len(names) > 1:
         return operator.attrgetter(*names)
     if not names:
@@ -203,7 +203,7 @@ def cast(item: T, dtype: Any) -> T:
     """Return a tree with every floating-point leaf, Python floats included, as an array of ``dtype``."""
 
     def convert(leaf: object) -> NumpyArray:
-        """Return a leaf as an array, of ``dtype`` if it is floating-point."""
+        """Return a leaf as an array, converted to ``dtype`` if it is floating-point."""
         array = np.asarray(leaf)
         return np.asarray(array, dtype) if np.issubdtype(array.dtype, np.floating) else array
 
@@ -211,7 +211,7 @@ def cast(item: T, dtype: Any) -> T:
 
 
 def select(condition: jax.Array, yes: T, no: T) -> T:
-    """Return leaves of ``yes`` where ``condition`` (n,) is True, else of ``no``, for two trees of one structure."""
+    """Return ``yes`` where ``condition`` (n,) is True, else ``no``, leaf by leaf, for trees of one structure."""
     return jax.tree.map(lambda a, b: jax.numpy.where(condition, a, b), yes, no)
 
 
@@ -255,7 +255,7 @@ def _parts(kind: type) -> tuple[tuple[str, FieldInfo], ...]:
 
 @cache
 def _with_unit(info: FieldInfo, unit: str) -> FieldInfo:
-    """Return a field's metadata with another unit."""
+    """Return a field's metadata with ``unit`` in place of its unit."""
     return dataclasses.replace(info, unit=unit)
 
 

@@ -48,7 +48,7 @@ class Vec3:
         return self.x * other.x + self.y * other.y + self.z * other.z
 
     def cross(self, other: Vec3) -> Vec3:
-        """Return the vector product self x other."""
+        """Return the vector product self x other, of the two vectors."""
         return Vec3(
             self.y * other.z - self.z * other.y,
             self.z * other.x - self.x * other.z,
@@ -69,7 +69,7 @@ class Vec3:
 
     @staticmethod
     def zeros(shape: tuple[int, ...], dtype: jnp.dtype) -> Vec3:
-        """Return a zero vector with components of a shape and dtype."""
+        """Return a zero vector with component arrays of this shape and dtype."""
         zero = jnp.zeros(shape, dtype)
         return Vec3(zero, zero, zero)
 
@@ -102,11 +102,11 @@ class Rotation:
     down: Vec3 = quantity(doc="body z axis in NED")
 
     def to_body(self, ned: Vec3) -> Vec3:
-        """Return a vector given in the navigation frame (NED) in the body frame (D v)."""
+        """Return a vector, given in NED, in body axes (D v)."""
         return Vec3(self.forward.dot(ned), self.right.dot(ned), self.down.dot(ned))
 
     def to_ned(self, body: Vec3) -> Vec3:
-        """Return a vector given in the body frame in the navigation frame, NED (D^T v)."""
+        """Return a vector, given in body axes, in NED (D^T v)."""
         return self.forward * body.x + self.right * body.y + self.down * body.z
 
 

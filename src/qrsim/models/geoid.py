@@ -49,7 +49,7 @@ def undulation(latitude_deg: npt.ArrayLike, longitude_deg: Arrays) -> Float64:
 
 
 def undulation(latitude_deg: npt.ArrayLike, longitude_deg: npt.ArrayLike) -> float | Float64:
-    """Return the height of the geoid EGM96 above the WGS-84 ellipsoid, (...) [m].
+    """Return the geoid undulation [m], EGM96's height above the WGS-84 ellipsoid, at places (...) [deg].
 
     A height h above the ellipsoid is the height h - undulation above mean sea level. The value is interpolated from
     eight by eight points of a grid of 15 minutes of arc, by polynomials of degree 7. It is within 0.02 m of the grid
@@ -142,7 +142,7 @@ def above_sea(geodetic: Float64, site: Site) -> Float64:
 
 
 def _checked(name: str, values: npt.ArrayLike, limit: float) -> Float64:
-    """Return angles [deg] as a float64 array; raise UsageError for the first one beyond +/- ``limit`` or NaN."""
+    """Return angles [deg] as float64; raise UsageError, naming ``name``, for one beyond +/- ``limit`` or NaN."""
     try:
         array = np.asarray(values)
     except ValueError:

@@ -88,14 +88,14 @@ class Site:
     def geodetic_to_ned(
         self, latitude_rad: npt.ArrayLike, longitude_rad: npt.ArrayLike, height: npt.ArrayLike
     ) -> Float64:
-        """Return positions (..., 3) in NED [m]; the arguments [rad, rad, m] broadcast to a shape (...)."""
+        """Return positions (..., 3) NED [m] of latitudes [rad], longitudes [rad] and heights [m], which broadcast."""
         from pymap3d import geodetic2ned
 
         geodetic = np.stack(np.broadcast_arrays(latitude_rad, longitude_rad, height), axis=-1)
         return np.stack(_apply(geodetic2ned, "geodetic", geodetic, *self._origin), axis=-1)
 
     def ecef_to_ned(self, points_ecef: npt.ArrayLike) -> Float64:
-        """Return points (..., 3) in this site's NED frame [m] from Earth-fixed coordinates (..., 3) [m]."""
+        """Return Earth-fixed points (..., 3) [m] in this site's NED frame [m]."""
         from pymap3d import ecef2ned
 
         return np.stack(_apply(ecef2ned, "points_ecef", points_ecef, *self._origin), axis=-1)
@@ -210,7 +210,7 @@ def utc_from_gps_seconds(gps_seconds: float) -> datetime:
 
 
 def _aware(when: datetime) -> datetime:
-    """Return the given time; raise UsageError if it has no time zone."""
+    """Return ``when`` unchanged; raise UsageError if it has no time zone."""
     if when.utcoffset() is None:
         raise UsageError(f"{when.isoformat()} has no time zone; give one, for UTC '{when.isoformat()}+00:00'")
     return when

@@ -195,7 +195,7 @@ def picture(world: World, state: State, number: int, camera: str) -> Picture:
 
 
 def film(world: World, state: State, number: int, camera: str) -> tuple[Any, Any, Stream]:
-    """Return a fleet's camera, its last reading, and its noise stream; arguments as of ``picture``."""
+    """Return a fleet's camera sensor, its last reading and its random stream; arguments as of ``picture``."""
     fleet = world.fleets[number]
     index = fleet.sensor_names.index(camera)
     ids = jnp.arange(fleet.size, dtype=jnp.uint32)

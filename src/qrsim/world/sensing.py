@@ -305,7 +305,7 @@ def with_airspeed(fleet: Fleet, state: FleetState, estimate: Estimate) -> Estima
 
 
 def airspeed_of(pose: Pose, air_ned: Vec3) -> Array:
-    """Return the airspeed (n,) [m/s] of a pose in air with velocity ``air_ned`` (n,) [m/s]."""
+    """Return the airspeed (n,) [m/s] of vehicles with a pose, in air that moves at ``air_ned`` (n,) [m/s]."""
     through = pose.velocity_body - rotation(pose.attitude).to_body(air_ned)
     return root(through.dot(through))
 

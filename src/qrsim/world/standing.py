@@ -47,7 +47,7 @@ def ground_argument(fleet: Fleet, standing: Array | None) -> dict[str, Array]:
 def started(
     world: World, fleet: Fleet, vehicle: VehicleState, low: Vec3 | None
 ) -> tuple[VehicleState, Vec3 | None, Array | None]:
-    """Return the start state of vehicles (n,), those near the ground put on it, at rest; and which are parked.
+    """Return state and position remainder of vehicles (n,) at the start, and (n,) bool: parked on the ground.
 
     Returns:
         The state, the remainder of the position, and which vehicles are parked (n,), None in a fleet that cannot be.
@@ -67,7 +67,7 @@ def started(
 def settled(
     world: World, fleet: Fleet, before: FleetState, command: object, moved: VehicleState, low: Vec3 | None, force: Vec3
 ) -> tuple[VehicleState, Vec3 | None, Vec3, Array]:
-    """Return vehicles (n,) after a step, with those that are parked or land softly held at rest on the ground.
+    """Return (state, position remainder, specific force, (n,) bool: parked) after a step with the ground's effect.
 
     Args:
         world, fleet: parameters.
@@ -179,7 +179,7 @@ def _is_soft(speed: Array, tilt: Array) -> Array:
 def _at_rest_below(
     world: World, fleet: Fleet, pose: Pose, low: Vec3 | None, thrust: Array
 ) -> tuple[VehicleState, Vec3 | None]:
-    """Return the states of vehicles (n,) at rest on the ground below a pose, with a thrust (n,) [N].
+    """Return the states of vehicles (n,) at rest on the ground below a pose, and ``low`` with z set to 0.
 
     Returns:
         States with the attitude and rates of the pose, no velocity and a thrust (n,) [N]; and ``low`` with z 0.

@@ -370,7 +370,7 @@ class State:
 
 
 def position_of(fleet: FleetState) -> Vec3:
-    """Return the true position (n,) [m] of each vehicle in float64, rounding remainders added."""
+    """Return the true positions (n,) [m] NED of a fleet's vehicles in float64, remainders added."""
     position: Vec3 = joined(fleet.vehicle.position_ned, fleet.position_low_ned)
     return position
 

@@ -90,7 +90,7 @@ def dryden_scales(
     high_length_ft: float = HIGH_LENGTH_FT,
     near_ground: NearGround = "constant",
 ) -> tuple[Vec3, Vec3]:
-    """Return length scales [m] and standard deviations [m/s] of gusts along, across and down the wind, at heights [m].
+    """Return length scales [m] and stds [m/s] of gusts along, across and down the wind, at heights (n,) [m].
 
     Below 1000 ft those of the low-altitude model, above 2000 ft L = 1750 ft and sigma by severity, between them
     (1 - f) low + f high with f = (h - 1000 ft)/1000 ft, the low part held at its value at 1000 ft (as JSBSim does).
@@ -268,7 +268,7 @@ class FilterState:
         )
 
     def gust(self) -> Array:
-        """Return the gust (n,) in units of its standard deviation."""
+        """Return the gust (n,) in units of its standard deviation, from the filter's states."""
         return _COS_15 * self.first + _SIN_15 * self.second
 
     def gust_less_lagged(self, ratio: Array) -> Array:

@@ -103,7 +103,7 @@ class DiscreteGust(Gust):
         return turned_to_ned(self.along * share, self.across * share, self.down * share, sine, cosine)
 
     def _motion(self, convection_ned: Vec3 | None) -> tuple[Array, Array, Array]:
-        """Return the gust's speed () [m/s] over ground, and sine and cosine () of the bearing that it comes from."""
+        """Return the gust's speed () [m/s] over ground, and sine and cosine () of the bearing from which it comes."""
         speed = sine = cosine = None
         if convection_ned is not None:
             square = convection_ned.x * convection_ned.x + convection_ned.y * convection_ned.y

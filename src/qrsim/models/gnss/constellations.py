@@ -104,19 +104,19 @@ class NominalConstellations(Ephemeris):
 
     @property
     def satellites(self) -> tuple[str, ...]:
-        """Names of the satellites: system letter, plane and slot, such as G-A1."""
+        """Names of the satellites from system letter, plane and slot, such as G-A1."""
         gps = NominalConstellation().satellites
         walker = [f"{'ABC'[plane]}{slot + 1}" for plane in range(PLANES) for slot in range(SLOTS)]
         return tuple(f"{letter}-{slot}" for letter in self._letters for slot in (gps if letter == "G" else walker))
 
     @property
     def system_of(self) -> str:
-        """System letter of each of the S satellites, such as G for GPS."""
+        """GNSS system letter of each of the S satellites, as text, such as G for GPS."""
         return "".join(name[0] for name in self.satellites)
 
     @property
     def satellite_ids(self) -> npt.NDArray[np.uint32]:
-        """Number (S,) of each satellite, the same whichever systems are simulated; its lower byte, for PRNs, is 0."""
+        """Number (S,) of each satellite, whichever systems are simulated; its lower byte is 0, as it has no PRN."""
         numbers = np.arange(24, dtype=np.uint32) * np.uint32(256)
         return np.concatenate([numbers + np.uint32(ord(letter) << 16) for letter in self._letters])
 
@@ -126,7 +126,7 @@ class NominalConstellations(Ephemeris):
         return -math.inf, math.inf
 
     def positions_ecef(self, gps_seconds: npt.ArrayLike) -> Float64:
-        """Return Earth-fixed positions (..., S, 3) [m] at times (...) [GPS s]."""
+        """Return the S satellites' Earth-fixed positions (..., S, 3) [m] at times (...) [GPS s]."""
         times = np.asarray(gps_seconds, np.float64)
         found = []
         for letter in self._letters:
@@ -172,12 +172,12 @@ class NominalConstellations(Ephemeris):
 
     @property
     def _letters(self) -> tuple[str, ...]:
-        """Letters of the satellite systems, in the order of their numbers."""
+        """GNSS system letters in use, in the order of the systems' numbers."""
         return tuple(letter for letter in SYSTEMS if letter in self.systems)
 
 
 def _angles(pattern: Walker, gps_seconds: Float64) -> tuple[Float64, Float64, tuple[float, float, float]]:
-    """Return argument of latitude and longitude of the node [rad] at times, their rates [rad/s], and inclination [rad].
+    """Return argument of latitude and node's longitude [rad], and (both rates [rad/s], inclination [rad]).
 
     Times (..., 1) give angles (..., 24). Secular rates of a circular orbit: Brouwer 1959, first order.
     """

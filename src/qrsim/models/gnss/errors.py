@@ -181,7 +181,7 @@ class GaussMarkov2(RangeErrors):
         return 1.0 / jnp.asarray(self.time_constant), 1.0 / jnp.asarray(self.drive_time_constant)
 
     def _terms(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return (weight [m^2], time constant [s]) of the two exponentials of the autocovariance."""
+        """Return (weight [m^2], time constant [s]) of each of the two exponentials in the autocovariance."""
         std, slow, quick = float(self.std), float(self.time_constant), float(self.drive_time_constant)
         if abs(slow - quick) < 1e-5 * slow:
             # Equal ones are a limit: moved apart about their mean they change the result by 1e-10 of itself.

@@ -154,7 +154,7 @@ def passed(receiver: ReceiverParameters, rate: Array | float, smoothing_time: Ar
 
 
 def sights(receiver: ReceiverParameters, slots: Slots, position_ned: Vec3 | None, ground: Ground | None) -> Array:
-    """Return (K, m) bool: a receiver can see the satellite, above its mask, of its systems, and above the terrain."""
+    """Return (K, m) bool: a receiver uses the system of slot K's satellite, and sees it above mask and terrain."""
     numbers = [LETTERS.index(letter) for letter in receiver.systems]
     heard = slots.ids != jnp.uint32(NOBODY)
     if len(numbers) < len(LETTERS):

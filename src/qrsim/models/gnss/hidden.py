@@ -187,7 +187,7 @@ def weaker_by(slow: Array) -> Array:
 def _tracked(
     receiver: ReceiverParameters, before: Tracking | None, same: Any, there: Array, blocked: Array, passed: Array
 ) -> tuple[Array, Array]:
-    """Return the times (K, n) [s] since and during blocking after ``passed`` [s], by the mask ``blocked`` (K, n)."""
+    """Return the times (K, n) [s] since a signal was last blocked, and for which it is blocked, after ``passed``."""
     blocked = there & blocked
     if before is None:
         long = jnp.full(blocked.shape, _LONG, passed.dtype)

@@ -253,7 +253,7 @@ def jammed(
 
 
 def lied_to(now: Interfering, affected: Sequence[Array], position_ned: Vec3) -> tuple[Array, Vec3, Vec3]:
-    """Return (n,) bool: a receiver follows a spoofer, and its position [m] and velocity [m/s] offsets."""
+    """Return (n,) bool: a receiver follows a spoofer, and the position [m] and velocity [m/s] offsets that result."""
     zero = jnp.zeros_like(position_ned.x)
     believed, offset, rate = zero > 0.0, Vec3(zero, zero, zero), Vec3(zero, zero, zero)
     for lie, chosen in zip(now.lies, affected, strict=True):

@@ -55,12 +55,12 @@ class Ephemeris(Protocol):
     @property
     @abstractmethod
     def satellites(self) -> tuple[str, ...]:
-        """Name of each of the S satellites."""
+        """Names of the S satellites, such as G05."""
         ...
 
     @property
     def system_of(self) -> str:
-        """System letter of each of the S satellites, G (GPS) by default."""
+        """GNSS system letter of each of the S satellites, as text; G (GPS) by default."""
         return "G" * len(self.satellites)
 
     @property
@@ -250,7 +250,7 @@ class NominalConstellation(Ephemeris):
         return -math.inf, math.inf
 
     def positions_ecef(self, gps_seconds: npt.ArrayLike) -> Float64:
-        """Return Earth-fixed positions (..., 24, 3) [m] at times (...) [GPS s]; rounding is below 0.01 m until 2100."""
+        """Return the 24 satellites' Earth-fixed positions (..., 24, 3) [m] at times (...) [GPS s]."""
         argument, node = self._angles(np.asarray(gps_seconds, np.float64)[..., None])
         return circular_positions(argument, node, _SEMI_MAJOR_AXIS, _INCLINATION)
 

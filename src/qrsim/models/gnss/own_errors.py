@@ -22,7 +22,7 @@ MULTIPATH_PAIRS = 1 << 24
 def first_common(
     receiver: ReceiverParameters, now: Geometry, draw: Draw, sky: SkyState
 ) -> tuple[Vec3, Array | None, Apart | None]:
-    """Return the initial position error [m] by common errors, with the range errors and states the receiver keeps."""
+    """Return the first position error [m] by shared errors, and range errors and error states to keep, or None."""
     slots: Slots = sky.slots
     if slots.own is not None:
         apart = apart_init(slots.own, draw, slots)
@@ -37,7 +37,7 @@ def first_common(
 def common_errors(
     receiver: ReceiverParameters, now: Geometry, state: GnssState, draw: Draw, sky: SkyState, same: Array
 ) -> tuple[Vec3, Vec3, Array | None, Apart | None]:
-    """Return the position error by common errors, its change by carrier phase, and new range errors and states."""
+    """Return the position error by shared errors, its change by carrier phase, and range errors and states to keep."""
     slots: Slots = sky.slots
     if state.apart is None and not slots.rough:
         return now.common(slots.part), now.carried * (receiver.period / slots.knot_s), None, None

@@ -290,7 +290,7 @@ class GnssReceiver(Sensor):
         return ReceiverState(position, true, queue[1:], state.listed, low), queue[0]
 
     def fix(self, draw: Draw, position_ned: Vec3, sky: SkyState) -> Fix:
-        """Return the position fix of each receiver (n,) from the satellites above the mask."""
+        """Return the position fix of each receiver (n,) from the satellites above its elevation mask."""
         return self._solve(draw, position_ned, sky, None, None)[0]
 
     def _solve(
@@ -336,7 +336,7 @@ class GnssReceiver(Sensor):
 
 
 def _solution(position_ned: Vec3, fix: Fix, position_low_ned: Vec3 | None) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
-    """Return the fixed position as stored in a state: rounded fix, true position or None, remainder or None.
+    """Return a fix's position in the parts that a state stores: (rounded fix, true position, remainder), or None each.
 
     From a position of two parts comes a solution of two parts, which need not be taken apart into truth and error.
     """

@@ -67,7 +67,7 @@ class Gnss(ReceiverParameters, Sensor):
         ground: Ground | None = None,
         skyline: Skyline | None = None,
     ) -> tuple[GnssState, GnssFix]:
-        """Return state and first fix of receivers that have been running for long."""
+        """Return state and first fix of receivers that have been running for long, so filters are settled."""
         return self._started(draw, position_ned, velocity_ned, sky, position_low_ned, ground, skyline, None)
 
     def restart(

@@ -49,7 +49,7 @@ class Skyline:
         return line_of_sight(self.solids, position_ned, point_ned)
 
     def look(self, position_ned: Vec3, sight: Sight) -> tuple[Array, Array]:
-        """Return (K, n) bool: obstacles hide satellite K from receiver n, and (K, n) the detour of its reflection.
+        """Return (K, n) bool: obstacles hide satellite K from receiver n, and (K, n) its reflection's detour.
 
         The detour is the extra path [m] divided by the cosine of the elevation; 0 without a reflection.
         """

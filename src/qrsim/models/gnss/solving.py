@@ -70,7 +70,7 @@ class Gains:
 
 
 def _times(inverse: Symmetric, x: Array, y: Array, z: Array) -> Vec3:
-    """Return minus the inverse normal matrix times a vector (x, y, z): the position error for weighted sums."""
+    """Return minus a symmetric 3 x 3 inverse times the vector (x, y, z): a least-squares position error [m]."""
     xx, xy, xz, yy, yz, zz = inverse
     return Vec3(-(xx * x + xy * y + xz * z), -(xy * x + yy * y + yz * z), -(xz * x + yz * y + zz * z))
 

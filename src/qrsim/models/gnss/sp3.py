@@ -27,7 +27,7 @@ _FIRST_FLIGHT_S = 0.075
 
 
 def lagrange_basis(nodes: npt.ArrayLike, points: npt.ArrayLike) -> Float64:
-    """Return the Lagrange basis polynomials (..., n) on nodes (n,) at points (...), in the nodes' unit.
+    """Return the Lagrange basis polynomials (..., n), on nodes (n,), at points (...) in the nodes' unit.
 
     By products, not the barycentric quotient, so that a point on a node needs no special case.
     """
@@ -99,7 +99,7 @@ class Sp3Ephemeris(Ephemeris):
 
     @property
     def system_of(self) -> str:
-        """System letter of each of the S satellites used from the file."""
+        """GNSS system letter of each of the S satellites used from the file, as text."""
         return "".join(name[0] for name in self.satellites)
 
     @property
@@ -201,7 +201,7 @@ class Sp3Ephemeris(Ephemeris):
 
     @cached_property
     def _wanted(self) -> npt.NDArray[np.bool_]:
-        """(S of the file,) bool: the satellite's system is in ``systems``; raises UsageError for missing systems."""
+        """(S of the file,) bool: ``systems`` has the satellite's system; raises UsageError for missing systems."""
         letters = self._letters
         if not letters or set(letters) - set(SYSTEMS):
             known = ", ".join(f"{letter} ({name})" for letter, name in SYSTEMS.items())
@@ -266,7 +266,7 @@ class Sp3Ephemeris(Ephemeris):
         return np.where(window[..., None] < 0, np.nan, total)
 
     def _received(self, site: Site, since_first: Float64, intervals: npt.NDArray[np.intp]) -> Float64:
-        """Return positions (T, S, 3) [m] in NED, received at times (T,) [s] after the first epoch."""
+        """Return satellite positions (T, S, 3) [m] NED as received at a site at times (T,) [s] of the file."""
         origin, to_ned = site.origin_ecef(), site.ned_from_ecef_rotation()
         flight = _FIRST_FLIGHT_S
         # Each round shrinks the error of the travel time, 0.02 s at first, by 1e5.

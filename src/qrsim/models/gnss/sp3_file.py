@@ -81,7 +81,7 @@ class Sp3File:
 
     @property
     def gps_seconds(self) -> Float64:
-        """Times (E,) of the epochs [GPS s]."""
+        """Times (E,) of the file's E epochs [GPS s]."""
         return self.first_gps_seconds + self.interval * np.arange(len(self.clocks), dtype=np.float64)
 
 
@@ -183,7 +183,7 @@ def read_sp3(path: str | Path) -> Sp3File:
 
 
 def _version(lines: _Lines) -> str:
-    """Return the version letter of an SP3 file; raise UsageError for unsupported ones."""
+    """Return the version letter in the file's first line; raise UsageError for unsupported versions."""
     head = lines.text[0] if lines.text else ""
     if not head.startswith("#") or len(head) < 2:
         lines.fail(1, f"'{head[:20]}' is not the start of an SP3 file, which is '#c' or the like")

@@ -90,7 +90,7 @@ class Channel:
 
     @property
     def asks_height(self) -> bool:
-        """True if the path loss depends on the height of radios above the ground."""
+        """True if the path loss depends on the radios' heights above the ground."""
         return self.path_loss.air_to_ground != "none" or self.path_loss.ground == "two_ray"
 
     @property

@@ -87,7 +87,7 @@ class Network(Channel, Radio):
         )
 
     def exchange(self, state: NetworkState, now: Exchange) -> NetworkState:
-        """Return the network's state after a tick: new messages queued and, once a period, one of each queue sent."""
+        """Return the network's state after a tick: messages queued and, once a period, each queue's oldest sent."""
         if now.said is not None:
             state = self._queued(state, now.said, now)
         ticks = max(1, round(self.mac.period / now.time_step))
@@ -228,7 +228,7 @@ class Network(Channel, Radio):
         return Stream(keys.high[which], low, jnp.asarray(ids, jnp.uint32))
 
     def _pair(self, keys: StreamKeys, which: int, near: Neighbours, ids: object, frame: Array) -> tuple[Stream, Array]:
-        """Return the random stream of pairs (K, n) of vehicles in a period, and the senders' ids, used as its ticks."""
+        """Return a random stream for pairs (K, n) of vehicles in a period, and the senders' ids, used as ticks."""
         ids = jnp.asarray(ids, jnp.uint32)
         sender = ids.at[jnp.maximum(near.index, 0)].get(mode="promise_in_bounds")
         receiver = jnp.broadcast_to(ids[None], sender.shape)

@@ -84,7 +84,7 @@ def taken(heard: Heard, chosen: Array) -> Heard:
     vehicle = library.arange(row.shape[1], dtype=library.int32)
 
     def of(leaf: Array, nothing: int) -> Array:
-        """Return the chosen rows of one array, ``nothing`` for rows without a message."""
+        """Return the chosen rows (K, n) of one array of the table, ``nothing`` for rows without a message."""
         # Single elements, which both compilers take.
         place: tuple[object, ...]
         if leaf.ndim == 3:

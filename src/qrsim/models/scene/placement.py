@@ -91,7 +91,7 @@ class RingPlaces(Placement):
         return _unplaced(size, self.apart, self.tries)
 
     def most_vehicles(self) -> int:
-        """Return an upper bound of the number of vehicles that fit in the ring."""
+        """Return the number of vehicles that fit on the ring's outer circle, the smallest distance apart."""
         # At distances near zero any number fits, and the angle would be too small to divide by.
         if self.apart <= 1e-9 * self.farthest:
             return 10**9
@@ -110,7 +110,7 @@ def _unplaced(size: int, apart: Array, tries: int) -> str:
 def _first_apart(
     candidate: Callable[[Array], tuple[Array, Array]], apart: Array, tries: int
 ) -> tuple[Array, Array, Array]:
-    """Return the first random placement, in ``tries``, of all vehicles at least ``apart`` [m] from each other.
+    """Return north, east (n,) [m] of the first random placement with distances from ``apart`` [m], and bool: found.
 
     Args:
         candidate: from the number of a try to north and east (n,).

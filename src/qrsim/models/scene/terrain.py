@@ -82,7 +82,7 @@ class PatchyGround(GroundCover):
         return jax.tree.map(lax.stop_gradient, self)._grown(draw)
 
     def _grown(self, draw: Draw) -> TerrainState:
-        """Return land cover with random patches of clutter, then of occlusion, up to their shares of the cells."""
+        """Return land cover with random patches of clutter, then of occlusion, each to its share of all cells."""
         cells = jnp.full((self.side, self.side), CLEAR, jnp.int32)
         first = jnp.int32(0)
         for number, share in ((CLUTTER, self.clutter_share), (OCCLUSION, self.occlusion_share)):

@@ -191,7 +191,7 @@ class Zones:
 def _stretch(
     begin: Triple, end: Triple, cuts: Sequence[float], counts: Callable[[float, float, float], bool]
 ) -> tuple[float, Triple | None]:
-    """Return the length [m] of the parts of a path for which ``counts(north, east, down)``, and the first one's begin.
+    """Return the length [m] of a path's parts for which ``counts(north, east, down)``, and where the first begins.
 
     Args:
         begin, end: of the way, NED [m].

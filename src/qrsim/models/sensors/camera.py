@@ -259,7 +259,7 @@ class Camera(Sensor):
         )
 
     def middle(self, view: View, row: Array, column: Array) -> tuple[Array, Array]:
-        """Return pixel coordinates (x, y) of the centres of windows, for their rows and columns (...)."""
+        """Return pixel coordinates (x, y) of windows' centres, for their rows and columns (...) in the grid."""
         return view.left + (column + 0.5) * view.width, view.top + (row + 0.5) * view.height
 
     def ratio(self, view: View, around: Surroundings, x: Array, y: Array, present: Array, noise: Array) -> Array:
@@ -324,7 +324,7 @@ class Camera(Sensor):
         return jnp.any(here & persons.missing(tick))
 
     def winners(self, view: View, persons: PersonsState, tick: Array, size: Array) -> tuple[Array, Array, Array]:
-        """Return windows (Q,) by row and column, and (Q,) bool: the person nearest its centre is not found yet.
+        """Return the windows (Q,) near persons, as row and column, and (Q,) bool: the nearest person is not found yet.
 
         A window is named for each of nine points of each person; the nearest of them counts.
         """
@@ -334,7 +334,7 @@ class Camera(Sensor):
         return row, column, jnp.isfinite(nearness) & (nearness == nearest) & missing
 
     def _points(self, view: View, persons: PersonsState, tick: Array, size: Array) -> tuple[Array, Array, Array, Array]:
-        """Return row and column of nine points of each person, (Q,) int32, distances squared, and missing (Q,).
+        """Return row, column, squared distance and bool: not found, each (Q,), for nine points of each person.
 
         Points that are in no window are infinitely far, in a row and a column beyond the last.
         """

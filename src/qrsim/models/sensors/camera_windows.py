@@ -48,7 +48,7 @@ def ratios(camera: Any, reading: Any, around: Surroundings, stream: Stream, size
     vehicles, wide = to.shape[0], min(COLUMNS, camera.most_columns)
 
     def turn(now: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
-        """Return the loop's state with one block of windows computed: part of one row of one picture."""
+        """Return the loop's state with one more block of windows computed, a part of a row of one picture."""
         vehicle, row, left, found = now
         # The last piece of the longest row ends with it.
         left_most = jnp.minimum(left, camera.most_columns - wide)
@@ -108,7 +108,7 @@ def _present(shown: _Shown, row: Array, column: Array) -> Array:
     """Return (C,) bool: in this window of row ``row`` () the nearest person has not been found yet."""
 
     def compare() -> Array:
-        """Return (C,) bool by a comparison of the row's windows with those of all persons."""
+        """Return the flags (C,) of ``_present``, by comparing the row's windows with those of all persons."""
         here = shown.wins & (shown.row == row)
         return jnp.any(here[:, None] & (shown.column[:, None] == column[None]), axis=0)
 

@@ -63,7 +63,7 @@ def earth_field_ned(site: Site, when: datetime) -> npt.NDArray[np.float64]:
 
 
 def _within_half_turn(degrees: float) -> float:
-    """Return an angle [deg] wrapped to [-180, 180)."""
+    """Return an angle [deg] wrapped to the interval [-180, 180)."""
     return (degrees + 180.0) % 360.0 - 180.0
 
 

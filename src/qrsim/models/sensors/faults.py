@@ -113,7 +113,7 @@ class _Fault:
         late: Late | None,
         choose: Callable[[FaultMemory | None], T],
     ) -> tuple[T, FaultMemory | None]:
-        """Return the faulty reading, computed by ``choose(memory)``, and the memory with this reading added."""
+        """Return the faulty reading from ``choose(memory)``, and the fault's memory with this reading added."""
         if memory is None:
             return choose(None), None
         if memory.past:
@@ -212,7 +212,7 @@ class Fault(_Fault):
 
     @property
     def _repeats(self) -> bool:
-        """True if this kind of fault can repeat an earlier reading."""
+        """True if this kind of fault can repeat an earlier reading, so that past ones must be stored."""
         return self.kind in _REPEATING
 
     @property
@@ -296,7 +296,7 @@ class FaultSlot(_Fault):
 
 
 def _dtype(reading: object) -> Any:
-    """Return the dtype of the first array in a reading."""
+    """Return the dtype of the first array in a sensor's reading."""
     return jax.tree.leaves(reading)[0].dtype
 
 

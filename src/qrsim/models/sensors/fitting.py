@@ -121,7 +121,7 @@ def start_fitted(
 def mounted(
     fitting: Fitting, scene: Mapping[str, Any], reads: tuple[str, ...], before: Vec3 | None, dt: float
 ) -> object:
-    """Return the true inputs ``reads`` of a sensor by name, at its mounting position and in its own axes.
+    """Return a sensor's true inputs ``reads`` by name, moved to its mounting position and into its own axes.
 
     With r from the centre of mass: position + D^T r, velocity + omega x r, and for the mean specific force of a step
     + omega' x r + omega x (omega x r), with the mean rates of the step and omega' their change over it.

@@ -226,7 +226,7 @@ class Imu(Sensor):
         return self._measure(state, normals, rates_body, specific_force, load)
 
     def _moved_on(self, state: ImuState, normals: tuple[Array, ...]) -> tuple[tuple[Six, ...], Six]:
-        """Return bias instability and random walk, one axis (in turn) advanced by six periods."""
+        """Return bias-instability and random-walk states, with one axis (in turn) advanced by six periods."""
         span = AXES * self.period
         root = math.sqrt(span)
         steps = (self.gyroscope_random_walk,) * 3 + (self.accelerometer_random_walk,) * 3
@@ -303,7 +303,7 @@ class Imu(Sensor):
         return tuple(jnp.sqrt(a * a + b * b) for a, b in zip(white, shaken, strict=True))
 
     def _low_pass(self, dt: float) -> tuple[float, float, float]:
-        """Return b0, a1, a2 of the second-order low-pass filter (bilinear transform, -3 dB at ``bandwidth_hz``)."""
+        """Return the coefficients (b0, a1, a2) of the second-order low-pass filter, -3 dB at ``bandwidth_hz``."""
         k = math.tan(math.pi * self.bandwidth_hz * dt)
         norm = 1.0 / (1.0 + math.sqrt(2.0) * k + k * k)
         return k * k * norm, 2.0 * (k * k - 1.0) * norm, (1.0 - math.sqrt(2.0) * k + k * k) * norm

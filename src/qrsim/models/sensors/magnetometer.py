@@ -165,7 +165,7 @@ class Magnetometer(Sensor):
     def step(
         self, state: MagnetometerState, draw: Noise, position_ned: Vec3, attitude: Euler, load: Load
     ) -> tuple[MagnetometerState, MagnetometerReading]:
-        """Return state and reading one period later, with the slow error drifted."""
+        """Return state and reading one period later, with the slowly varying error drifted."""
         normals = draw.normals(self.normals)
         drift = Vec3(
             *(

@@ -291,7 +291,7 @@ def _in_view(
     ground: Ground,
     traffic: Traffic,
 ) -> tuple[Array, Vec3, Array]:
-    """Return (K, n) bool: a candidate is in view, unit vectors to it in the sensor's axes, and distances [m]."""
+    """Return (K, n) bool: candidate in view, unit vectors to it in the sensor's axes, and its distance [m]."""
     apart = _relative_positions(who, direction, position_ned, traffic)
     distance = root(apart.dot(apart))
     unit = apart * (1.0 / jnp.where(distance > 0.0, distance, 1.0))

@@ -115,7 +115,7 @@ class _Flow(Sensor):
         obstacles: Obstacles,
         ground: Ground,
     ) -> tuple[OpticalFlowState, OpticalFlowReading]:
-        """Return state and reading: flow and body rotation (n,) [rad] since the last reading."""
+        """Return state and reading: optical flow and body rotation (n,) [rad], summed since the last reading."""
         distance = distance_along_z(obstacles, ground, position_ned, attitude, self._reach(position_ned))
         now = flow_rates(distance, velocity_body, rates_body)
         return OpticalFlowState(now, rates_body), self._reading(state, draw, distance, now, rates_body)

@@ -155,7 +155,7 @@ class Ranging(Sensor):
         ground: Ground,
         traffic: Traffic | None,
     ) -> tuple[RangingState, RangingReading]:
-        """Return the state after one period, and the ranges (P, n) [m] to beacons and vehicles, NaN if missing.
+        """Return the state after one period, and the reading: ranges to P beacons and vehicles, NaN if missing.
 
         All arrays are (P, n): beacons first, then vehicles. ``heard`` is the probability that an exchange succeeds. On
         a shared channel, only the ``exchanges`` from ``turn`` on take place in a period.
@@ -231,7 +231,7 @@ class Partners:
         return int(self.distance.shape[0])
 
     def exchange(self) -> tuple[Array, int]:
-        """Return the turn (P, n) in which each vehicle ranges to each partner, and the turns in a round."""
+        """Return each exchange's turn (P, n) within a round, and the number of turns in a round."""
         rows, vehicles = self.distance.shape
         others = rows - self.beacons
         each = self.beacons + max(others - 1, 0)

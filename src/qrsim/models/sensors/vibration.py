@@ -37,12 +37,12 @@ class Vibration:
 
     @property
     def gyroscope(self) -> Vec3:
-        """Root mean square of the vibration at the gyroscope in hover [rad/s]."""
+        """Root mean square of the vibration that the gyroscope feels in hover [rad/s], by axis."""
         return Vec3(self.gyroscope_x, self.gyroscope_y, self.gyroscope_z)
 
     @property
     def accelerometer(self) -> Vec3:
-        """Root mean square of the vibration at the accelerometer in hover [m/s^2]."""
+        """Root mean square of the vibration that the accelerometer feels in hover [m/s^2], by axis."""
         return Vec3(self.accelerometer_x, self.accelerometer_y, self.accelerometer_z)
 
     def turned(self, phase: Array, thrust: Array, dt: float) -> Array:

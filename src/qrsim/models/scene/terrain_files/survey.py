@@ -224,7 +224,7 @@ def _needed(name: str, files: Mosaic, site: Site, gdal: Gdal, box: Bounds) -> tu
 
 
 def _check_cover(name: str, files: Mosaic, area: tuple[Float64, Float64], has: Float64) -> None:
-    """Raise UsageError for files with an extent ``has`` (rows, columns) that ends inside an area."""
+    """Raise UsageError if files with the extent ``has``, (rows, columns), end inside an area's rows and columns."""
     rows, columns = area
     if (
         rows.min() < has[0] - SLACK
@@ -248,7 +248,7 @@ def _check_near(name: str, files: Mosaic, site: Site, gdal: Gdal) -> None:
     latitude, longitude = map(np.radians, to_degrees(name, files.grid.crs, gdal, *files.grid.place(rows, columns)))
 
     def away(site_latitude: float, site_longitude: float) -> float:
-        """Return the distance [m] from a place [rad] to the nearest point of the files."""
+        """Return the distance [m] from a place [rad] to the nearest point that the files cover."""
         half = np.sin(0.5 * (latitude - site_latitude)) ** 2
         half = half + np.cos(latitude) * math.cos(site_latitude) * np.sin(0.5 * (longitude - site_longitude)) ** 2
         return float(np.nanmin(2.0 * EARTH_RADIUS * np.arcsin(np.sqrt(np.clip(half, 0.0, 1.0)))))

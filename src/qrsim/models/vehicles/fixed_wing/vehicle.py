@@ -164,7 +164,7 @@ class FixedWing(Aeroplane, Vehicle):
         return slope_of(here, _motion_of(state), state.surfaces, command.throttle, air, spins)[1]
 
     def stopped(self, state: FixedWingState) -> FixedWingState:
-        """Return the state with all motion set to zero."""
+        """Return the state with all motion set to zero, as for vehicles that have been stopped."""
         rest = Vec3.zeros(state.airspeed.shape, state.airspeed.dtype)
         zero = jnp.zeros_like(state.airspeed)
         return replace(state, velocity_body=rest, rates_body=rest, airspeed=zero, thrust=zero)

@@ -105,7 +105,7 @@ def _in_plane(flow: Vec3, axial: Array, rotor: Rotor) -> list[Number]:
 
 
 def _crossed(plane: list[Number], axis: Triple) -> list[Number]:
-    """Return the cross product of the flow in a rotor's plane and the rotor's axis."""
+    """Return the cross product of ``plane``, the air flow in a rotor's plane, and the rotor's constant axis."""
     (x, y, z), (a, b, c) = plane, axis
     terms = (((c, y), (-b, z)), ((a, z), (-c, x)), ((b, x), (-a, y)))
     return [combined(*((factor, part) for factor, part in pair if not isinstance(part, float))) for pair in terms]

@@ -115,7 +115,7 @@ def touch(
 def _friction(
     contact: Contact, brush: Brush, slides: tuple[Array, Array], bears: Array, quickest: float
 ) -> tuple[Brush, Brush]:
-    """Return a sliding point's friction over the largest, (north, east), and the rate of change of its bristles [1/s].
+    """Return a sliding point's friction, as a share of its limit, and its bristles' rate [1/s], each (north, east).
 
     The friction is a part of its largest, north and east, at most 1 together. ``bears``: the ground carries the point.
     """

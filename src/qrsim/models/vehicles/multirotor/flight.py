@@ -241,7 +241,7 @@ def stabilised(
     tilt = Quaternion.of_tilt(command.roll, command.pitch)
 
     def motors(motion: Motion, loops: Loops) -> tuple[tuple[Array, ...], Loops]:
-        """Return the commanded rotor speeds [rad/s] for an attitude command, and the loops' new state."""
+        """Return the commanded rotor speeds [rad/s] for the attitude command, and the loops' new state."""
         turned = replace(
             loops,
             cosine=loops.cosine * turn_cosine - loops.sine * turn_sine,

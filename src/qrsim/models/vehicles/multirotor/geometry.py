@@ -96,7 +96,7 @@ def dot_known(a: Vec3, r: Triple) -> Number:
 
 
 def reach(points: Sequence[Triple]) -> float:
-    """Return the distance [m] of the farthest point from the centre of mass, the origin."""
+    """Return the distance [m] of the farthest of some body points from the centre of mass, the origin."""
     return max(math.hypot(*point) for point in points)
 
 

@@ -176,7 +176,7 @@ class MotorTable:
 
 
 def _names_of(quantity: str) -> str:
-    """Return the allowed column names of a quantity as text, joined by "or"."""
+    """Return a quantity's allowed column names as text, joined by "or"."""
     return " or ".join(name for name, (other, _) in COLUMNS.items() if other == quantity)
 
 

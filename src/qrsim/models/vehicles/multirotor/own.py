@@ -312,7 +312,7 @@ def _arrangement(name: object) -> Geometry:
 
 
 def _geometry(rotors: int, geometry: str | None) -> Geometry:
-    """Return the arrangement for a number of rotors: the named one, or the usual one."""
+    """Return the arrangement of ``rotors`` rotors named ``geometry``, or the usual one for None."""
     if isinstance(rotors, bool) or not isinstance(rotors, int) or rotors < 3:
         raise UsageError(f"rotors: {rotors!r}; a multirotor needs 4, 6 or 8, or a geometry")
     if geometry is None:

@@ -139,7 +139,7 @@ class Airframe:
 
     @property
     def drag(self) -> Vec3:
-        """Drag coefficients of the body [N s^2/m^2]."""
+        """Coefficients of the body's quadratic drag along its axes [N s^2/m^2]."""
         return Vec3(self.drag_x, self.drag_y, self.drag_z)
 
     @property
@@ -154,7 +154,7 @@ class Airframe:
 
     @property
     def thrust_max(self) -> Array:
-        """Largest collective thrust [N] at nominal voltage and air density."""
+        """Largest collective thrust [N], at nominal voltage and air density."""
         return self.thrust_coefficient * (self.speed_max * self.speed_max * self.lift_share)
 
     def thrust_of(self, throttle: Array) -> Array:

@@ -149,7 +149,7 @@ class Rover(Vehicle):
         return self._slope(_motion_of(state), held, tilt_of(state.attitude))[1]
 
     def stopped(self, state: RoverState) -> RoverState:
-        """Return the state with all motion set to zero."""
+        """Return the state with all motion set to zero, as for vehicles that have been stopped."""
         zero = jnp.zeros_like(state.speed)
         return replace(state, speed=zero, slip_speed=zero, yaw_rate=zero)
 
@@ -182,7 +182,7 @@ class Rover(Vehicle):
         return slope, felt(turned, self.gravity, ahead - r * vy, aside + v * r)
 
     def _cornering(self, v: Array, vy: Array, r: Array, delta: Array) -> tuple[Array, Array]:
-        """Return lateral acceleration (n,) [m/s^2] and yaw acceleration [rad/s^2] by the tyres' side forces."""
+        """Return the rates of lateral velocity [m/s^2] and yaw rate [rad/s^2] (n,) by the tyres' side forces."""
         front, rear = self.front_arm, self.rear_arm
         tangent, cosine = jnp.tan(delta), jnp.cos(delta)
         forward = jnp.where(v < 0.0, -1.0, 1.0) * jnp.maximum(jnp.abs(v), SLOWEST)

@@ -122,7 +122,7 @@ class DifferentialRover(Vehicle):
         return self._slope(_motion_of(state), held, tilt_of(state.attitude))[1]
 
     def stopped(self, state: DifferentialRoverState) -> DifferentialRoverState:
-        """Return the state with all motion set to zero."""
+        """Return the state with all motion set to zero, as for vehicles that have been stopped."""
         zero = jnp.zeros_like(state.left)
         return replace(state, left=zero, right=zero)
 
