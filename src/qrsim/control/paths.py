@@ -269,7 +269,7 @@ def _in_time(part: _Part, limits: Limits) -> None:
 
 
 def _descend(part: _Part, limits: Limits) -> None:
-    """Set, in place, the speeds and durations of a landing: fast, then slow, below the ground too until contact."""
+    """Set, in place, a landing's speeds and durations: fast, then slow, and on below the ground until contact."""
     part.direction = part.onward = np.array([0.0, 0.0, 1.0])
     part.leave = limits.touchdown
     high = part.length - limits.slow_below

@@ -114,7 +114,7 @@ class FixedWingGuidance(RouteGuidance):
         return moved, self.setpoint(moved, route)
 
     def setpoint(self, state: RouteState, route: Route) -> TrackSetpoint:
-        """Return each vehicle's line to the present waypoint, or circle around its last, (n,) as set-point."""
+        """Return each vehicle's line to its present waypoint, or circle around the route's last, (n,) as set-point."""
         begin, end = line_of(state, route)
         zero = jnp.zeros_like(end.x)
         radius = jnp.where(ends_at(state, route, self.repeat), self.radius, 0.0)

@@ -105,7 +105,7 @@ def _command_some(
 
 
 def _joined(commands: Commands, which: Array, command: object) -> Commands:
-    """Return commands with one for the vehicles ``which`` (n,) bool added, merged into one of the same type."""
+    """Return ``commands`` with ``command`` added for the vehicles ``which`` (n,), merged into one of the same type."""
     for number, (theirs, other) in enumerate(commands):
         if _alike(command, other):
             both = (None if theirs is None else theirs | which, select(which, command, other))

@@ -150,7 +150,7 @@ def vehicle_at(fleet: Fleet, start: Start) -> VehicleState:
 
 
 def launched(world: World, fleet: Fleet, vehicle: VehicleState) -> VehicleState:
-    """Return vehicles (n,) at the start; those that start in flight get the mean wind added to their velocity."""
+    """Return vehicles (n,) at the start; for those that start in flight, the mean wind changes their velocity."""
     if not fleet.vehicle.launches:
         return vehicle
     position_ned = fleet.vehicle.pose(vehicle).position_ned

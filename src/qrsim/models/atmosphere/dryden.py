@@ -250,7 +250,7 @@ class FilterState:
     third: Array = quantity(unit="1", doc="z3, of the angular gust")
 
     def advance(self, x: Array, of: Decay, ratio: Array, of_lag: Decay, normals: tuple[Array, ...]) -> FilterState:
-        """Return the gust filters (n,) one step later; x = V T/L, and three independent standard ``normals`` (n,)."""
+        """Return the gust filters (n,) one step later, for x = V T/L, driven by three standard ``normals`` (n,)."""
         n1, n2, n3 = normals
         two = second_order(x, of)
         row = third_row(x, ratio, of, of_lag, two)

@@ -322,7 +322,7 @@ class GnssReceiver(Sensor):
         return fix, solve_position(line_of_sight, rates, used).offset_ned
 
     def _choose_listed(self, draw: Draw, sky: SkyState) -> Array:
-        """Return (S, n) bool: 10 to 13 random satellites of the list in a hand-written scenario, for each receiver."""
+        """Return (S, n) bool: each receiver uses 10 to 13 random satellites of ``HAND_LIST``, a fixed list of PRNs."""
         # The lower byte of a number is the PRN.
         prn = sky.ids & jnp.uint32(0xFF)
         on_list = jnp.any(jnp.stack([prn == jnp.uint32(number) for number in HAND_LIST]), axis=0)

@@ -170,7 +170,7 @@ class SlottedSky(Sky):
         return SkyState(satellites, error, state.range_rate_error, memory, state.ids, slots)
 
     def _knot(self, state: SkyState, draw: Draw) -> tuple[object, ...]:
-        """Return memory, slots, satellite positions and range errors at an update (knot); the next one's are ahead."""
+        """Return the parts of the satellites' state at an update (knot); those of the next one are computed ahead."""
         memory, tick = state.memory, draw.tick.astype(jnp.int32)
         here = memory.after_ned
         ahead = self.orbits.positions_ned(*split_time(tick + self.knot_ticks, self.time_step, draw.like.dtype))
@@ -189,7 +189,7 @@ class SlottedSky(Sky):
     def _with_base(
         self, memory: SlottedMemory, slots: Slots, now: BaseState, later: BaseState
     ) -> tuple[SlottedMemory, Slots]:
-        """Return memory and slots with the base station's data from this update (knot) to the next."""
+        """Return the state's memory and slots with the base station's data from this update (knot) to the next."""
         assert self.base is not None
         seen, taken = self.base.seen(now, later), jnp.maximum(slots.places, 0)
         seen = replace(seen, code_before=seen.code_before[taken], code_after=seen.code_after[taken])
@@ -212,7 +212,7 @@ class SlottedSky(Sky):
     def _from(
         self, errors: object, advanced: object, here: Vec3, later: Vec3, places: Array, knot: Array
     ) -> tuple[SlottedMemory, Slots, Array]:
-        """Return memory, slots and range errors (S,) from update (knot) ``knot`` on; satellites keep their slots."""
+        """Return the state's memory, slots and range errors (S,) from update (knot) ``knot`` on, slots kept."""
         sights = [sight_of(where) for where in (here, later)]
         system = jnp.asarray(self.system)
         common = [self.errors.seen(e, s, system) for e, s in zip((errors, advanced), sights, strict=True)]

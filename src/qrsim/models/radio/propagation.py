@@ -77,7 +77,7 @@ LANDS = {
 
 
 def sight_chance(elevation: Array, land: str) -> Array:
-    """Return the probability of a line of sight at an elevation [rad] above built-up land of a kind such as "urban".
+    """Return the probability of a line of sight at an elevation [rad] above built-up land of a kind in ``LANDS``.
 
     A. Al-Hourani, S. Kandeepan, S. Lardner, "Optimal LAP altitude for maximum coverage", IEEE Wireless Communications
     Letters 3, 2014: 1/(1 + a exp(-b (elevation - a))), in degrees.

@@ -188,7 +188,7 @@ class StateLimits:
 def collisions(
     position_ned: Vec3, collision_distance: Array, radius: Array | None = None, before_ned: Vec3 | None = None
 ) -> Violation:
-    """Return the collisions of vehicles (n,) closer than ``collision_distance`` [m], with the distance [m].
+    """Return the collisions of vehicles (n,) nearer than ``collision_distance`` [m] to another, with the distance.
 
     Compares all positions together, so the result does not depend on the order of the vehicles, and counts
     vehicles that have already stopped.

@@ -152,7 +152,7 @@ class IdealAirspeed(Memoryless):
     def init(
         self, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, wind_ned: Vec3
     ) -> tuple[None, AirspeedReading]:
-        """Return None as state, and the reading: the true airspeed and dynamic pressure."""
+        """Return None as state, and the reading: the true airspeed and its differential pressure."""
         speed = _ahead(attitude, velocity_body, wind_ned)
         density = air_above(-position_ned.z, self.site_temperature, self.site_pressure).density
         pressure = 0.5 * density * (speed * jnp.abs(speed))

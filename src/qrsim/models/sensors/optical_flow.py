@@ -212,12 +212,12 @@ class IdealOpticalFlow(_Flow):
 
 
 def distance_along_z(obstacles: Obstacles, ground: Ground, position_ned: Vec3, attitude: Euler, reach: Array) -> Array:
-    """Return the distance (n,) [m] to the first surface along body z, infinite beyond ``reach``."""
+    """Return the distance (n,) [m] to the first surface along the sensor's z axis, infinite beyond ``reach``."""
     return first_hit(obstacles, ground, position_ned, rotation(attitude).down, reach)
 
 
 def flow_rates(distance: Array, velocity_body: Vec3, rates_body: Vec3) -> tuple[Array, Array]:
-    """Return optical flow rates (n,) [rad/s] about body x and y at the picture's centre; NaN without a distance."""
+    """Return optical flow rates (n,) [rad/s] about the sensor's x and y at the picture's centre; NaN without any."""
     seen = jnp.isfinite(distance) & (distance > 0.0)
     inverse = 1.0 / jnp.where(seen, distance, 1.0)
     about_x, about_y = rates_body.x - velocity_body.y * inverse, rates_body.y + velocity_body.x * inverse

@@ -11,12 +11,12 @@ from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 
 
 def x500() -> Multirotor:
-    """Return the parameters of the X500 in PX4-gazebo-models; its body drag is assumed, as Gazebo has none."""
+    """Return the X500 of PX4-gazebo-models as a multirotor; its body drag is assumed, as Gazebo has none."""
     return Multirotor()
 
 
 def hummingbird() -> Multirotor:
-    """Return the parameters of the AscTec Hummingbird in rotorpy 3.0.0, rotor time constants from RotorS."""
+    """Return the AscTec Hummingbird of rotorpy 3.0.0 as a multirotor, with rotor time constants from RotorS."""
     c = 0.17 / math.sqrt(2.0)
     return _multirotor(
         mass=0.5,
@@ -43,7 +43,7 @@ def hummingbird() -> Multirotor:
 
 
 def hexa4() -> Multirotor:
-    """Return the parameters of a 4 kg hexarotor with 15-inch propellers, an assumed design.
+    """Return a hexarotor of 4 kg with 15-inch propellers, an assumed design, as a multirotor.
 
     Its figure of merit in hover is 0.65, and its motors with their controllers give 0.8 of the power of the battery.
     """
@@ -73,7 +73,7 @@ def hexa4() -> Multirotor:
 
 
 def pelican() -> Multirotor:
-    """Return the parameters of the AscTec Pelican in RotorS, as a rigid body.
+    """Return the AscTec Pelican of RotorS as a multirotor, a rigid body with rotors.
 
     It weighs 1 kg there; the identified one (``type: pelican``) weighs 1.68 kg and has its own autopilot in it.
     """
@@ -100,7 +100,7 @@ def pelican() -> Multirotor:
 
 
 def crazyflie() -> Multirotor:
-    """Return the parameters of the Crazyflie 2.x with L250 propellers in drone-models 0.1.0.
+    """Return the Crazyflie 2.x with L250 propellers of drone-models 0.1.0 as a multirotor.
 
     Its thrust is fitted there by a quadratic with a linear term; here it is in proportion to the square of the speed,
     equal in hover (1986 rad/s) and at the largest thrust, 0.12 N a rotor. Drag after J. Foerster, "System

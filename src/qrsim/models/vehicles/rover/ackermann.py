@@ -154,7 +154,7 @@ class Rover(Vehicle):
         return replace(state, speed=zero, slip_speed=zero, yaw_rate=zero)
 
     def stood(self, state: RoverState, ground: Ground) -> RoverState:
-        """Return the state put on the ground below the vehicle; ``ground``: from position to height and normal."""
+        """Return the state put on the ground below; ``ground``: from position to (down coordinate, normal)."""
         place, attitude = set_down(state.position_ned, state.attitude.yaw, ground)
         return replace(state, position_ned=place, attitude=attitude)
 

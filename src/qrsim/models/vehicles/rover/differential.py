@@ -127,7 +127,7 @@ class DifferentialRover(Vehicle):
         return replace(state, left=zero, right=zero)
 
     def stood(self, state: DifferentialRoverState, ground: Ground) -> DifferentialRoverState:
-        """Return the state put on the ground below the vehicle; ``ground``: from position to height and normal."""
+        """Return the state put on the ground below; ``ground``: from position to (down coordinate, normal)."""
         place, attitude = set_down(state.position_ned, state.attitude.yaw, ground)
         return replace(state, position_ned=place, attitude=attitude)
 

@@ -42,7 +42,7 @@ class Plane:
 
 
 def ground_of(around: Around | None, like: Array) -> Ground:
-    """Return the ground as a function from position to (height down, normal); level at 0 m without ``around``."""
+    """Return the ground as a function from position to (down coordinate, normal); level at 0 m without ``around``."""
     if around is not None:
         return around.ground
     zero = jnp.zeros_like(like)
