@@ -371,7 +371,7 @@ def _worst(known: list[Array], errors: Array, scalars: list[Measured]) -> Array:
 
 
 def _with_accuracy(covariance: Covariance, slow: Vec3, stated: list[Array], where: Array) -> tuple[Covariance, Vec3]:
-    """Return covariance and slow-error variances [m^2] set to a fix's reported variances, where ``where`` (n,) is True.
+    """Return covariance and slow variances [m^2] updated to a fix's reported variances, where ``where`` (n,) is True.
 
     Accuracies that change are those of another slow error, of which a part of the position is not known.
     """

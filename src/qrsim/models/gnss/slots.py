@@ -212,7 +212,7 @@ class SlottedSky(Sky):
     def _from(
         self, errors: object, advanced: object, here: Vec3, later: Vec3, places: Array, knot: Array
     ) -> tuple[SlottedMemory, Slots, Array]:
-        """Return the state's memory, slots and range errors (S,) from update (knot) ``knot`` on, slots kept."""
+        """Return memory, slots and range errors (S,) from update (knot) ``knot`` on; satellites in view keep slots."""
         sights = [sight_of(where) for where in (here, later)]
         system = jnp.asarray(self.system)
         common = [self.errors.seen(e, s, system) for e, s in zip((errors, advanced), sights, strict=True)]
