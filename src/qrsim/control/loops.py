@@ -73,7 +73,7 @@ class ClimbLoop:
     windup: Windup = setting(default="held", doc="integral while the throttle saturates, as for velocity")
 
     def step(self, integral: Array, error: Array, dt: float) -> tuple[Array, Array]:
-        """Return the new integral [m] and the throttle [0, 1] for a velocity error (n,) [m/s], wanted minus actual."""
+        """Return the new integral [m] and the throttle [0, 1] for a down velocity error (n,) [m/s], wanted - actual."""
         unclipped = self.hover_throttle - self.kp * error - self.ki * integral
         throttle = jnp.clip(unclipped, *limits_of(Command)["throttle"])
         return _integrate(self.windup, integral, error * dt, (unclipped - throttle) * -error), throttle

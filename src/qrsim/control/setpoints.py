@@ -137,7 +137,7 @@ class TrackSetpoint:
 
     @staticmethod
     def orbit(centre_ned: object, radius: object, speed: object = 0.0) -> TrackSetpoint:
-        """Return a set-point of circles: centres (n, 3) [m], radii [m] clockwise positive, speeds [m/s]; NumPy, JAX."""
+        """Return a set-point of circles: centres (n, 3) [m], radii, clockwise positive, speeds [m/s]; NumPy or JAX."""
         centre = axes(centre_ned)
         return TrackSetpoint(centre, centre, like(centre.x, radius), like(centre.x, speed), like(centre.x, 0.0))
 

@@ -271,7 +271,7 @@ def _jets_of(world: World, fleet: Fleet, state: FleetState) -> Jets | None:
 
 
 def _others(jets: Jets, fleet: Fleet, same: bool) -> Array:
-    """Return (m, n) bool: the vehicle with the wake has one, and is not the vehicle in it."""
+    """Return (m, n) bool: the upper vehicle has a wake and is not the lower one."""
     lower = jnp.arange(fleet.size)[None, :]
     return (jets.thrust > 0.0) & ((lower != lower.T) if same else (lower >= 0))
 

@@ -311,7 +311,7 @@ class Dryden(Turbulence):
     def step(
         self, state: DrydenState, draw: Noise, height_agl: Array, velocity_ned: Vec3, mean_wind_ned: Vec3, dt: float
     ) -> DrydenState:
-        """Return the filters' state dt [s] later, for heights (n,) [m] and ground velocities (n,) [m/s] held."""
+        """Return the filters' state dt [s] later; heights [m] and ground velocities [m/s] (n,) are held in the step."""
         u, v1, v2, w1, w2, p, v3, w3 = draw.normals(8)
         lengths, _ = self._scales(height_agl)
         way = dt * carrying_speed(self.airspeed, velocity_ned, mean_wind_ned)

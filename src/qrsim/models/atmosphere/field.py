@@ -166,7 +166,7 @@ class DrydenField(Turbulence):
         return FieldWaves(words, whole_turns(frequency), frequency, turned, handedness, dilation, ages)
 
     def init(self, draw: Noise) -> StillState | ResidualState:
-        """Return the initial state of the residual, each vehicle's own gusts beyond the field; empty without any."""
+        """Return the random initial residual in the steady state: vehicles' own gusts beyond the field; else empty."""
         return ResidualState(Vec3(*draw.normals(3))) if self.residual == "filter" else StillState()
 
     def step(

@@ -141,7 +141,7 @@ def _directions(numbers: _Numbers, chains: int) -> Floats:
 
 
 def _anisotropy(directions: Floats) -> float:
-    """Return how far windows of a ring of unit vectors (C, 3) are from isotropic: squared moments minus I/3."""
+    """Return how far windows of a ring of directions (C, 3) are from isotropy: squared distance of moments from I/3."""
     count = len(directions)
     ring = np.concatenate([directions, directions])
     sums = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(ring[:, :, None] * ring[:, None, :], axis=0)])

@@ -124,7 +124,7 @@ class WindGrid(Wind):
         return np.interp(height, np.asarray(self.levels), speed.max(axis=(0, 2, 3)))
 
     def _needed(self, axis: int, limits: tuple[float, float] | None) -> slice:
-        """Return the slice of rows (axis 0) or columns (1) over an area's limits [m]; raise UsageError if none is."""
+        """Return the slice of rows (axis 0) or columns (1) that covers an area; raise UsageError if none does."""
         count = self.air_ned.x.shape[2 + axis]
         if limits is None:
             return slice(0, count)

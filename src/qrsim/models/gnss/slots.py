@@ -288,7 +288,7 @@ def assigned(in_view: Array, highest: Array, places: Array) -> tuple[Array, Arra
 
 
 def slots_needed(ephemeris: Ephemeris, site: Site, start: float, duration_s: float, lowest_sine: float) -> int:
-    """Return the number of slots for all satellites in view at once, during a run or at most a day."""
+    """Return the number of slots for all satellites in view at once: over a day, or a shorter run with a file."""
     first, last = ephemeris.span_gps_seconds
     begin = min(max(start, first), last)
     if math.isinf(last):

@@ -52,7 +52,7 @@ def describe(file: str, driver: str) -> dict[str, Any]:
 def read(
     file: str, driver: str, rows: range, columns: range, coarse: bool, metres: float, nodata: tuple[float, ...]
 ) -> npt.NDArray[Any]:
-    """Return a window's heights [m], NaN if missing: every n-th, float64, or if ``coarse`` one a block, float32."""
+    """Return a window's heights [m], NaN if missing: every n-th, float64, or one per block if ``coarse``, float32."""
     import numpy as np
     from rasterio.windows import Window
 
