@@ -61,17 +61,18 @@ class FlightStack(Flight):
         return self.craft.geodesy.to_geodetic(position_ned)
 
     def command(self, command: Command) -> Ack:
-        """Obey or refuse a command of flight or mission; requests for messages are not handled here."""
+        """Execute or refuse a command of flight or mission; requests for messages are handled elsewhere."""
         return Ack(obey(self, command))
 
     def set_mode(self, base_mode: int, custom_mode: int) -> Result:
-        """Change the mode as a SET_MODE message asks, or refuse it; without the custom-mode flag it is refused."""
+        """Change the flight mode as a SET_MODE message asks, or refuse it; without the custom-mode flag it is
+        refused."""
         if not base_mode & 1:
             return Result.UNSUPPORTED
         return self.request_number(custom_mode)
 
     def setpoint(self, target: Target) -> bool:
-        """Take a set-point for OFFBOARD (GUIDED); return whether it can be flown."""
+        """Store a client's set-point for the mode OFFBOARD (GUIDED); return whether it can be flown."""
         why = self.craft.seen.end if self.craft.seen.stopped else ""
         if self.mode is Mode.NOGPS and not isinstance(target, AttitudeTarget):
             why = "GUIDED_NOGPS flies attitudes alone"
@@ -84,7 +85,7 @@ class FlightStack(Flight):
         return taken
 
     def sticks(self, roll: float, pitch: float, throttle: float, yaw: float) -> None:
-        """Take stick positions, each -1 to 1, positive right, forwards, up and right; NaN: unchanged."""
+        """Store stick positions, each -1 to 1, positive right, forwards, up and clockwise; NaN keeps the last one."""
         moved = self.by_sticks.take((roll, pitch, throttle, yaw), self.craft)
         overrides = self.flavour.name == "px4" and int(self.parameters["COM_RC_OVERRIDE"]) & 1
         automatic = self.armed and self.craft.flies and self.mode in OVERRIDDEN
@@ -93,15 +94,15 @@ class FlightStack(Flight):
             self.switch(Mode.POSITION)
 
     def follow_target(self, target: FollowTarget) -> None:
-        """Take the position of the moving target that the mode FOLLOW_TARGET follows."""
+        """Store the position of the moving target that the mode FOLLOW_TARGET follows."""
         self.follow.take(target, self.craft)
 
     def modes(self) -> tuple[ModeInfo, ...]:
-        """Return the modes of the vehicle: those that clients can request, and those of failsafes."""
+        """Return the vehicle's flight modes: those that clients can request, and those that only failsafes use."""
         return self.flavour.infos()
 
     def current_modes(self) -> tuple[ModeInfo, ModeInfo]:
-        """Return the mode that is flown, and the requested mode, which differs in a failsafe."""
+        """Return the mode that is flown and the mode that was requested; they differ in a failsafe."""
         return self.flavour.info(self.mode, self.guided), self.flavour.info(*self._meant)
 
     def orbiting(self) -> OrbitStatus | None:
@@ -109,15 +110,15 @@ class FlightStack(Flight):
         return OrbitStatus(self.orbit.radius, self.orbit.centre) if self.mode is Mode.ORBIT else None
 
     def thrust_of(self, throttle: float) -> float:
-        """Return the normalised thrust of a throttle, both 0 to 1; hover throttle gives ``MPC_THR_HOVER``."""
+        """Convert a throttle to PX4's normalised thrust, both 0 to 1; hover throttle gives ``MPC_THR_HOVER``."""
         return self.craft.thrust_of(throttle)
 
     def _refuse(self, what: str, why: str) -> None:
-        """Send the client a warning "WHAT denied: WHY"."""
+        """Send clients a warning "WHAT denied: WHY"."""
         self.craft.say(Severity.WARNING, f"{what} denied: {why}")
 
     def go_to(self, item: Item) -> bool:
-        """Fly to a waypoint at once, in ArduPilot's GUIDED; return whether the stack does so."""
+        """Fly to a waypoint at once, in ArduPilot's GUIDED mode; return whether this flight stack does so."""
         if item.command != WAYPOINT or not self.guided:
             self.craft.say(Severity.WARNING, "Guided item rejected: a waypoint, in GUIDED, is needed")
             return False
@@ -125,17 +126,18 @@ class FlightStack(Flight):
         return self.command(place).result is Result.ACCEPTED
 
     def change_altitude(self, item: Item) -> None:
-        """Ignore an ArduPilot guided item that changes only the altitude, as Copter and Rover do, and say so."""
+        """Warn clients that an ArduPilot guided item with only an altitude is ignored, as Copter and Rover do."""
         self.craft.say(Severity.INFO, "Change of altitude ignored, as by ArduPilot's Copter: fly to a place instead")
 
     def heard_ground(self) -> None:
-        """Note a heartbeat of a ground station (MAV_TYPE 6)."""
+        """Note that a ground station's heartbeat (MAV_TYPE 6) has arrived."""
         self.failsafes.heard_ground(self.craft)
 
     # ---- plans ----
 
     def accept(self, kind: PlanKind, items: Sequence[Item]) -> tuple[PlanResult, int]:
-        """Replace a plan, or keep the old one if an item is bad; return the result and the bad item's seq, else -1."""
+        """Replace the plan of a kind, unless an item is invalid; return the result, and the invalid item's sequence
+        number or -1."""
         craft = self.craft
         if kind is PlanKind.MISSION:
             result, bad = self.plan.accept(items, craft)
@@ -158,11 +160,11 @@ class FlightStack(Flight):
         return result, bad
 
     def items(self, kind: PlanKind) -> tuple[Item, ...]:
-        """Return the items of the accepted plan of a kind; before an upload the fence is that of the scenario."""
+        """Return the items of the stored plan of a kind; until a fence is uploaded, that of the scenario."""
         return {PlanKind.MISSION: self.plan.items, PlanKind.FENCE: self._fence_items, PlanKind.RALLY: self.rally}[kind]
 
     def home_item(self) -> Item | None:
-        """Return item 0 of ArduPilot's mission, which is home; None before there is a home, and for PX4."""
+        """Return home as item 0 of ArduPilot's mission; None without a home, and always for PX4."""
         home = self.craft.home
         if self.flavour.name != "ardupilot" or home is None:
             return None
@@ -171,7 +173,7 @@ class FlightStack(Flight):
         return Item(0, 0, WAYPOINT, (0.0, 0.0, 0.0, 0.0), *place, home.altitude)
 
     def set_current(self, seq: int) -> bool:
-        """Make another item of the mission the current one; return whether it exists."""
+        """Make the mission item with sequence number ``seq`` the current one; return whether it exists."""
         return self.plan.set_current(seq, self.craft)
 
     # ---- what it says ----

@@ -13,7 +13,8 @@ RADIUS, ECCENTRICITY2 = 6378137.0, 6.69437999014e-3
 
 
 def geoid_of(site: Site, datum: Datum) -> GeoidPlane:
-    """Return the zero surface of altitudes in messages: the geoid for the datum "sea", else the ellipsoid."""
+    """Return the surface from which altitudes in messages are measured: the geoid for the datum "sea", else the
+    ellipsoid."""
     return GeoidPlane.at(site) if datum == "sea" else GeoidPlane()
 
 

@@ -6,7 +6,7 @@ import math
 
 
 def instances_of(number: float, mask: float) -> list[int] | None:
-    """Return the instance numbers that a failure command names, [] for all; None if the numbers are invalid.
+    """Return the instance numbers in a failure command's parameters, [] for all; None if the parameters are invalid.
 
     Args:
         number: param3, 0 for all; NaN: the mask says it.
