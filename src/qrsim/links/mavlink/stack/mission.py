@@ -260,8 +260,7 @@ class Mission:
         return craft.go(self._goal)
 
     def _take_off(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
-        """Climb to the item's height, then, for PX4, fly to its position; return whether that is done, and the
-        order."""
+        """Climb to the item's height, and fly on to its position (PX4); return whether that is done, and the order."""
         if self._away:
             return self._go(item, craft)
         self.rises = True
@@ -375,8 +374,7 @@ class Mission:
 
 
 def heading(craft: Craft, angle: float, direction: float, relative: float) -> float:
-    """Return the heading [rad] of CONDITION_YAW: ``angle`` [deg], absolute, or relative to the left for direction <
-    0."""
+    """Return the heading [rad] of CONDITION_YAW: an angle [deg], absolute or relative (to the left: direction < 0)."""
     turn = math.radians(angle)
     if not relative > 0.0:
         return turn
