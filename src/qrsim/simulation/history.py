@@ -34,7 +34,7 @@ class History:
 
     @classmethod
     def joined(cls, histories: Sequence[History]) -> History:
-        """Return consecutive histories as one, which unpacks many ticks as fast as one."""
+        """Join consecutive histories to one, which unpacks as fast as a single one."""
         if len(histories) == 1:
             return histories[0]
         time_step, layout, _ = histories[0]._parts
@@ -48,7 +48,7 @@ class History:
 
     @cached_property
     def state(self) -> State:
-        """All states, unpacked, each leaf (T, ...)."""
+        """States of all T ticks, unpacked: a State with arrays (T, ...)."""
         _, layout, rows = self._parts
         found: State = layout.unpack(rows)
         return found
