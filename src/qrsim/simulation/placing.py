@@ -27,8 +27,7 @@ WIDTHS = (3, 6, 12, 13)
 
 
 def place(world: World, given: tuple[Array, Array, Array], state: State, tick: Array) -> State:
-    """Return the state with vehicles placed in other states (``given``), their sensors, controllers and noise started
-    anew.
+    """Return the state with vehicles placed in other states (``given``); their sensors, controllers and noise restart.
 
     That is their sensors, estimates and control loops, the gusts around them, and the specific force. They keep their
     way along the route, and their battery unless it is renewed. What is drawn is drawn from the numbers of this tick.

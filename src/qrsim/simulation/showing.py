@@ -15,8 +15,8 @@ from qrsim.world.state import World
 
 
 def program_text(world: World, form: str, what: str = "tick") -> str:
-    """Return the text of the compiled program of a world, such as its ``form`` "llvm"; ``what``: function, such as
-    "tick".
+    """Return the compiled program of one world as text; ``form``: "graph", "steps" or "llvm"; ``what``: "tick" or
+    "start".
 
     Args:
         world: the parameters.

@@ -138,7 +138,7 @@ class Simulation(Radios, Injecting, Tabled):
 
     @alone
     def reset(self, seed: int | None = None) -> Reading:
-        """Start an episode and return its first reading; ``seed``: another episode than the last one."""
+        """Start an episode and return its first reading; a new ``seed`` makes another episode."""
         if seed is not None:
             self.seed = checked_seed(seed)
         self._clear_all()
