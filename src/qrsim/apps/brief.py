@@ -297,7 +297,7 @@ class Brief:
 
 
 def _differing(mine: object, theirs: object, path: str = "") -> Iterator[str]:
-    """Yield "path: mine, theirs" for the keys in which two operations differ."""
+    """Yield "path: mine, theirs" for each entry in which two operations, as nested dicts, differ."""
     if isinstance(mine, Mapping) and isinstance(theirs, Mapping):
         for key in dict.fromkeys([*mine, *theirs]):
             yield from _differing(mine.get(key), theirs.get(key), f"{path}.{key}".lstrip("."))

@@ -305,7 +305,7 @@ def _interval(found: dict[str, float], name: str = "mean", unit: float = 1.0) ->
 
 
 def _write(path: Path, result: Mapping[str, object]) -> None:
-    """Write a result as JSON in one step; raise RunError if it cannot be written."""
+    """Write a result as a JSON file, complete or not at all; raises RunError if it cannot be written."""
     import json
 
     from qrsim.files.atomic import write_atomically

@@ -121,7 +121,7 @@ def _dump(report: Mapping[str, object]) -> str:
 
 
 def _print_part(result: Result) -> None:
-    """Print the outcome of a part: its checks, those that failed, findings and what was skipped."""
+    """Print the outcome of one part of the validation: its checks, those that failed, findings and what was skipped."""
     outcome = result.outcome
     if outcome is None:
         print(f"skipped  {result.part.title}: {result.skipped}\n")

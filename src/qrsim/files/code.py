@@ -136,7 +136,7 @@ def _is_of_user(file: str) -> bool:
 
 
 def in_one_line(error: BaseException) -> str:
-    """Return an error's type and the first line of its message as text."""
+    """Return an error's type and the first line of its message, as one line of text."""
     said = error.msg if isinstance(error, SyntaxError) else str(error)
     first = said.strip().splitlines()[0] if said.strip() else ""
     return f"{type(error).__name__}: {shortened(first, 400)}" if first else type(error).__name__

@@ -58,7 +58,7 @@ class CsvRows:
 
     @property
     def line_num(self) -> int:
-        """Number of the line that was read last, from 1."""
+        """Number, from 1, of the line read last."""
         return self._reader.line_num
 
     def __iter__(self) -> Iterator[list[str]]:

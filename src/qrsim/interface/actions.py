@@ -190,8 +190,8 @@ class ActionChecker:
         return library_for(self.traced).asarray(command)[None] if flat else command
 
     def _filled(self, size: int, asked: Mapping[int, object]) -> tuple[Any, Any]:
-        """Return which vehicles are commanded, (size,) bool, and their commands by row (``asked``) as one record of
-        arrays (size,)."""
+        """Return which vehicles are commanded, (size,) bool, and their commands, given by row, as one record of arrays
+        (size,)."""
         which = np.isin(np.arange(size), list(asked))
         first = next(iter(asked.values()))
         ones = [asked.get(row, first) for row in range(size)]
@@ -370,12 +370,12 @@ def _is_row(leaf: object, size: int) -> bool:
 
 
 def _rows(own: slice, leaf: Array) -> Array:
-    """Return the rows ``own`` of an array."""
+    """Return the elements of an array at the rows ``own``."""
     return leaf[own]
 
 
 def _arrays(record: object) -> object:
-    """Return a record with its Python numbers turned into arrays."""
+    """Return a command record with its plain Python numbers converted to arrays."""
     return jax.tree.map(lambda leaf: np.asarray(leaf) if isinstance(leaf, int | float) else leaf, record)
 
 

@@ -25,7 +25,8 @@ class Looks:
 
     @staticmethod
     def none(world: World, state: State) -> Looks | None:
-        """Return sums of zero at a flight's start; None if no estimator reports an uncertainty."""
+        """Return zero sums of normalised squared errors, at a flight's start; None if no estimator reports an
+        uncertainty."""
         if all(fleet.belief is None or fleet.belief.std is None for fleet in state.fleets):
             return None
         code = jnp.concatenate([fleet.violation.code for fleet in state.fleets])
@@ -33,8 +34,8 @@ class Looks:
         return Looks(Consistency(zero, zero, zero, zero, zero), jnp.zeros(code.shape, jnp.int32))
 
     def update(self, world: World, state: State, tick: Array, flying: Array) -> Looks:
-        """Return the sums with a sample of each vehicle in ``flying`` (n,) added every ``EVERY_S`` [s]; NaN without
-        uncertainty."""
+        """Return the sums of normalised squared errors with a sample of the vehicles ``flying`` (n,) added every
+        ``EVERY_S`` [s]."""
 
         def look() -> Looks:
             """Return the sums with the normalised squared errors at this tick added."""

@@ -157,7 +157,7 @@ class Reading(Tabled):
 
     @property
     def fleets(self) -> tuple[str, ...]:
-        """Names of the fleets."""
+        """Names of all fleets in the world."""
         every = tuple(fleet.name for fleet in self._world.fleets)
         if self._only is None or self._only in every:
             return every if self._only is None else (self._only,)
@@ -172,7 +172,7 @@ class Reading(Tabled):
         return (*self.fleets, *(name for fleet in own for name in fleet.vehicle_names))
 
     def of(self, name: str) -> Reading:
-        """Return the reading of one fleet, or of one vehicle with arrays (1, ...).
+        """Return the readings of one fleet, or of one vehicle with arrays (1, ...), by its name.
 
         Raises:
             UsageError: none is called so.

@@ -47,7 +47,7 @@ class SensorReading(Tabled):
 
     @property
     def _reading(self) -> Record:
-        """The sensor's last reading, as a record."""
+        """Last delivered reading of the sensor, as a record."""
         if self._given is None:
             assert self._source is not None
             self._given = self._source.record(self._name)
@@ -55,7 +55,7 @@ class SensorReading(Tabled):
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """Names of the sensor's fields."""
+        """Names of the fields of the sensor's reading."""
         said = vars(self._reading)
         own = tuple(
             field.name
@@ -91,7 +91,7 @@ class SensorReading(Tabled):
 
     @property
     def _timed(self) -> bool:
-        """True if the times of the readings are known."""
+        """True if the times at which the readings were taken are known."""
         return self._source is not None and self._source.time_step > 0.0
 
     def _for_each(self, time_of: Callable[[FleetSource, str], Any]) -> Floats:
@@ -192,7 +192,7 @@ class SensorReading(Tabled):
         return isinstance(reading, GnssReading) and isinstance(reading.position_ned.x, jax.core.Tracer)
 
     def _units(self) -> dict[str, str]:
-        """Return the unit of each field."""
+        """Return the unit of each field of the reading."""
         own = {field.name: field_info(field).unit for field in dataclasses.fields(self._reading)}
         return {name: own.get(name) or _UNITS.get(name, "") for name in self.fields}
 

@@ -70,8 +70,8 @@ class Slot:
 
 
 def slot_of(command: object, actions: Sequence[Action], numbers: Numbers, checker: ActionChecker) -> Slot | None:
-    """Return a slot that writes further commands of the same form as ``command`` into a program; None if each needs the
-    full check.
+    """Return a Slot, which writes later commands of the same form straight into a program; None if each needs the full
+    check.
 
     Args:
         command: as the user passed it, for all vehicles.

@@ -128,7 +128,7 @@ class Metronome(Pacer):
         self._period = time_step / factor
 
     def ended(self, simulated: float) -> None:
-        """Count a tick whose state, at a simulated time [s], has just been sent."""
+        """Count a tick, for the statistics of the pace, when its state at a simulated time [s] has been sent."""
         self.steps += 1
         self._last = simulated
         self._note_delay(simulated, -self.until_s(simulated), self._period)

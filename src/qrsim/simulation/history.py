@@ -43,7 +43,7 @@ class History:
 
     @property
     def bytes_per_tick(self) -> int:
-        """Size of one packed state [bytes]."""
+        """Size [bytes] of the packed state of one tick."""
         return sum(part.nbytes for part in self._parts[2]) // max(len(self.ticks), 1)
 
     @cached_property

@@ -249,7 +249,7 @@ class Injecting(Alone):
         self.change_weather(WIND, {"speed_20ft": speed, "wind_from_deg": from_deg, "over": over}, asked_by)
 
     def set_gusts(self, times: float, over: float = 0.0, asked_by: str = "python") -> None:
-        """Scale the random gusts from the next tick on; needs ``gusts`` in the scenario's ``world.injectable``.
+        """Multiply the random gusts by ``times``; the scenario's ``world.injectable`` has to name ``gusts``.
 
         Args:
             times: what the gusts of the scenario are multiplied by.
@@ -262,7 +262,7 @@ class Injecting(Alone):
         self.change_weather(GUSTS, {"times": times, "over": over}, asked_by)
 
     def set_jammer(self, jammer: int, power_w: float, over: float = 0.0, asked_by: str = "python") -> None:
-        """Set the power [W] of a jammer from the next tick on; needs ``jam`` in ``world.injectable``.
+        """Set the power [W] of jammer number ``jammer``; the scenario's ``world.injectable`` has to name ``jam``.
 
         Args:
             jammer: which one of the jammers in ``world.interference``, from 0.
@@ -351,7 +351,7 @@ class Injecting(Alone):
 
     @property
     def _first_world(self) -> World:
-        """The world without injected faults and changes of the weather."""
+        """World without injected faults and changes of the weather."""
         world = without_faults(self.world) if self._injections else self.world
         return world if self._weather is None else with_weather(world, self._weather)
 

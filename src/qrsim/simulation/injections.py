@@ -289,7 +289,8 @@ def _sensor_fault(
     dt: float,
     white: Mapping[str, Any] | None = None,
 ) -> FaultSlot:
-    """Return a sensor's fault slot with a fault in the ``chosen`` vehicles, (n,) bool; the kind "ok" removes it."""
+    """Return ``slot``, the parameters of a sensor's injected fault, with a fault in the ``chosen`` vehicles, (n,) bool;
+    "ok" removes it."""
     if kind == "ok":
         empty = empty_slot(len(chosen), slot.sensor, slot.fields, slot.ticks, slot.time_step, slot.remembered)
         return map_tree(lambda old, new: put(old, chosen, new[chosen]), slot, empty)

@@ -22,8 +22,8 @@ from qrsim.models.vehicles.faults import FREE, BatteryFault, Push, RotorFault
 def rotor_fault_in(
     slot: RotorFault, kind: str, chosen: NumpyArray, ticks: tuple[int, int], numbers: Mapping[str, object]
 ) -> RotorFault:
-    """Return a rotor's fault slot with a fault in the ``chosen`` vehicles, (n,) bool, from ``ticks[0]`` to
-    ``ticks[1]``."""
+    """Return ``slot``, the parameters of an injected rotor fault, with a fault in the ``chosen`` vehicles, (n,) bool,
+    during ``ticks``."""
     if kind == "ok":
         empty = replace(RotorFault.empty(len(chosen), slot.rotor, slot.noticed_ticks), noticed_ticks=slot.noticed_ticks)
         return map_tree(lambda old, new: put(old, chosen, new[chosen]) if np.ndim(old) else old, slot, empty)
@@ -42,8 +42,8 @@ def rotor_fault_in(
 def radio_fault_in(
     slot: RadioFault, kind: str, chosen: NumpyArray, ticks: tuple[int, int], numbers: Mapping[str, object]
 ) -> RadioFault:
-    """Return the radios' fault slot with a fault in the ``chosen`` vehicles, (n,) bool, from ``ticks[0]`` to
-    ``ticks[1]``."""
+    """Return ``slot``, the parameters of an injected radio fault, with a fault in the ``chosen`` vehicles, (n,) bool,
+    during ``ticks``."""
     if kind == "ok":
         return map_tree(lambda old, new: put(old, chosen, new[chosen]), slot, RadioFault.empty(len(chosen)))
     share = number_of("radio", kind, numbers)
@@ -58,8 +58,8 @@ def radio_fault_in(
 
 
 def push_in(slot: Push, kind: str, chosen: NumpyArray, ticks: tuple[int, int], numbers: Mapping[str, object]) -> Push:
-    """Return the slot for pushes with a push of the ``chosen`` vehicles, (n,) bool, from ``ticks[0]`` to
-    ``ticks[1]``."""
+    """Return ``slot``, the parameters of an injected push, with a push of the ``chosen`` vehicles, (n,) bool, during
+    ``ticks``."""
     if kind == "ok":
         return map_tree(lambda old, new: put(old, chosen, new[chosen]), slot, Push.empty(len(chosen)))
     found = push_numbers(kind, numbers)
@@ -77,8 +77,8 @@ def push_in(slot: Push, kind: str, chosen: NumpyArray, ticks: tuple[int, int], n
 def battery_fault_in(
     slot: BatteryFault, kind: str, chosen: NumpyArray, ticks: tuple[int, int], numbers: Mapping[str, object]
 ) -> BatteryFault:
-    """Return the batteries' fault slot with a fault in the ``chosen`` vehicles, (n,) bool, from ``ticks[0]`` to
-    ``ticks[1]``."""
+    """Return ``slot``, the parameters of an injected battery fault, with a fault in the ``chosen`` vehicles, (n,) bool,
+    during ``ticks``."""
     if kind == "ok":
         return map_tree(lambda old, new: put(old, chosen, new[chosen]), slot, BatteryFault.empty(len(chosen)))
     number = number_of("battery", kind, numbers)

@@ -34,11 +34,11 @@ class Radios(Alone):
 
     @property
     def state(self) -> State:
-        """The whole state as NumPy arrays."""
+        """Whole state as NumPy arrays."""
         raise NotImplementedError
 
     def _running(self) -> tuple[Packer, Buffers]:
-        """Return layout and buffers of the state; raise UsageError before the first reset."""
+        """Return the layout and buffers of the present state; raises UsageError before the first reset."""
         raise NotImplementedError
 
     def send(self, vehicle: str | int, payload: object, to: str | int | None = None) -> None:

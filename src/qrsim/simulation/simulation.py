@@ -268,7 +268,7 @@ class Simulation(Radios, Injecting, Tabled):
 
     @alone
     def save(self, path: str | Path | None = None) -> bytes:
-        """Return the whole state as bytes, written to a file too if a path is given.
+        """Return the whole state as bytes; with a path, also write them to a file.
 
         Raises:
             UsageError: the simulation has not started.
@@ -352,7 +352,7 @@ class Simulation(Radios, Injecting, Tabled):
 
     @property
     def history(self) -> History:
-        """The present state as a History of one tick."""
+        """Present state as a History of one tick."""
         with self._lock:
             layout, state = self._running()
             ticks, (floats, integers) = np.array([self.tick]), (np.array(buffer)[None] for buffer in state)
@@ -360,13 +360,13 @@ class Simulation(Radios, Injecting, Tabled):
 
     @property
     def reading(self) -> Reading:
-        """Present readings of the sensors."""
+        """Present sensor readings and estimates of all fleets."""
         with self._lock:
             return Reading(self.world, cast(State, self._seen()), self.tick, self.site)
 
     @property
     def truth(self) -> Truth:
-        """Present true state, all fleets in order."""
+        """Present true state of all vehicles, in the order of the fleets."""
         with self._lock:
             return Truth(self.world, self._seen())
 

@@ -40,7 +40,7 @@ def check_output(output: str, overwrite: bool, source: Path) -> None:
 
 
 def write_states(states: NumpyArray, output: str) -> None:
-    """Write states (T, 16) as CSV with 17 significant digits, to a file or standard output.
+    """Write states (T, 16) as CSV with 17 significant digits, to a file or, for "-", to standard output.
 
     Raises:
         RunError: the file cannot be written.

@@ -287,7 +287,7 @@ at the time of the fix, RMS over the fixes; wind max: gusts included."""
 
 
 def _print_table(recorded: RecordedRun, summaries: list[VehicleSummary]) -> None:
-    """Print a row for each vehicle: distance, errors, wind, waypoints and when it stopped."""
+    """Print a table with a row for each vehicle: distance, errors, wind, waypoints, and when it stopped."""
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table

@@ -155,7 +155,7 @@ class Process:
         return f"{self._who} has ended with code {code}" + (f"; its last words: {lines[-1]}" if lines else "")
 
     def wait(self, seconds: float) -> bool:
-        """Wait at most ``seconds`` [s] of real time for the process to end; return whether it has ended."""
+        """Wait at most ``seconds`` [s] of wall time for Betaflight's process to end; return whether it has ended."""
         try:
             self._process.wait(seconds)
         except subprocess.TimeoutExpired:
@@ -163,7 +163,7 @@ class Process:
         return True
 
     def close(self) -> None:
-        """Close the socket and kill the process."""
+        """Close the socket and kill Betaflight's process."""
         self.socket.close()
         self._process.kill()
         self._process.wait()

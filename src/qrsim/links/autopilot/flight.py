@@ -43,7 +43,7 @@ class BetaflightFleet(FlownFleet):
         self._armed = 0.0
 
     def arm(self) -> None:
-        """Start and arm the firmware of all vehicles, with the sensors of a vehicle at rest."""
+        """Start and arm Betaflight for every vehicle, with the sensor values of a vehicle at rest."""
         _, sensed = self.sight.look()
         for firmware, first in zip(self._firmware, sensed, strict=True):
             rates = first.rates_body if math.hypot(*first.rates_body) < STILL_RAD_S else (0.0, 0.0, 0.0)

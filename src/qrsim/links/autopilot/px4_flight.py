@@ -223,7 +223,7 @@ class Px4Flight(LockstepFlight):
         ]
 
     def advance(self, ticks: int = 1) -> None:
-        """Fly ``ticks`` ticks, each when all PX4s have answered; raises RunError once none is left."""
+        """Fly ``ticks`` ticks in lock-step with all PX4s; raises RunError once none is left."""
         for _ in range(ticks):
             if not self._begun:
                 self._begin()

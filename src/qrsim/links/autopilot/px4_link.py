@@ -140,7 +140,7 @@ class Px4Link:
         return True
 
     def _hang_up(self, why: str) -> None:
-        """Close the connection, stop the motors, and print the reason."""
+        """Close the connection to PX4, stop the vehicle's motors, and print the reason."""
         if self._peer is not None:
             self._peer.close()
             self._peer = None
@@ -167,7 +167,7 @@ class Px4Link:
 
     @property
     def reconnects_until(self) -> float:
-        """Latest time at which another PX4 may replace a lost one, by ``time.perf_counter`` [s]."""
+        """Time of ``time.perf_counter`` [s] until which another PX4 may replace one whose connection was lost."""
         return time.perf_counter() + RECONNECT_S
 
     def nobody(self) -> str:
@@ -329,7 +329,7 @@ class Px4Link:
             self._say(f"{self.name}: {line}")
 
     def close(self) -> None:
-        """Close the port and the connection."""
+        """Close the vehicle's TCP port and the connection to PX4."""
         if self._peer is not None:
             self._peer.close()
             self._peer = None

@@ -181,7 +181,8 @@ def distance_sensor(time_usec: int, distance: float, low: float, high: float, ax
 def optical_flow(
     time_usec: int, period_usec: int, flow: Sequence[float], turned: Sequence[float], quality: float, distance: float
 ) -> bytes:
-    """Return the payload of a HIL_OPTICAL_FLOW; an unknown flow is sent as 0 with quality 0.
+    """Return the payload of HIL_OPTICAL_FLOW at a time [us]: flow and rotation [rad] over a period [us]; unknown flow
+    (NaN) has quality 0.
 
     Args:
         time_usec, period_usec: boot clock, and time since the last reading [us].

@@ -136,7 +136,7 @@ class ServoLink:
         )
 
     def close(self) -> None:
-        """Close the port."""
+        """Close the vehicle's UDP port."""
         self._socket.close()
 
 

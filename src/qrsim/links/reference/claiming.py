@@ -152,7 +152,7 @@ class SharedCalls(ABC):
         self._call(Message(type=Message.SAY, say=request), Message.ACK)
 
     def inbox(self) -> dict[str, tuple[Heard, ...]]:
-        """Return vehicle -> the newest radio message received from each sender, the newest first."""
+        """Return, for each vehicle, the newest radio message received from each sender, the newest first."""
         found = self._call(Message(type=Message.GET_READINGS, get_readings=pb.GetReadings()), Message.READINGS).readings
         return {vehicle.name: heard_of(vehicle.heard) for vehicle in found.vehicle}
 

@@ -301,7 +301,7 @@ class Client(SharedCalls):
         self.time_step, self.size = info.timestep, info.numUAVs
 
     def _call(self, request: Message, expected: Message.Type) -> Message:
-        """Send a request and return the reply; if sending fails, raise the server's last message, which says more."""
+        """Send a request and return the reply; if sending fails, raise the error that the server sent last."""
         try:
             self._open_socket().sendall(frame(request.SerializeToString()))
         except OSError as error:

@@ -187,7 +187,7 @@ class MixedCommands(Commands):
         return found
 
     def learn(self, payload: bytes, request: Step, ticks: int) -> None:
-        """Do nothing: vectors of mixed fleets differ in their lengths."""
+        """Do nothing: vectors of mixed fleets differ in length, so that every STEP message is parsed."""
 
 
 def commands_of(fleets: Sequence[Fleet], dtype: DType) -> Commands:

@@ -144,7 +144,7 @@ class Connection(asyncio.Protocol):
         self._held.append(content)
 
     def send_held(self) -> None:
-        """Send the messages that were held until the end of a request."""
+        """Send the messages that ``hold_frame`` has held back."""
         if self._held and not (self.gone.is_set() or self.transport.is_closing()):
             self.transport.write(b"".join(self._held))
         self._held.clear()
@@ -229,7 +229,7 @@ class Connection(asyncio.Protocol):
                 await self._close()
 
     async def _answer_all(self) -> None:
-        """Answer one request after the other until the connection is to be closed."""
+        """Answer the client's requests one after the other, until the connection is to be closed."""
         clock = asyncio.get_running_loop().time
         turn_ends = clock() + TURN_S
         while not self.gone.is_set():

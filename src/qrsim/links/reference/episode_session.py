@@ -67,7 +67,7 @@ class EpisodeSession:
 
     @property
     def world(self) -> World:
-        """The world of the task."""
+        """World (parameters) of the task."""
         return self.play.world
 
     @property
@@ -101,7 +101,7 @@ class EpisodeSession:
         self.pacer = Pacer(factor, self.time)
 
     def restart(self, seed: int | None) -> None:
-        """Start the first episode of a new seed, or the next one of the same series.
+        """Start the first episode of a new seed, or, for None, the next one of the same series of seeds.
 
         Raises:
             RunError: a fleet found no place.
@@ -210,7 +210,7 @@ class EpisodeSession:
         return f"{self._step} steps of episode {self.episode} of seed {self.seed}"
 
     def end(self) -> None:
-        """End the session; call nothing after it."""
+        """End the session; no other method may be called afterwards."""
         self.thread.shutdown(wait=False)
 
 

@@ -77,7 +77,7 @@ class Source(Protocol):
 
     @property
     def world(self) -> World:
-        """World whose state is sent."""
+        """World (parameters) of the state that is sent."""
 
     @property
     def packed(self) -> tuple[Packer, Buffers]:
@@ -188,7 +188,7 @@ class Readout:
         return Message.FromString(self.frame()[HEAD_SIZE:]).state
 
     def all_valid(self) -> bool:
-        """Return whether all vehicles fly."""
+        """Return whether all vehicles still fly."""
         return not np.count_nonzero(np.asarray(self._simulation.packed[1][1]).take(self._codes))
 
 
@@ -214,7 +214,7 @@ class States:
         return self._with_reasons().message()
 
     def all_valid(self) -> bool:
-        """Return whether all vehicles fly."""
+        """Return whether all vehicles still fly."""
         return self._plain.all_valid()
 
     def _with_reasons(self) -> Readout:
@@ -245,7 +245,7 @@ class _Posed:
 
 
 def _vectors(vehicle: Vehicle, state: Any) -> jax.Array:
-    """Return pose and thrust [N] of a fleet's vehicles as state vectors (n, 13)."""
+    """Return position, attitude, velocity, rates and thrust of a fleet's vehicles as state vectors (n, 13)."""
     pose, like = vehicle.pose(state), state.position_ned.x
     thrust = jnp.broadcast_to(jnp.asarray(vehicle.load(state).thrust), like.shape)
     return jnp.stack([*jax.tree.leaves(pose), thrust], axis=1)

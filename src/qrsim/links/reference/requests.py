@@ -61,7 +61,7 @@ def _session_options(
 
 
 def _task_info(session: Session) -> pb.TaskInfo:
-    """Return the message TaskInfo of a session: time step and number of vehicles."""
+    """Return the message TASKINFO of a session: its time step [s] and number of vehicles."""
     return pb.TaskInfo(timestep=session.time_step, numUAVs=session.simulation.size)
 
 
@@ -75,7 +75,7 @@ async def reset(connection: Client, message: Message) -> None:
 
 
 def _print_episode(connection: Client, session: Session) -> None:
-    """Log session, episode and seed."""
+    """Print a line for the operator on the new episode: session, episode and seed."""
     connection.server.say(f"session {session.number}, episode {session.episode}: seed {session.simulation.seed}")
 
 
@@ -188,7 +188,7 @@ def _chosen(connection: Client, request: pb.Open | pb.Play) -> Content:
 
 
 def _seed(request: pb.Open | pb.Play | pb.Restart) -> int | None:
-    """Return the seed of a request, None where it has none."""
+    """Return the seed in a request, None if it has none; raises UsageError if it is out of range."""
     if not request.HasField("seed"):
         return None
     if request.seed >= 2**63:

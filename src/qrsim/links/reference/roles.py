@@ -60,7 +60,7 @@ class Host(Protocol):
 
     @property
     def sharing(self) -> Any:
-        """The world that all clients share (sharing.py); None where each session has an owner."""
+        """World that all clients share (sharing.py); None if each session has a world to itself."""
 
     def stop(self) -> None:
         """Stop the server."""
@@ -78,7 +78,7 @@ class Host(Protocol):
         """Answer a request of a connection."""
 
     def open(self, connection: Any, make: Callable[[int], S]) -> Awaitable[S]:
-        """Start a session by ``make(id)`` for a connection, in place of its old one, and return it."""
+        """Start the session that ``make(id)`` returns for a connection, in place of its present one, and return it."""
 
     def close_session(self, connection: Any) -> Awaitable[None]:
         """End the session of a connection, if it has one."""
@@ -127,7 +127,7 @@ class Client(Protocol):
         """Send an ACK with an optional note; with ``error``, a refusal with that text instead."""
 
     def any_session(self) -> Session | EpisodeSession:
-        """Return the client's session of either kind."""
+        """Return the client's session, of a simulation or of a task's episodes; raises UsageError without one."""
 
     def required_session(self) -> Session:
         """Return the client's session of a simulation; raises UsageError without one."""

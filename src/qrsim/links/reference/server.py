@@ -177,7 +177,7 @@ class Server:
         self._others.shutdown(wait=False)
 
     async def _end_sharing(self, sharing: Sharing) -> None:
-        """End the world that clients share, after its last tick."""
+        """Stop the world that clients share, once its present tick is over."""
         session = sharing.session
         async with sharing.lock:
             sharing.end()
@@ -271,7 +271,7 @@ class Server:
                 loop.call_soon_threadsafe(self._end_idle)
 
     def _end_idle(self) -> None:
-        """End the sessions of owners that have sent no request for too long."""
+        """End the sessions of clients that have sent no request for too long."""
         longest = self.options.idle_timeout
         for connection in self._connections:
             session = connection.session

@@ -339,7 +339,7 @@ class Session:
         return found
 
     def close_recording(self) -> None:
-        """End the recording of the present episode."""
+        """Finish the run folder of the present episode."""
         if self._writer is None:
             return
         try:

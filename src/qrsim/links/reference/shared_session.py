@@ -186,7 +186,7 @@ class SharedSession(Session):
         return {STREAM: stacked(order_columns(self.plant), self._flown)}
 
     def close_recording(self) -> None:
-        """End the recording of the present episode."""
+        """Finish the run folder of the present episode, after all queued ticks."""
         self._drain()
         super().close_recording()
 

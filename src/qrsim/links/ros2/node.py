@@ -53,4 +53,4 @@ class Node(Protocol):
         """Announce this node's topics to other nodes; call it once all are created."""
 
     def remarks(self) -> list[str]:
-        """Return a warning for each topic of this node that another node has begun to use incompatibly."""
+        """Return a warning for each topic that another node has begun to use with an incompatible type or QoS."""

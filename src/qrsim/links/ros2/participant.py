@@ -124,7 +124,7 @@ class Participant:
         self._info.write(self._types.encode(info))
 
     def remarks(self) -> list[str]:
-        """Return a warning for each topic of this node that another node has begun to use incompatibly.
+        """Return a warning for each topic that another node has begun to use with an incompatible type or QoS.
 
         The reason is another type, or a quality of service that does not match; the words are those of rclcpp.
         """
@@ -268,7 +268,7 @@ class Service:
         self._types, self._kind, self._rtps, self._raw = types, kind, rtps, raw
 
     def take(self) -> list[tuple[Request, Message]]:
-        """Return the requests that have arrived, oldest first."""
+        """Return the requests that have arrived, oldest first, each as (handle for ``reply``, message)."""
         self._rtps.spin()
         found = []
         while self._raw.waiting:

@@ -86,7 +86,7 @@ class Publications:
         self.columns = sorted({own.sensor for each in self._vehicles for _, own in each if own.sensor is not None})
 
     def add(self, topic: t.Topic) -> int:
-        """Add a topic, and return its number."""
+        """Add a topic to those published, and return its number."""
         self.topics.append(topic)
         return len(self.topics) - 1
 

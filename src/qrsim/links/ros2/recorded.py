@@ -113,7 +113,7 @@ class Recorded:
         return found
 
     def _stream_columns(self, stream: str) -> Sequence[str]:
-        """Return the names of the columns of a stream, empty if the run has no such stream."""
+        """Return the column names of a recorded stream; empty if the run has no such stream."""
         return self._streams[stream].columns() if stream in self._streams else ()
 
     def ticks(

@@ -180,7 +180,7 @@ class Server:
         self._publish_status()
 
     def _off_prefixes(self) -> tuple[str, ...]:
-        """Return the topic prefixes, such as "/uav1/", of the vehicles whose link has failed."""
+        """Return the topic prefixes, such as "/uav1/", of the vehicles whose link is off by an injected fault."""
         unlinked = self.simulation.unlinked
         if not unlinked:
             return ()

@@ -58,7 +58,7 @@ def may_fail(content: Content, names: Sequence[str]) -> None:
 
 
 def _has_part(content: Content, fleet: Content, part: str) -> bool:
-    """Return whether a fleet of a scenario's content has a part, such as a battery, that is no sensor."""
+    """Return whether a fleet in a scenario's content has a part, such as a battery, other than its sensors."""
     if part == "rotors":
         return issubclass(VEHICLES[fleet["vehicle"]["type"]], Multirotor)
     if part == "battery":

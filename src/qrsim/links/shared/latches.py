@@ -50,13 +50,14 @@ class Latches:
             first += fleet.size
 
     def row(self, vehicle: str) -> int:
-        """Return the index of a vehicle in the world; raises UsageError for an unknown name."""
+        """Return the index of a vehicle among all vehicles of the world; raises UsageError for an unknown name."""
         if vehicle not in self._rows:
             raise UsageError(f"no vehicle is called '{vehicle[:60]}'{did_you_mean(vehicle[:60], self.names)}")
         return self._rows[vehicle]
 
     def kinds(self, vehicle: str) -> Mapping[str, tuple[Field, ...]]:
-        """Return the kinds of orders that a vehicle takes; raises UsageError for an unknown name."""
+        """Return the kinds of orders that a vehicle takes, each with its number fields; raises UsageError for an
+        unknown name."""
         return self._kinds[self.names[self.row(vehicle)]]
 
     def checked(self, order: Order) -> Order:

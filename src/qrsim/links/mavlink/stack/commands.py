@@ -265,7 +265,8 @@ def _set_home(stack: Flight, command: Command) -> Result:
 
 
 def _set_current(stack: Flight, command: Command) -> Result:
-    """Obey DO_SET_MISSION_CURRENT, with the answers of PX4's Navigator and ArduPilot 4.8."""
+    """Obey DO_SET_MISSION_CURRENT: make a mission item the current one, with the results that PX4 or ArduPilot
+    returns."""
     seq, reset = command.params[0], _number(command.params[1])
     if math.isnan(seq) or seq < -1.0 or seq != int(seq) or reset not in (0.0, 1.0):
         return Result.DENIED

@@ -294,14 +294,15 @@ class Stack(Protocol):
 
     @property
     def home(self) -> Home | None:
-        """Home position to return to; None before the first position estimate."""
+        """Position to which the vehicle returns; None before the first position estimate."""
 
     @property
     def origin(self) -> Triple:
-        """Origin of the vehicle's local frame, in the site's frame NED [m]."""
+        """Origin of the vehicle's local frame (of its MAVLink messages), in the site's frame NED [m]."""
 
     def place(self, position_ned: Triple) -> Triple:
-        """Return latitude and longitude [deg] and altitude above mean sea level [m] of a position NED [m]."""
+        """Convert a position NED [m] in the site's frame to latitude, longitude [deg] and altitude above mean sea level
+        [m]."""
 
     def tick(self, seen: Seen) -> Order | None:
         """Advance by one tick with the vehicle's present state; return its new order, or None to keep the last one."""
@@ -331,7 +332,7 @@ class Stack(Protocol):
         """Return the mode that is flown and the mode that was requested; they differ in a failsafe."""
 
     def orbiting(self) -> OrbitStatus | None:
-        """Return the orbit that is flown, None while none is."""
+        """Return the orbit that the vehicle flies now, None while it flies none."""
 
     def go_to(self, item: Item) -> bool:
         """Fly to a waypoint at once, in ArduPilot's GUIDED mode; return whether this flight stack does so."""
@@ -362,13 +363,13 @@ class Stack(Protocol):
         """Return the fields of HEARTBEAT and EXTENDED_SYS_STATE."""
 
     def health(self) -> Health:
-        """Return the sensor bits of SYS_STATUS."""
+        """Return the sensor bit masks of SYS_STATUS: present, enabled and healthy."""
 
     def mission(self) -> MissionStatus:
-        """Return the fields of MISSION_CURRENT."""
+        """Return the fields of MISSION_CURRENT: the present item and the mission's state."""
 
     def fence(self) -> FenceStatus:
-        """Return the fields of FENCE_STATUS."""
+        """Return the fields of FENCE_STATUS: whether the fence is breached, how often, and how."""
 
     def texts(self) -> list[Text]:
         """Return the status texts queued since the last call, and empty the queue."""

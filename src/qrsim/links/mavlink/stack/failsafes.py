@@ -69,7 +69,7 @@ class Failsafes:
         self._battery, self.breached, self._fence_due = 0, False, 0.0
 
     def fence(self) -> FenceStatus:
-        """Return the fields of FENCE_STATUS."""
+        """Return the fields of FENCE_STATUS: whether the fence is breached, how often, and how."""
         return FenceStatus(self.breached, self._breaches, self._breach, self._breached_at)
 
     def look(self, craft: Craft, mode: Mode, offboard: Offboard, factor: float) -> int:

@@ -301,7 +301,7 @@ class Flight:
 
     @property
     def on_ground(self) -> bool:
-        """Whether the reported landed state is on the ground."""
+        """Whether the vehicle's reported landed state is "on the ground"."""
         return self.craft.landed is Landed.ON_GROUND
 
     # ---- modes ----

@@ -57,7 +57,8 @@ class FlightStack(Flight):
     # ---- what clients ask ----
 
     def place(self, position_ned: Triple) -> Triple:
-        """Return latitude and longitude [deg] and altitude [m] of a position NED [m]."""
+        """Convert a position NED [m] in the site's frame to latitude, longitude [deg] and altitude above mean sea level
+        [m]."""
         return self.craft.geodesy.to_geodetic(position_ned)
 
     def command(self, command: Command) -> Ack:
@@ -106,7 +107,7 @@ class FlightStack(Flight):
         return self.flavour.info(self.mode, self.guided), self.flavour.info(*self._meant)
 
     def orbiting(self) -> OrbitStatus | None:
-        """Return the orbit that is flown, None while none is."""
+        """Return the orbit that the vehicle flies now, None while it flies none."""
         return OrbitStatus(self.orbit.radius, self.orbit.centre) if self.mode is Mode.ORBIT else None
 
     def thrust_of(self, throttle: float) -> float:
@@ -180,12 +181,12 @@ class FlightStack(Flight):
 
     @property
     def home(self) -> Home | None:
-        """Home position to return to; None before the first position estimate."""
+        """Position to which the vehicle returns; None before the first position estimate."""
         return self.craft.home
 
     @property
     def origin(self) -> Triple:
-        """Origin of the vehicle's local frame, in the site's frame NED [m]."""
+        """Origin of the vehicle's local frame (of its MAVLink messages), in the site's frame NED [m]."""
         return self.craft.origin
 
     def heartbeat(self) -> Heartbeat:
@@ -202,7 +203,7 @@ class FlightStack(Flight):
         return told
 
     def health(self) -> Health:
-        """Return the sensor bits of SYS_STATUS."""
+        """Return the sensor bit masks of SYS_STATUS: present, enabled and healthy."""
         craft, seen = self.craft, self.craft.seen
         reasons = [] if self.armed else self.checks.reasons(craft)
         battery = _BATTERY if seen.charge == seen.charge else 0
@@ -215,11 +216,11 @@ class FlightStack(Flight):
         return Health(present, present, healthy, reasons)
 
     def mission(self) -> MissionStatus:
-        """Return the fields of MISSION_CURRENT."""
+        """Return the fields of MISSION_CURRENT: the present item and the mission's state."""
         return self.plan.status(self.mode is Mode.MISSION)
 
     def fence(self) -> FenceStatus:
-        """Return the fields of FENCE_STATUS."""
+        """Return the fields of FENCE_STATUS: whether the fence is breached, how often, and how."""
         return self.failsafes.fence()
 
     def texts(self) -> list[Text]:

@@ -124,7 +124,7 @@ class Mission:
         return True
 
     def restart(self, craft: Craft) -> None:
-        """Go back to the first item, in the state NOT_STARTED."""
+        """Make the first item the current one, with the mission's state NOT_STARTED."""
         self._start_at(min(self._first, max(0, len(self.items) - 1)))
         self.state = MissionState.NOT_STARTED if self.items else MissionState.NO_MISSION
         craft.tell("mission")

@@ -120,7 +120,7 @@ class Flavour:
         return ModeInfo(custom, standard, properties, "" if standard else self.names[custom])
 
     def infos(self) -> tuple[ModeInfo, ...]:
-        """Return the entries of AVAILABLE_MODES for all modes of the vehicle, sorted by custom_mode."""
+        """Return the entries of AVAILABLE_MODES for all flight modes of the vehicle type, sorted by custom_mode."""
         found = {info.custom_mode: info for info in map(self.info, self.modes)}
         if self.guided >= 0:
             found[self.guided] = ModeInfo(self.guided, name=self.names[self.guided])

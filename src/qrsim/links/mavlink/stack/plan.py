@@ -43,7 +43,7 @@ def moves(command: int) -> bool:
 
 
 def check(items: Sequence[Item], flavour: FlavourName) -> tuple[PlanResult, int]:
-    """Check the items of a mission for PX4 or ArduPilot; return the result, and the first invalid item's sequence
+    """Check the items of a mission for PX4 or ArduPilot; return the MAV_MISSION_RESULT and the first invalid item's
     number or -1."""
     if len(items) > MOST_ITEMS:
         return PlanResult.NO_SPACE, MOST_ITEMS

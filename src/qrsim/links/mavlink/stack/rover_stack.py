@@ -60,7 +60,7 @@ class RoverStack(FlightStack):
     _plan = Drive
 
     def reset(self) -> None:
-        """Restart as after a boot: disarmed, time at zero."""
+        """Restart the rover's flight stack as after a boot: disarmed, time 0."""
         super().reset()
         self._stands, self.offboard = False, GroundOffboard()
         self.offboard.keeps_places = self.flavour.name == "ardupilot"

@@ -53,7 +53,7 @@ class Tour(Mission):
         return super().accept(items, craft)
 
     def restart(self, craft: Craft) -> None:
-        """Go back to the first item, in the state NOT_STARTED."""
+        """Make the first item the current one, with the mission's state NOT_STARTED."""
         self.end = None
         super().restart(craft)
 

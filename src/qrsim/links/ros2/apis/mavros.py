@@ -142,7 +142,7 @@ def _local_topics(types: Types, told: Maker) -> Iterator[Told]:
     """Yield mavros's topics of pose, velocity and odometry in the local frame; ``told`` makes a topic."""
 
     def pose(view: View) -> tuple[float, ...] | None:
-        """Return position ENU [m] and attitude (x, y, z, w), None where the estimate is invalid."""
+        """Return position ENU [m] and attitude quaternion (x, y, z, w); None where the estimate is invalid."""
         if not view.seen.valid:
             return None
         return *f.enu(view.local(view.seen.position_ned)), *f.orientation(view)

@@ -50,7 +50,7 @@ def _mode_parts(custom_mode: int) -> tuple[int, int]:
 
 
 def name_of(custom_mode: int) -> str:
-    """Return mavros's name of a custom_mode, CMODE(number) for an unknown one."""
+    """Return mavros's name for PX4's custom_mode number, such as "OFFBOARD"; "CMODE(number)" for an unknown one."""
     parts = _mode_parts(custom_mode)
     # A sub mode that it does not know counts for nothing.
     return _NAMES.get(parts) or _NAMES.get((parts[0], 0)) or f"CMODE({custom_mode})"

@@ -45,7 +45,7 @@ class Received:
         return wire.acknack(reader, writer, self._low, (each for each in near if each not in self._above), self._count)
 
     def _advance_low(self) -> None:
-        """Raise the lowest missing sequence number over the numbers received above it."""
+        """Move the lowest missing sequence number past all numbers received without a gap."""
         while self._low in self._above:
             self._above.remove(self._low)
             self._low += 1

@@ -235,7 +235,7 @@ class Services:
         return self._clients[prefix + writer] if reader == w.UNKNOWN_ENTITY else self._by_reader[reader]
 
     def _store_peer(self, message: w.Submessage, inline: list[tuple[int, bytes]], payload: bytes, now: float) -> None:
-        """Store another participant and announce this one to it; remove one that leaves."""
+        """Store another participant from its announcement and announce this one to it; remove one that leaves."""
         if (w.STATUS, w.GONE) in inline:
             self._forget(message.prefix)
             return
