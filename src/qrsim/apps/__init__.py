@@ -85,7 +85,8 @@ def with_duration(overrides: list[str], duration: float | None) -> list[str]:
 
 @contextmanager
 def progress_bar(name: str, total: float, *texts: str, **fields: Any) -> Iterator[Callable[..., None]]:
-    """Show a progress bar while the context lasts, on a terminal only; yield the function that updates it, as Rich's.
+    """Show a progress bar up to ``total`` while the context lasts, on a terminal only; yield Rich's function that
+    updates it.
 
     Args:
         name: in front of the bar.

@@ -253,8 +253,8 @@ class Brief:
         return exit_code(brief.verdict[0])
 
     def _flyer(self, opened: ExitStack, folder: Path, told: Callable[[str, int, int], None]) -> Flyer:
-        """Return the object that flies the studies, with worker processes that ``opened`` ends; ``told``: called with
-        progress."""
+        """Return the Flyer of the studies, with worker processes that ``opened`` ends; it calls ``told(study, done,
+        planned)``."""
         from qrsim.engine.settings import available_cores
         from qrsim.studies.brief.studying import Flyer
         from qrsim.studies.sweep.cluster import workers_of
@@ -339,7 +339,7 @@ def _print_verdict(brief: Briefing) -> None:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[str, int, int], None]]:
-    """Show a progress bar while the context lasts, on a terminal only; yield its update function (study, done,
+    """Show a progress bar while the context lasts, on a terminal only; yield its update function (study, runs done,
     planned)."""
     with progress_bar("starting", 1.0, "{task.completed:.0f} of {task.total:.0f} runs") as update:
 

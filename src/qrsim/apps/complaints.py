@@ -21,7 +21,8 @@ _WIDE = "100000"
 
 @contextlib.contextmanager
 def in_a_sentence(program: str, options: Sequence[str], again: Callable[[], object]) -> Iterator[None]:
-    """In the context, replace the command-line parser's error box and exit by a UsageError with one sentence.
+    """In the context, turn the command-line parser's error box and exit into a one-sentence UsageError; ``again``
+    parses once more.
 
     Args:
         program: what is parsed for, such as "qrsim run".

@@ -206,7 +206,8 @@ def _span(row: Mapping[str, object]) -> str:
 
 @contextmanager
 def _progress(policies: int, steps: int) -> Iterator[Callable[[str, int], None]]:
-    """Show a progress bar of the flights while the context lasts, on a terminal only; yield its update function."""
+    """Show a progress bar of the flights while the context lasts; yield its update function (policy's name, steps
+    done)."""
     with progress_bar("", policies * steps) as update:
         names: list[str] = []
 

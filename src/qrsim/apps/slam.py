@@ -298,7 +298,7 @@ def _metres(value: float | None, width: int = 8) -> str:
 
 
 def _interval(found: dict[str, float], name: str = "mean", unit: float = 1.0) -> str:
-    """Return a mean, times ``unit``, with its 95 % interval, if it has one, as text; ``name``: its key in ``found``."""
+    """Return a mean (``found[name]``) times the factor ``unit`` as text, with its 95 % interval if it has one."""
     if "low" not in found:
         return f"{unit * found[name]:.3g}"
     return f"{unit * found[name]:.3g} (95 %: {unit * found['low']:.3g} to {unit * found['high']:.3g})"
@@ -323,6 +323,7 @@ def _print_json(result: Mapping[str, object]) -> None:
 
 @contextmanager
 def _progress(solves: int) -> Iterator[Callable[[], None]]:
-    """Show a progress bar while the context lasts, on a terminal only; yield its update function."""
+    """Show a progress bar while the context lasts, on a terminal only; yield the function that counts one solved
+    flight."""
     with progress_bar("flights solved", solves, "{task.completed:.0f} of {task.total:.0f}") as update:
         yield lambda: update(advance=1)

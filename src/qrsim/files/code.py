@@ -46,7 +46,8 @@ def anchored(source: str, folder: Path) -> str:
 
 
 def load_object(what: str, source: str, words: Sequence[str] = (), *, kind: str = "function") -> Any:
-    """Import ``module:name`` or ``file.py:name`` and return the object; modules in the working folder are found too.
+    """Import ``module:name`` or ``file.py:name`` and return the object; raises UsageError, beginning with ``what``, if
+    that fails.
 
     A file that has changed since it was loaded is loaded anew.
 

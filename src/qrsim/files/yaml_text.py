@@ -175,8 +175,8 @@ class _Builder:
         return _copied(value)
 
     def _place(self, value: object, mark: object, plain: str = "") -> None:
-        """Add a value to the list or mapping that is open, as an element, key or value; else it is the whole
-        content."""
+        """Add a value to the list or mapping that is open, as an element, key or value; ``plain``: its text in the
+        document."""
         if not self.stack:
             self.result = value
             return
@@ -190,7 +190,8 @@ class _Builder:
             parent.key = None
 
     def _take_key(self, parent: _Open, key: Any, mark: Any, plain: str) -> None:
-        """Store the key of the next value of a mapping; raises an error if it is not a text, or is repeated."""
+        """Store the key of a mapping's next value; raises an error if it is repeated or no text (``plain``: as
+        written)."""
         if not isinstance(key, str):
             raise _FaultError(f"the key {plain[:40] or 'null'} is not a text; to make it one, write it in quotes", mark)
         if key == "<<":

@@ -23,7 +23,8 @@ class Breaches:
 
     @staticmethod
     def none(world: World, like: Array) -> Breaches | None:
-        """Return counts of zero at a flight's start; None if leaving the flight area ends a flight."""
+        """Return counts of zero at a flight's start, shaped as ``like`` (n,); None if leaving the flight area ends a
+        flight."""
         if not (isinstance(world.area, ZonesArea) and world.area.breach == "report"):
             return None
         count = jnp.zeros(like.shape, jnp.int32)
@@ -42,7 +43,8 @@ class Breaches:
 
 
 def breach_metrics(found: Breaches | None, dt: float) -> dict[str, Floats]:
-    """Return metrics on departures from the flight area by name, each (W, n); {} if leaving the area ends a flight."""
+    """Convert counts of departures from the flight area to metrics by name, each (W, n); {} without counts. ``dt``:
+    time step [s]."""
     if found is None:
         return {}
     return {"breaches": np.asarray(found.count), "seconds_outside": np.asarray(found.ticks) * dt}

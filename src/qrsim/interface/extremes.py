@@ -19,7 +19,7 @@ class Extreme:
 
     @staticmethod
     def none(like: Array) -> Extreme:
-        """Return an empty record of n vehicles' largest values (NaN, at tick -1)."""
+        """Return an empty record of n vehicles' largest values (NaN, at tick -1), shaped as ``like`` (n,)."""
         nothing = jnp.full_like(like, jnp.nan)
         return Extreme(nothing, jnp.full(like.shape, -1, jnp.int32), Vec3(nothing, nothing, nothing))
 

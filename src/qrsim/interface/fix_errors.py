@@ -35,7 +35,8 @@ class FixErrors:
 
     @staticmethod
     def none(world: World, state: State, like: Array) -> FixErrors:
-        """Return sums of zero for the errors of n vehicles' GNSS fixes, at a flight's start."""
+        """Return sums of zero for the errors of n vehicles' GNSS fixes, at a flight's start, shaped as ``like``
+        (n,)."""
         count, zero, nothing = jnp.zeros(like.shape, jnp.int32), jnp.zeros_like(like), Extreme.none(like)
         past = tuple(
             (_truth(now),) * _delay_periods(fleet, now) for fleet, now in zip(world.fleets, state.fleets, strict=True)
@@ -98,7 +99,8 @@ def _later(world: World, fleet: Fleet, now: FleetState, past: tuple[Truth, ...],
 
 
 def _delay_periods(fleet: Fleet, now: FleetState) -> int:
-    """Return the delay of the first receiver's fixes, in receiver periods; 0 without a receiver."""
+    """Return the delay of a fleet's first GNSS receiver, in its periods; 0 without a receiver. ``now``: the fleet's
+    state."""
     return int(fleet.sensors[_receiver(now)].delay) if _receiver(now) >= 0 else 0
 
 

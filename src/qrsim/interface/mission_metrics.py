@@ -33,7 +33,7 @@ class Margin:
 
     @staticmethod
     def none(like: Array) -> Margin:
-        """Return an empty record of n vehicles' smallest distances."""
+        """Return an empty record of n vehicles' smallest distances, shaped as ``like`` (n,)."""
         return Margin(Extreme.none(like), jnp.full(like.shape, -1, jnp.int32))
 
     def update(self, distance: Array, leg: Array, tick: Array, position_ned: Vec3, counts: Array) -> Margin:
@@ -163,7 +163,8 @@ def _moving(world: World) -> Array:
 
 
 def _progress(world: World, state: State, flies: Array) -> tuple[Array, Array, Array, Array]:
-    """Return, each (n,): mission finished, landed by a failsafe, number of the present leg, whether that is a cruise.
+    """Return, each (n,): mission finished, landed by a failsafe, number of the present leg, leg is a cruise; ``flies``:
+    in the air.
 
     A cruise is a leg between take-off and landing. Legs count from 1.
     """

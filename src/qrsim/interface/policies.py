@@ -122,7 +122,8 @@ class UserFunction:
 
 
 def user_function(what: str, given: object) -> UserFunction | None:
-    """Wrap a user's policy or estimator (function, class or object) as a ``UserFunction``; None for None.
+    """Wrap a user's policy or estimator (``what``), given as function, class or object, as a ``UserFunction``; None for
+    None.
 
     Raises:
         UsageError: it is none of the kinds above, or takes other arguments.
@@ -234,7 +235,8 @@ def _take(asked: dict[str, object], team: str, theirs: object, names: Sequence[s
 
 
 def _check_arguments(what: str, name: str, function: Callable[..., object], arguments: list[str]) -> None:
-    """Raise UsageError if a user's function cannot be called with arguments of these names."""
+    """Raise UsageError, beginning with ``what``, if a user's function cannot be called with arguments of these
+    names."""
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):

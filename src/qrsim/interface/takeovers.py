@@ -23,7 +23,8 @@ class Takeovers:
 
     @staticmethod
     def none(state: State, like: Array) -> Takeovers | None:
-        """Return empty records of failsafes at a flight's start; None if no fleet has failsafes."""
+        """Return empty records of failsafes at a flight's start, shaped as ``like`` (n,); None if no fleet has
+        failsafes."""
         if _actions(state) is None:
             return None
         count, nowhere = jnp.zeros(like.shape, jnp.int32), jnp.full_like(like, jnp.nan)
@@ -44,7 +45,8 @@ class Takeovers:
 
 
 def takeover_metrics(found: Takeovers | None, like: Floats, dt: float) -> dict[str, Floats]:
-    """Return metrics on failsafes by name, each (W, n) as ``like``; NaN and 0 where none took over."""
+    """Convert the records of failsafes (``found``) to metrics by name, each (W, n) as ``like``; NaN and 0 where none
+    took over."""
     shape = np.shape(like)
     if found is None:
         nothing = np.full(shape, np.nan)

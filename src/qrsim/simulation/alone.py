@@ -22,8 +22,8 @@ class Alone:
         self._changes = False
 
     def _wait_or_refuse(self, what: str) -> None:
-        """Acquire the object's lock once a thread that only reads has released it; raises BusyError if the other thread
-        changes it.
+        """Acquire the object's lock after a thread that only reads; raises BusyError, naming the method ``what``, after
+        one that writes.
 
         Raises:
             BusyError: the other thread is changing the object.

@@ -114,7 +114,8 @@ class Carry(NamedTuple):
 
 
 def begin_world(setup: Setup, fixed: Sequence[object], keys: WorldKeys, own: Sequence[object]) -> Carry:
-    """Return one world's state before its first tick, with the memories that are carried from tick to tick."""
+    """Return one world's state before its first tick, with carried memories; ``fixed``, ``own``: arrays that are shared
+    and that vary."""
     world = setup.world(fixed, own)
     state = ticks_of.reset(world, keys)
     reading = Reading(world, state, 0, setup.site)
@@ -182,7 +183,8 @@ def call_compiled(function: UserFunction, reading: Reading, memory: object) -> t
 
 
 def _check_memory(before: object, after: object) -> None:
-    """Raise UsageError if a user's function has changed the structure, shapes or dtypes of its memory."""
+    """Raise UsageError if a function's memory differs in structure, shapes or dtypes ``before`` and ``after`` a
+    call."""
     old = jax.tree.structure(before)
     new = jax.tree.structure(after)
     if repr(old) != repr(new):

@@ -236,7 +236,7 @@ def _value(legs: Sequence[_Leg], tick: int, dtype: Any) -> float:
 
 
 def weather_of(world: World) -> Weather:
-    """Return the parts of a world that changes of weather replace: mean wind and courses."""
+    """Return the parts of a world that changes of weather replace: mean wind, and courses (numbers over time)."""
     return world.wind, world.changes
 
 

@@ -44,12 +44,14 @@ def begin_function(setup: Setup) -> Function:
 
 
 def _begin(setup: Setup, fixed: Sequence[object], own: tuple[list[object], WorldKeys]) -> Carry:
-    """Return one world's state before its first tick, with the memories carried from tick to tick."""
+    """Return one world's state before its first tick, for the compiler; ``own``: the world's varying arrays and random
+    keys."""
     return begin_world(setup, fixed, own[1], own[0])
 
 
 def _tick(setup: Setup, fixed: Sequence[object], own: tuple[list[Any], Any], carry: Carry, tick: object) -> Carry:
-    """Return one world's state and memories after one tick."""
+    """Return one world's state and memories after one tick, for the compiler; ``own``: its varying arrays, and
+    host-computed actions."""
     return tick_of_world(setup, fixed, own[0], carry, tick, own[1])
 
 

@@ -17,17 +17,20 @@ from qrsim.world.state import Action, State, World, WorldKeys
 
 
 def _reset(world: World, own: tuple[object, WorldKeys]) -> State:
-    """Return the state at the start of an episode; its arguments are ordered as compiled functions have them."""
+    """Return the state at the start of an episode, for the compiler; ``own``: an unused entry, and the world's random
+    keys."""
     return ticks_of.reset(world, own[1])
 
 
 def _tick(world: World, own: tuple[Any, Any], state: State, tick: Any) -> State:
-    """Return the state after one tick; its arguments are ordered as compiled functions have them."""
+    """Return the state after one tick, for the compiler; ``own``: an unused entry, and the actions and estimates of
+    each fleet."""
     return ticks_of.step(world, state, tick, *own[1])
 
 
 def _place(world: World, own: tuple[Any, Any], state: State, tick: Array) -> State:
-    """Return the state with vehicles placed elsewhere; its arguments are ordered as compiled functions have them."""
+    """Return the state with vehicles placed elsewhere, for the compiler; ``own``: an unused entry, and
+    ``placing.place``'s ``given``."""
     return place(world, own[1], state, tick)
 
 
@@ -93,7 +96,8 @@ class OneWorld:
         return aligned_copy(state)
 
     def advance(self, layout: Packer, state: Buffers, tick: int, count: int, given: object) -> Buffers:
-        """Run ``count`` ticks and return the new state's buffers; those of the old state may be overwritten.
+        """Run ``count`` ticks by actions and estimates (``given``), and return the new state's buffers; the old ones
+        may be overwritten.
 
         Args:
             layout: of the state.
@@ -115,8 +119,8 @@ class OneWorld:
     def record(
         self, layout: Packer, state: Buffers, tick: int, count: int, given: object, capacity: int
     ) -> tuple[Buffers, Buffers]:
-        """Run ``count`` ticks; return the final state's buffers, and the states of all ticks, each buffer (count,
-        ...)."""
+        """Run ``count`` <= ``capacity`` ticks; return the final state's buffers, and all ticks' states, each buffer
+        (count, ...)."""
         self._flown_by = self._tick.program(given, layout)
         return self._flown_by.record(state, tick, count, capacity)
 

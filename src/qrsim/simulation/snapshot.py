@@ -184,7 +184,7 @@ def _file(path: Path, where: str) -> tuple[int, Path]:
 
 
 def _another_version(where: str) -> UsageError:
-    """Return the error for a state that another version of qrsim saved."""
+    """Return the error, beginning with ``where``, for a state that another version of qrsim saved."""
     return UsageError(f"{where}: it was saved by another version of qrsim, or not by qrsim")
 
 
@@ -194,7 +194,8 @@ def _integer(array: NumpyArray) -> int | None:
 
 
 def _number(where: str, name: str, content: Content, largest: int) -> int:
-    """Return an integer, 0 to ``largest``, from a saved state's arrays by name; raises UsageError for others."""
+    """Return an integer, 0 to ``largest``, from a saved state's arrays by name; raises UsageError, beginning with
+    ``where``."""
     found = _integer(content[name])
     if found is None or not 0 <= found <= largest:
         what = content[name].dtype if found is None else found
@@ -203,7 +204,7 @@ def _number(where: str, name: str, content: Content, largest: int) -> int:
 
 
 def _text(where: str, name: str, content: Content) -> str:
-    """Return a text from a saved state's arrays by name; raises UsageError for others."""
+    """Return a text from a saved state's arrays by name; raises UsageError, beginning with ``where``, for others."""
     array = content[name]
     try:
         if array.shape == () and array.dtype.kind == "U":
@@ -214,7 +215,8 @@ def _text(where: str, name: str, content: Content) -> str:
 
 
 def _buffer(where: str, name: str, content: Content, known: tuple[str, ...]) -> NumpyArray:
-    """Return a 1-D array from a saved state's arrays by name; raises UsageError unless its dtype is in ``known``."""
+    """Return a 1-D array from a saved state's arrays by name; raises UsageError, beginning with ``where``, unless its
+    dtype is ``known``."""
     array = content[name]
     if array.ndim != 1 or array.dtype.name not in known or not array.dtype.isnative:
         raise UsageError(

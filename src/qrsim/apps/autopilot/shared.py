@@ -103,7 +103,8 @@ def recorded(
     injections: tuple[Injection, ...],
     flown_by: Callable[[Simulation], Flown],
 ) -> Iterator[tuple[Flown, Pace]]:
-    """Fly and record a scenario by an autopilot; yield the closed flight and its pace, then keep the 3-D page open.
+    """Fly and record a scenario by the flight that ``flown_by`` makes; yield the flight and its pace, then keep the 3-D
+    page open.
 
     Args:
         options: of the command.
@@ -184,7 +185,8 @@ def report(options: Options, who: str, folder: Path, fleets: tuple[str, ...], pa
 
 
 def fresh_folder(out: Path | None, who: str, name: str, seed: int) -> Path:
-    """Return the run folder to write, ``out`` or a new one; raises UsageError if it exists."""
+    """Return the run folder to write: ``out``, or a new one named after autopilot (``who``), scenario and seed; raises
+    UsageError if it exists."""
     from datetime import datetime
 
     folder = out or Path("runs") / f"{who}-{name}-seed{seed}-{datetime.now().strftime('%Y%m%d-%H%M%S')}"

@@ -247,8 +247,8 @@ def _check_picture(path: Path) -> None:
 
 @contextmanager
 def _progress(scenario: Scenario, runs: int) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar with the real-time factor while the context lasts, on a terminal only; yield its update
-    function."""
+    """Show a progress bar with the real-time factor while the context lasts; yield its update function (ticks flown
+    since)."""
     import time
 
     begun, ticks = time.perf_counter(), 0

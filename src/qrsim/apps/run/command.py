@@ -271,8 +271,8 @@ def _new_folder(name: str, seed: int) -> Path:
 
 @contextmanager
 def _progress(scenario: Scenario) -> Iterator[Callable[[float, float], None]]:
-    """Show a progress bar with the real-time factor while the context lasts, on a terminal only; yield its update
-    function."""
+    """Show a progress bar with the real-time factor while the context lasts; yield its update function (simulated, wall
+    time [s])."""
     texts = "{task.completed:.0f} of {task.total:g} s", "{task.fields[factor]}"
     with progress_bar(scenario.name, scenario.duration, *texts, factor="compiling") as update:
         yield lambda simulated_s, wall_s: update(

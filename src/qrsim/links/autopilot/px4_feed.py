@@ -116,8 +116,8 @@ class Px4Feed:
         return [True] * len(times) if before is None else [now != old for now, old in zip(times, before, strict=True)]
 
     def _vector(self, i: int, row: list[float], column: int, news: dict[int, list[bool]]) -> list[float] | None:
-        """Return the vector in ``row`` from ``column`` on for vehicle ``i``; None if it has been sent before or has
-        NaN."""
+        """Return the vector in ``row`` from ``column`` on for vehicle ``i``; None if it is not new (``news``: column ->
+        vehicles) or NaN."""
         if column not in news or not (news[column][i] or self._sight.stopped[i]):
             return None
         axes = row[column : column + 3]
@@ -126,8 +126,8 @@ class Px4Feed:
     def _hil_sensor(
         self, usec: int, i: int, row: list[float], rates: list[float] | None, news: dict[int, list[bool]]
     ) -> bytes:
-        """Return the payload of HIL_SENSOR for vehicle ``i`` at a time [us]; sensors without a new reading are marked
-        as not updated."""
+        """Return the payload of HIL_SENSOR for vehicle ``i`` with the sensors that have new readings (``news``: column
+        -> vehicles)."""
         air = differential = None
         column = s.PRESSURE if s.PRESSURE in news else s.HEIGHT
         if column in news and news[column][i] and row[column] == row[column]:
@@ -164,8 +164,8 @@ class Px4Feed:
     def _ranging_payloads(
         self, usec: int, i: int, row: list[float], news: dict[int, list[bool]]
     ) -> list[tuple[int, bytes]]:
-        """Return (message number, payload) of vehicle ``i``'s new rangefinder and optical-flow readings at a time
-        [us]."""
+        """Return (message number, payload) of vehicle ``i``'s rangefinder and optical flow, if new (``news``: column ->
+        vehicles)."""
         payloads = []
         if s.RANGE in news and news[s.RANGE][i]:
             sensor = self._sensor_of(s.RANGE)

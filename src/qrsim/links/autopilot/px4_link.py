@@ -255,8 +255,8 @@ class Px4Link:
         raise RunError(f"{self.name}: the program connected to TCP {self.port} {why} in {self._wait:g} s")
 
     def _receive(self, until: float) -> bool:
-        """Read bytes from PX4 once, waiting until ``until`` of ``time.perf_counter`` [s] at most; return whether any
-        came.
+        """Read bytes from PX4 once, waiting for them; return False once ``until`` of ``time.perf_counter`` [s] has
+        passed.
 
         Return False if that time has passed, True if the caller may read again.
         """

@@ -62,8 +62,8 @@ def controls(payload: bytes) -> Controls:
 
 
 def speeds(wanted: Controls, count: int) -> tuple[list[float], int]:
-    """Convert PX4's outputs to speeds of motors 1 to ``count``, 0 to 1; also return how many outputs were not within -1
-    to 1.
+    """Convert PX4's outputs (``wanted``) to speeds of motors 1 to ``count``, 0 to 1; also return how many were not
+    within -1 to 1.
 
     A motor stops while PX4 is disarmed, and where its output is NaN.
     """

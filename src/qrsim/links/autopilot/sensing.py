@@ -125,7 +125,8 @@ def pressure_of(row: Sequence[float], site_altitude: float) -> float:
 
 
 def _sensed_leaves(fleet: Fleet, state: Any, truth: bool) -> Iterator[tuple[int, Any, int | None]]:
-    """Yield (column of the row, array of the state, sensor number or None) for each command and reading of a fleet."""
+    """Yield (column of the row, array, sensor number or None) for a fleet's commands and readings; ``truth``: true
+    values for feed "truth"."""
     command = state.command
     for column, leaf in enumerate((command.pitch, command.roll, command.throttle, command.yaw_rate), ASKED):
         yield column, leaf, None

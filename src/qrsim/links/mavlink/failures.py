@@ -62,8 +62,8 @@ class Failures:
         self._fleet = next(fleet for fleet in simulation.world.fleets if name in fleet.vehicle_names)
 
     def inject(self, unit: int, kind: int, instances: Sequence[int], critical: float) -> tuple[Result, str]:
-        """Inject the failure that a client's INJECT_FAILURE command describes; return the command's result and a text
-        for the client.
+        """Inject the failure of an INJECT_FAILURE command (``unit``, ``kind``: MAVLink's numbers); return the result
+        and a text for the client.
 
         Args:
             unit: FAILURE_UNIT.
@@ -93,8 +93,8 @@ class Failures:
     def _inject(
         self, targets: list[str], what: str, instances: Sequence[int], word: str, asked: tuple[str, dict[str, Any]]
     ) -> tuple[Result, str]:
-        """Inject a fault into some of ``targets`` (``instances`` from 1; none: all); return the command's result and a
-        text for the client."""
+        """Inject a fault ``asked`` (kind, parameters) into instances (from 1; none: all) of ``targets``; return the
+        result and a text."""
         if not targets:
             return Result.DENIED, f"Not injectable: {what}; start qrsim mavlink with --injectable all"
         if any(not 0 < number <= len(targets) for number in instances):

@@ -47,7 +47,7 @@ class Link:
         self._queue(frame(number, payload, self.sequence, self.system, COMPONENT))
 
     def put_frames(self, frames: Sequence[bytes]) -> None:
-        """Queue encoded frames, whose sequence numbers count up from ``sequence``, until ``flush``."""
+        """Queue encoded frames, numbered from this link's next sequence number on, until ``flush``."""
         size = self._size + sum(map(len, frames))
         if size > LARGEST_DATAGRAM:
             for each in frames:

@@ -99,8 +99,8 @@ class Server:
     async def _open(
         self, sock: socket.socket, system: System, rates: dict[str, float], peer: Address, phase: float
     ) -> None:
-        """Serve one vehicle on a UDP socket, sending to ``peer`` until a client has sent something; ``rates`` [Hz] by
-        message."""
+        """Serve one vehicle on a UDP socket, sending to ``peer`` until a client writes; ``rates`` [Hz] by message,
+        ``phase``: 0 to 1 of a period."""
         loop = asyncio.get_running_loop()
         await loop.create_datagram_endpoint(lambda: _Datagrams(self, system, rates, peer, phase), sock=sock)
 

@@ -96,8 +96,8 @@ class System:
             self.text(text)
 
     def streams_on(self, link: Link, wall: float) -> bool:
-        """Return whether telemetry may be sent on a link now; a link whose client has left goes back to its default
-        rates."""
+        """Return whether telemetry may be sent on a link at ``wall`` [s]; a link whose client has left goes back to its
+        default rates."""
         link.muted = self.muted
         if self.muted:
             return False

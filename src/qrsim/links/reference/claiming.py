@@ -165,8 +165,8 @@ class SharedCalls(ABC):
         duration: float | None = None,
         **numbers: Any,
     ) -> str:
-        """Inject a fault of a sensor or part (``target``), or a change of weather, from the next tick on; return the
-        server's note on it.
+        """Inject a fault of a part (``target``), or a change of weather, now or ``at`` a time [s]; return the server's
+        note on it.
 
         Args:
             target: name of a sensor, ``rotor N``, ``battery``, ``radio`` or ``body`` that is injectable; ``link``; or

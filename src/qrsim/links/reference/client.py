@@ -264,7 +264,7 @@ class Client(SharedCalls):
     def watch(
         self, session: int | None = None, *, period: float = 0.0, timeout: float | None = None
     ) -> Iterator[State]:
-        """Yield the states of a session that another client controls, as they arrive.
+        """Yield the states of a session (None: the only one) that another client controls, as they arrive.
 
         Args:
             session: its number; may be left out where the server has one session at a time.

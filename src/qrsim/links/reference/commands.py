@@ -24,8 +24,8 @@ HEAD_SIZE = 4
 
 
 def rows_of(given: Sequence[Arrayd], widths: Sequence[int], what: str, names: Sequence[str]) -> list[list[float]]:
-    """Return a message's vectors as lists of numbers, one for each vehicle; raises UsageError for a wrong number or
-    length.
+    """Return a message's vectors (``given``) as lists of numbers, one for each vehicle; raises UsageError for a wrong
+    number or length.
 
     Args:
         given: the vectors.

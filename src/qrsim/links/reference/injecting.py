@@ -63,8 +63,8 @@ async def _apply_request(client: Client, what: str, request: Request) -> None:
 
 
 def _claimed_request(client: Client, sharing: Sharing, what: str, request: Request) -> Request:
-    """Return an injection request limited to the vehicles that the client has claimed, by default those with the
-    target.
+    """Return an injection request for the client's claimed vehicles only, by default those with the target; ``what``:
+    message name.
 
     Raises:
         UsageError: one is not claimed by it, or the request is for the whole world and the operator does not allow it.

@@ -52,8 +52,8 @@ class Sensed:
         self._heard: list[list[Readings.Heard]] = []
 
     def frame(self, kind: Message.Type, rows: Sequence[int], truth: bool, missed: int = 0) -> bytes:
-        """Return a framed message (``kind``: READINGS or SENSED) with time-stamped sensor readings of the vehicles at
-        ``rows``.
+        """Return a framed READINGS or SENSED message (``kind``) with the readings of vehicles ``rows``; ``truth``: true
+        states too.
 
         Args:
             kind: READINGS or SENSED.
@@ -191,7 +191,7 @@ class _FleetSensed:
     def _vehicle_message(
         self, name: str, values: NumpyArray, fresh: NumpyArray, why: str = "", reasons: Sequence[str] = ()
     ) -> Any:
-        """Return a vehicle's protobuf message from its values, freshness flags (S,), and reasons for missing
+        """Return a vehicle's protobuf message from values (V,), freshness (S,), why it stopped, and reasons for missing
         readings."""
         message = Readings.Vehicle(name=name, valid=not why, reason=why)
         begin, count = 0, len(values) - len(self._sensors)
@@ -204,7 +204,8 @@ class _FleetSensed:
         return message
 
     def _by_protobuf(self, row: int, name: str, flies: bool) -> bytes:
-        """Return the readings of a vehicle that has stopped or lacks a reading as protobuf bytes, reasons included."""
+        """Return as protobuf bytes, with reasons, the readings of a vehicle that has stopped (not ``flies``) or lacks a
+        reading."""
         if flies:
             self._last_words.pop(row, None)
             why, reasons = "", self._missing_reasons(row)

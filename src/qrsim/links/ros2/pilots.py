@@ -92,7 +92,7 @@ class Pilots:
         pilot.wish = wish
 
     def refuse(self, row: int, why: str) -> None:
-        """Let the vehicle at ``row`` hold its position because a command was invalid, and report the reason once."""
+        """Let the vehicle at ``row`` hold its position after an invalid command, and report the reason ``why`` once."""
         self._hold_position(row, why)
 
     def actions(self) -> object:
@@ -157,7 +157,7 @@ class Pilots:
         pilot.mode, pilot.told = mode, ""
 
     def _hold_position(self, row: int, why: str) -> None:
-        """Let the vehicle at ``row`` hold its position, and report the reason once."""
+        """Let the vehicle at ``row`` hold its position, and report the reason ``why`` once."""
         pilot, name = self._pilots[row], self._names[row]
         pilot.wish, pilot.throttle = None, None
         if pilot.mode != "hold":

@@ -106,7 +106,8 @@ class Publications:
         news: Mapping[int, News],
         true: NumpyArray | None,
     ) -> Iterator[tuple[int, bytes]]:
-        """Yield (topic number, CDR message) of every topic that is due at a tick.
+        """Yield (topic number, CDR message) of every topic due at a tick, from the vehicles' values and new readings
+        (``news``).
 
         Args:
             tick: its number.
@@ -150,7 +151,8 @@ class Publications:
         stamp: tuple[int, int],
         news: Mapping[int, News],
     ) -> bytes | None:
-        """Return the CDR message of one vehicle's topic; None if it is not due at this tick.
+        """Return the CDR message of one vehicle's topic, with its time ``stamp`` (s, ns); None if it is not due at this
+        tick.
 
         Args:
             publication: the topic's kind of message and its sensor, if it has one.
@@ -184,7 +186,7 @@ class Publications:
         return not every or tick // self._each % max(1, round(every / (self._dt * self._each))) == 0
 
     def _true_messages(self, true: NumpyArray, stamp: tuple[int, int]) -> Iterator[tuple[int, bytes]]:
-        """Yield (topic number, CDR message) of the vehicles' true states (n, WIDTH)."""
+        """Yield (topic number, CDR message) of the vehicles' true states (n, WIDTH) at a time ``stamp`` (s, ns)."""
         for own, row in zip(self._true, true.tolist(), strict=True):
             for topic, publication in own:
                 message = publication.message(row, *stamp)

@@ -198,8 +198,8 @@ class Recorded:
         return numbers.reshape(len(ticks), len(self.names), n.WIDTH)
 
     def _news(self, column: int, tick: int, values: NumpyArray, before: dict[tuple[int, int], object]) -> News:
-        """Return, for each vehicle, whether the sensor of ``column`` has a new reading at a tick, and the reading's
-        time [s]."""
+        """Return whether each vehicle's sensor of ``column`` has a new reading, unlike ``before``, and the readings'
+        times [s]."""
         fresh: list[bool] = []
         times: list[float] = []
         first = 0

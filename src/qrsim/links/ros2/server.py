@@ -311,8 +311,8 @@ class Server:
 
 
 def _integer_argument(what: str, words: list[str], default: int, low: int, high: int) -> int:
-    """Return the integer argument of a /qrsim/control request, or its default; raises UsageError outside ``low`` to
-    ``high``."""
+    """Return a control request's integer argument, or its default; raises UsageError, naming ``what``, outside ``low``
+    to ``high``."""
     if not words:
         return default
     if len(words) == 1 and words[0].isdecimal() and low <= int(words[0]) <= high:

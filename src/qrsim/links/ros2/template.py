@@ -127,7 +127,8 @@ class Template:
 
 
 def _putter(cdr: bytearray, runs: Sequence[tuple[int, str]]) -> Put:
-    """Return a function that packs its arguments into encoded bytes at the runs (byte offset, struct format)."""
+    """Return a function that packs its arguments into the encoded message ``cdr`` at runs of (byte offset, struct
+    format)."""
     parts, first = [], 0
     for offset, form in runs:
         packer = struct.Struct(form)
@@ -138,13 +139,13 @@ def _putter(cdr: bytearray, runs: Sequence[tuple[int, str]]) -> Put:
         pack_into, offset, _ = parts[0]
 
         def put_once(*values: float) -> None:
-            """Pack all numbers into the only run."""
+            """Pack all numbers at the only stored byte offset."""
             pack_into(cdr, offset, *values)
 
         return put_once
 
     def put(*values: float) -> None:
-        """Pack the numbers into the runs, one after the other; raises ValueError for a wrong count."""
+        """Pack the numbers at the stored byte offsets, in order; raises ValueError for a wrong count."""
         if len(values) != first:
             raise ValueError(f"{len(values)} numbers; expected {first}")
         for pack_into, offset, own in parts:

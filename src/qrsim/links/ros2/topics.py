@@ -61,7 +61,7 @@ def _quaternion_fields(path: str, first: int) -> tuple[tuple[str, tuple[int, ...
 
 
 def _diagonal_fields(path: str, size: int, columns: tuple[int, ...]) -> tuple[tuple[str, tuple[int, ...]], ...]:
-    """Return (field path, column numbers) of the diagonal of a covariance (size, size), from these columns."""
+    """Return (field path, (column,)) for each diagonal element of a covariance (size, size), from the given columns."""
     return tuple((f"{path}[{i * (size + 1)}]", (column,)) for i, column in enumerate(columns))
 
 

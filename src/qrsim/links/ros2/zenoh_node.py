@@ -171,7 +171,8 @@ class ZenohNode:
 
 
 def _config(router: str, listen: str) -> object:
-    """Return the zenoh session settings of rmw_zenoh's nodes, except that a missing router is no error."""
+    """Return rmw_zenoh's session settings for the addresses ``router`` and ``listen``, except that a missing router is
+    no error."""
     config = zenoh.Config()
     for path, value in (
         ("mode", "peer"),

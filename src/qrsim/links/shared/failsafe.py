@@ -15,7 +15,7 @@ from qrsim.world.sensing import estimate_of
 def failsafe(
     does: OnSilence, vehicle: str, believed: NumpyArray, home_ned: NumpyArray, kinds: Collection[str]
 ) -> Order | None:
-    """Return a silent vehicle's order (hold, return or stop) from its estimate (4,): position NED [m], heading; None:
+    """Return a silent vehicle's order to hold, return or stop (``does``), from its estimate (x, y, z, heading); None:
     its guidance flies.
 
     Args:

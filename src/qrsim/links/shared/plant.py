@@ -230,7 +230,7 @@ class Plant:
             self.flown |= self.spoken.columns()
 
     def _apply_order(self, name: str, now: Controlled, order: Order) -> None:
-        """Make a queued order the one that its vehicle flies, and end the vehicle's silence."""
+        """Let a vehicle (``now``: its state of control) fly a queued order, and end its silence."""
         self.latches.put(order)
         now.flies, now.waiting = "command", None
         if now.silent_since is not None:
@@ -239,7 +239,8 @@ class Plant:
             now.silent_since = None
 
     def _check_silence(self, name: str, now: Controlled) -> None:
-        """Start what is set for silence (hold, return, stop) if the vehicle's client has been silent for too long."""
+        """Start a vehicle's silence behaviour (hold, return, stop) if its client has been silent too long; ``now``: its
+        state of control."""
         lost, now.lost = now.lost, False
         silent, after = self.simulation.tick - now.heard, now.silence.after
         limit = math.ceil((after or SAID_AFTER_S) * self._stretch / self._dt - 1e-9)

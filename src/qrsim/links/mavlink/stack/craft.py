@@ -195,8 +195,8 @@ class Craft:
         along: Triple = STANDS,
         begin: Triple | None = None,
     ) -> Order:
-        """Move the path towards a goal NED [m] by one tick, and return the order to follow it; just after lift-off it
-        only climbs.
+        """Move the path by one tick to a goal NED [m], or along the line from ``begin`` to it; return the order to
+        follow the path.
 
         Args:
             goal: NED [m].

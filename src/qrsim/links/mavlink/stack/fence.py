@@ -47,7 +47,7 @@ class Fence:
         return self._zones.inside(north, east, None if math.isnan(down) else down)
 
     def crosses(self, begin: Triple, end: Triple) -> bool:
-        """Return whether the straight line between two positions NED [m] leaves the fence, checked every 2 m."""
+        """Return whether the straight line from ``begin`` to ``end``, NED [m], leaves the fence, checked every 2 m."""
         length = math.hypot(*(b - a for a, b in zip(begin, end, strict=True) if math.isfinite(b - a)))
         steps = max(1, math.ceil(length / 2.0))
         return not all(

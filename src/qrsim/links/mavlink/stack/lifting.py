@@ -30,7 +30,8 @@ class Lift:
         self._stood, self._integral = not craft.flies, 0.0
 
     def stands(self, craft: Craft, rises: bool, lands: bool) -> tuple[Order | None, bool] | None:
-        """Return the order for a vehicle that stays on the ground and whether it has landed; None if it is to fly.
+        """Return the order on the ground, where ``rises`` asks for take-off, and whether it has landed; None: the
+        vehicle is to fly.
 
         Args:
             craft: vehicle.

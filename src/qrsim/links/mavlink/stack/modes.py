@@ -230,7 +230,8 @@ _PLANE = {
 def _flavours(
     own: Mapping[Mode, int], names: Mapping[int, str], guided: int, aliases: Mapping[int, Mode] | None = None
 ) -> dict[str, Flavour]:
-    """Return the "px4" and "ardupilot" flavours of a vehicle type; ``own``: its modes with ArduPilot's numbers."""
+    """Return the "px4" and "ardupilot" flavours of a vehicle type; ``own``, ``names``, ``guided``: ArduPilot's numbers
+    and names of modes."""
     modes = frozenset(own)
     return {
         "px4": Flavour(

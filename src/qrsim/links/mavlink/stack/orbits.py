@@ -53,7 +53,7 @@ def circle(craft: Craft, centre: Triple, radius: float) -> Order:
 
 
 def line(craft: Craft, begin: Triple, end: Triple) -> Order:
-    """Return the order to fly along the straight line between two positions NED [m]."""
+    """Return the order to fly along the straight line from ``begin`` to ``end``, NED [m]."""
     return Order(craft.facts.name, "track", (*begin, *end, 0.0, airspeed(craft), 0.0))
 
 

@@ -164,8 +164,8 @@ class Parameters:
         return self._table.get(name)
 
     def set(self, name: str, value: float, type: int | None = None) -> Outcome:
-        """Set a parameter, clipped to its range; return the outcome: set, clamped, or why it is refused. ``type``:
-        MAV_PARAM_TYPE.
+        """Set a parameter of a client's MAV_PARAM_TYPE ``type``, clipped to its range; return set, clamped, or why it
+        is refused.
 
         Args:
             name: of it.

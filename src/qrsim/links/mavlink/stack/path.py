@@ -98,8 +98,8 @@ class Path:
         along: Triple,
         rate: float,
     ) -> Triple:
-        """Return the acceleration [m/s^2] of the path's point towards a goal; ``rate``, 0 to 1, slows it if the vehicle
-        lags."""
+        """Return the acceleration [m/s^2] of the path's point towards a goal with velocity ``along``; ``rate``, 0 to 1,
+        scales its speed."""
         px, py, pz = self.position
         vx, vy, vz = self.velocity
         ax, ay, az = self.acceleration
@@ -135,8 +135,8 @@ class Path:
         beyond: float,
         rate: float,
     ) -> Triple:
-        """Return the acceleration [m/s^2] of the path's point along a line; ``step``: its largest change, ``rate``:
-        slows it."""
+        """Return the acceleration [m/s^2] of the path's point along the line ``begin`` to ``goal``; ``step``: its
+        largest change."""
         line = _minus(goal, begin)
         length = math.hypot(*line)
         unit = (line[0] / length, line[1] / length, line[2] / length)

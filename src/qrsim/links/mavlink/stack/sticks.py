@@ -76,7 +76,7 @@ class Sticks:
         return order, False
 
     def _turn(self, craft: Craft) -> None:
-        """Turn the commanded heading at the yaw stick's rate; on the ground it stays."""
+        """Turn the commanded heading at the yaw stick's rate; on the ground, set it to the vehicle's heading."""
         yaw = craft.seen.attitude[2]
         if not craft.flies:
             craft.yaw = yaw

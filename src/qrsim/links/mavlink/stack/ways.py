@@ -54,8 +54,8 @@ class Way:
         self._beyond: tuple[int, float, float] | None = None
 
     def through(self, here: Triple, radius: float) -> tuple[Triple, float] | None:
-        """Return the next waypoint NED [m] and the distance [m] that the path may run past it; None: only the goal is
-        left.
+        """Return the next waypoint NED [m], passed within ``radius`` [m], and how far [m] the path may run past it;
+        None: only the goal is left.
 
         Args:
             here: where the vehicle is [m].
@@ -174,7 +174,8 @@ def _after(items: Sequence[Item], seq: int) -> Item | None:
 def _tangents(
     items: Sequence[Item], seq: int, before: Sequence[Item], begin: Triple | None, goal: Triple, craft: Craft
 ) -> tuple[Sequence[float], Sequence[float]]:
-    """Return the tangent vectors at the start and end of a mission's spline leg; zeros where the vehicle stops."""
+    """Return the tangent vectors at start and end of item ``seq``, a spline; zeros where the vehicle stops. ``before``:
+    earlier items."""
     first: Sequence[float] = NONE
     if begin and len(before) > 1 and before[-1].command in known.WAYPOINTS and not before[-1].params[0] > 0.0:
         # A take-off without a place was at home.
@@ -190,7 +191,7 @@ def _tangents(
 
 
 def _apart(here: Triple, begin: Triple, end: Triple) -> float:
-    """Return the distance [m] of ``here`` from the straight segment between two positions NED [m]."""
+    """Return the distance [m] of ``here`` from the straight segment ``begin`` to ``end``, NED [m]."""
     way = [b - a for a, b in zip(begin, end, strict=True)]
     length2 = sum(each * each for each in way)
     along = sum((h - a) * each for h, a, each in zip(here, begin, way, strict=True))

@@ -63,7 +63,7 @@ class WingStack(FlightStack):
         return self._fly()[0] if seen.valid else None
 
     def _end(self, why: str) -> None:
-        """End the vehicle's run after a crash or touch-down: disarm, and send clients the reason once."""
+        """End the vehicle's run after a crash or touch-down: disarm, and send clients the reason ``why`` once."""
         craft = self.craft
         if craft.landed is Landed.ON_GROUND:
             return
