@@ -138,7 +138,7 @@ class _RichBar:
 
     @property
     def total(self) -> int:
-        """Size of the download [bytes]."""
+        """Size of the download [bytes], 0 if it is unknown."""
         return self._total
 
     @total.setter

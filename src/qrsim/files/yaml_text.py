@@ -272,11 +272,11 @@ for _first in "-+.0123456789":
 
 
 def dump_yaml(content: object) -> str:
-    """Write a value as YAML text, from which ``parse_yaml`` reads the same value."""
+    """Return a value as YAML text, from which ``parse_yaml`` reads the same value."""
     return yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100)
 
 
 def dump_line(content: object) -> str:
-    """Write a value as YAML in one line."""
+    """Return a value as YAML in one line, without a line break."""
     text: str = yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=True, width=float("inf"))
     return text.rstrip("\n")

@@ -15,13 +15,13 @@ _HALF_ROOT = math.sqrt(0.5)
 
 
 def enu_of(ned: NumpyArray) -> NumpyArray:
-    """Convert vectors (..., 3) from NED to ENU axes, or back, which is the same swap."""
+    """Convert vectors (..., 3) from NED to ENU axes, or back, by the same swap of axes."""
     x, y, z = np.moveaxis(np.asarray(ned), -1, 0)
     return np.stack([y, x, -z], axis=-1)
 
 
 def flu_of(frd: NumpyArray) -> NumpyArray:
-    """Convert body vectors (..., 3) from FRD to FLU axes, or back, which is the same change of signs."""
+    """Convert body vectors (..., 3) from FRD to FLU axes, or back, by the same change of signs."""
     x, y, z = np.moveaxis(np.asarray(frd), -1, 0)
     return np.stack([x, -y, -z], axis=-1)
 

@@ -102,11 +102,11 @@ class Sight:
         self.look()
 
     def has(self, column: int, row: int) -> bool:
-        """Return whether the vehicle at ``row`` has the sensor or estimate that fills a column."""
+        """Return whether the vehicle at ``row`` has the sensor or estimate that fills a column of ``values``."""
         return bool(self._available(column)[row])
 
     def _available(self, column: int) -> NumpyArray:
-        """Return which vehicles, (n,) bool, have the sensor or estimate that fills a column."""
+        """Return which vehicles, (n,) bool, have the sensor or estimate that fills a column of ``values``."""
         found = np.zeros(len(self.values), bool)
         found[self._targets[self._targets % WIDTH == column] // WIDTH] = True
         return found
@@ -132,8 +132,8 @@ class Sight:
             self.fix_time += times
 
     def news(self, column: int) -> tuple[list[bool], list[float]]:
-        """Return, for each vehicle, whether the sensor of a column delivered at this tick, and when its reading was
-        taken [s]."""
+        """Return, for each vehicle, whether the sensor that fills a column of ``values`` delivered at this tick, and
+        its reading's time [s]."""
         fresh: list[bool] = []
         times: list[float] = []
         for fleet, own in zip(self._simulation.world.fleets, self._sensors, strict=True):
@@ -143,7 +143,7 @@ class Sight:
         return fresh, times
 
     def sensor(self, fleet: int, column: int) -> Any:
-        """Return the sensor of fleet number ``fleet`` that fills a column; None without one."""
+        """Return the sensor of fleet number ``fleet`` that fills a column of ``values``; None without one."""
         number = self._sensors[fleet].get(column)
         return None if number is None else self._simulation.world.fleets[fleet].sensors[number]
 
@@ -200,7 +200,8 @@ def delivery(simulation: Simulation, fleet: Fleet, number: int | None) -> tuple[
 
 
 def leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any, int | None]]:
-    """Yield (column, array (n,), sensor number or None) for all estimates and readings in a fleet's state."""
+    """Yield (column of ``Sight.values``, array (n,), sensor number or None) for all estimates and readings in a fleet's
+    state."""
     for column, leaf in _unsensed_leaves(fleet, state):
         yield column, leaf, None
     taken: set[int] = set()
@@ -217,7 +218,8 @@ def _has_estimator(fleet: Fleet, state: Any) -> bool:
 
 
 def _unsensed_leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, object]]:
-    """Yield (column, array (n,)) of a fleet's quantities that no single sensor measures, such as the estimate."""
+    """Yield (column of ``Sight.values``, array (n,)) of a fleet's quantities that no single sensor measures, such as
+    the estimate."""
     own = _has_estimator(fleet, state)
     estimate = state.belief.estimate if own else state.estimate
     yield from _axes(POSITION, estimate.position_ned)
@@ -235,7 +237,7 @@ def _unsensed_leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, object]]:
 
 
 def _reading_leaves(reading: object) -> Iterator[tuple[int, object]]:
-    """Yield (column, array (n,)) for each field of a sensor's reading."""
+    """Yield (column of ``Sight.values``, array (n,)) for each field of a sensor's reading."""
     fix = isinstance(reading, GnssReading)
     vectors, scalars = (FIX_VECTORS, FIX_SCALARS) if fix else (VECTORS, SCALARS)
     for name, value in vars(reading).items():
@@ -252,12 +254,12 @@ def _reading_leaves(reading: object) -> Iterator[tuple[int, object]]:
 
 
 def _axes(column: int, vector: Any) -> Iterator[tuple[int, Any]]:
-    """Yield (column, array) of a vector's x, y and z, in three columns from ``column`` on."""
+    """Yield (column, array) of a vector's x, y and z, for three columns of ``Sight.values`` from ``column`` on."""
     return zip(range(column, column + 3), (vector.x, vector.y, vector.z), strict=True)
 
 
 def _angles(column: int, angles: Any) -> Iterator[tuple[int, object]]:
-    """Yield (column, array) of roll, pitch and yaw, in three columns from ``column`` on."""
+    """Yield (column, array) of roll, pitch and yaw, for three columns of ``Sight.values`` from ``column`` on."""
     return zip(range(column, column + 3), (angles.roll, angles.pitch, angles.yaw), strict=True)
 
 

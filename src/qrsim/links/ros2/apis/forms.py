@@ -59,12 +59,12 @@ def form(types: Types, name: str, paths: Sequence[str], numbers: Numbers, frame:
 
 
 def enu(ned: Triple) -> Triple:
-    """Convert a vector from NED to ENU axes, or back, which is the same swap."""
+    """Convert a vector from NED to ENU axes, or back, by the same swap of axes."""
     return ned[1], ned[0], -ned[2]
 
 
 def flu(frd: Sequence[float]) -> Triple:
-    """Convert a vector from FRD to FLU body axes, or back, which is the same change of signs."""
+    """Convert a vector from FRD to FLU body axes, or back, by the same change of signs."""
     return frd[0], -frd[1], -frd[2]
 
 
