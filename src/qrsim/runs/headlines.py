@@ -40,7 +40,7 @@ def headlines(run: Run) -> list[Headline]:
     rows, nearest, score = summarise(run), smallest_separation(run), run.info.score
 
     def each(name: str) -> Floats:
-        """Return a quantity of each vehicle's summary, (n,)."""
+        """Return one number of every vehicle's summary by its name, (n,)."""
         return np.array([getattr(row, name) for row in rows], np.float64)
 
     return [

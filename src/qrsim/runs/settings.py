@@ -32,7 +32,7 @@ def setting_differences(first: Run, second: Run) -> list[Setting]:
 
 
 def _scenario(run: Run) -> object:
-    """Return the recorded scenario of a run, as content."""
+    """Return the recorded scenario of a run as nested dicts and lists."""
     return run.scenario
 
 
@@ -47,7 +47,7 @@ def _differences(path: str, first: object, second: object) -> Iterator[Setting]:
 
 
 def _children(tree: object) -> Mapping[object, object] | None:
-    """Return the children of a mapping, or of a list of nested values; None for leaves."""
+    """Return the children of a nested mapping or list by key or index; None for a leaf."""
     if isinstance(tree, Mapping):
         return tree
     if isinstance(tree, list) and any(isinstance(item, dict | list) for item in tree):

@@ -133,7 +133,7 @@ def score_text(score: Mapping[str, Any]) -> str:
 
 
 def common_rows(run: Run, *streams: str) -> list[Rows]:
-    """Return for each stream the rows of the ticks that all of them have.
+    """Return, for each stream, the row indices of the ticks that all of the streams have.
 
     Streams of different decimation have different ticks. Where a disk ran full or the process was killed, some streams
     are longer than others: the rows end where the first of all ends.
@@ -146,7 +146,7 @@ def common_rows(run: Run, *streams: str) -> list[Rows]:
 
 
 def vectors(stream: Stream, name: str, rows: Rows | slice = slice(None)) -> Floats:
-    """Return the vectors (T, n, 3) of a quantity recorded as NAME.x, NAME.y, NAME.z, at some rows or all."""
+    """Read a vector quantity logged as NAME.x, NAME.y, NAME.z as an array (T, n, 3), at some rows or all."""
     arrays = stream.arrays([f"{name}.{axis}" for axis in "xyz"])
     return np.stack([np.asarray(array, np.float64)[rows] for array in arrays.values()], axis=-1)
 
@@ -163,7 +163,7 @@ def waypoints_of(run: Run, rows: Rows | slice = slice(None)) -> Floats:
 
 
 def stops_of(run: Run) -> dict[int, Event]:
-    """Return the event that ended each stopped vehicle's flight, by index of the vehicle."""
+    """Return vehicle index -> the event that ended the vehicle's flight, for each stopped vehicle."""
     stops = [event for event in run.events if event.kind not in NOT_A_STOP and event.vehicle is not None]
     return {run.vehicles.index(str(event.vehicle)): event for event in reversed(stops)}
 
@@ -199,7 +199,7 @@ def gnss_error(run: Run) -> tuple[Floats, Floats]:
 
 
 def gnss_latency(run: Run, sensor: str) -> Floats:
-    """Return the latency (n,) [s] of a receiver's fixes, from the run's scenario."""
+    """Return the latency (n,) [s] of a receiver's fixes for each vehicle, from the run's scenario."""
     found: list[float] = []
     fleets = run.scenario.get("fleets") if isinstance(run.scenario, dict) else None
     for fleet in fleets.values() if isinstance(fleets, dict) else ():
@@ -312,7 +312,7 @@ def summarise(run: Run) -> list[VehicleSummary]:
 
 
 def _battery(run: Run, position: Floats, flying: Rows) -> tuple[Floats, Floats]:
-    """Return the lowest charge of each vehicle (n,) and its endurance [s]; NaN without a battery that drains."""
+    """Return each vehicle's lowest charge (0 to 1) and endurance [s], each (n,); NaN without a battery that drains."""
     truth = run["truth"]
     if CHARGE not in truth or not len(position):
         none = np.full(len(run.vehicles), math.nan)

@@ -54,7 +54,7 @@ class Place:
 
 
 def place_of(run: Run) -> Place:
-    """Return where and when a run took place, from its resolved scenario.
+    """Return the geodetic origin and the start time (UTC) of a run, from its resolved scenario.
 
     Raises:
         RunError: the scenario does not say so.
