@@ -83,8 +83,7 @@ class Boundary:
         return [i for i in self.flown if self.high[i] - self.low[i] > 2.0 * NARROW_M_S]
 
     def to_json(self) -> Content:
-        """Return the boundary's speeds by wind direction as a dict for JSON; an upper bound at the end of the grid is
-        None."""
+        """Return the boundary's speeds by direction as a dict for JSON; an upper bound at the grid's end is None."""
         # With a flat posterior, 95 % are below 0.95 of the grid.
         ends = [None if high > 0.9 * self.top else float(high) for high in self.high]
         return {
@@ -113,8 +112,7 @@ class Boundary:
 
 
 def first_points(directions: Sequence[int], held: float) -> list[Point]:
-    """Return the first winds to fly in each direction: FIRST fractions of ``held``, the speed [m/s] a
-    vehicle can hold."""
+    """Return the first winds to fly in each direction: FIRST fractions of ``held`` [m/s], which vehicles can hold."""
     return [Point(i, round(part * held, 2)) for i in directions for part in FIRST]
 
 
@@ -163,8 +161,7 @@ def explore(
 
 
 def _posterior(trials: Sequence[Trial], directions: int, top: float) -> tuple[NumpyArray, NumpyArray]:
-    """Return the posterior (D, C) of the boundary's speed in each of D directions, and the grid of
-    speeds (C,) [m/s]."""
+    """Return the posterior (D, C) of the boundary's speed in D directions, and the grid of speeds (C,) [m/s]."""
     speeds = (np.arange(CELLS) + 0.5) * top / CELLS
     scores = np.zeros((directions, len(STEEPNESS), CELLS))
     for (direction, speed), runs, good in trials:

@@ -343,8 +343,7 @@ def _faults(brief: Brief, flyer: Flyer | None) -> bool:
 
 
 def _winds(brief: Brief, flyer: Flyer | None, polar: bool) -> bool:
-    """Fly the stage with other winds, or without ``flyer`` only read it; ``polar``: in all directions. Return if
-    complete."""
+    """Fly the stage with other winds (``polar``: all bearings), or without ``flyer`` only read it; return if done."""
     brief.winds = brief.winds or winds_of(brief.operation, brief.flights, brief.folder)
     reserve = brief.operation.criteria.reserve if brief.operation.energy else None
     brief.boundary, complete = boundary_of(brief.winds, reserve, brief.seed, brief.folder, flyer, polar)

@@ -163,8 +163,7 @@ def fault_outcomes(path: Path, study: Content) -> list[FaultOutcome]:
 
 
 def _outcome(results: Results, here: NumpyArray, fault: str, part: float, begun: float) -> FaultOutcome:
-    """Return the outcome of the runs in mask ``here`` after a fault at fraction ``part`` of the
-    mission, ``begun`` [s]."""
+    """Return the outcome of runs ``here`` (a mask) with a fault at ``begun`` [s], fraction ``part`` of the mission."""
 
     def of(metric: str) -> NumpyArray:
         """Return the values of a metric in the runs in mask ``here``."""

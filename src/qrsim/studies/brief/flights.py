@@ -183,8 +183,7 @@ def speed_20ft(wind: WindSpec) -> float:
 
 
 def bearing_deg(wind: WindSpec) -> float:
-    """Return the bearing the wind comes from, -180 to 180 [deg], so that its spread stays within the
-    schema's bounds."""
+    """Return the bearing the wind comes from, -180 to 180 [deg], so that its spread stays in the schema's bounds."""
     return ((wind.from_deg or 0.0) + 180.0) % 360.0 - 180.0
 
 

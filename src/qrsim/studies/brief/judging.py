@@ -82,8 +82,7 @@ class Row:
 
 
 def overall(rows: Sequence[Row]) -> tuple[Verdict, str]:
-    """Return the worst verdict of the criteria, with the reason of the first row with it and the names
-    of the others."""
+    """Return the worst verdict of the criteria, and as text its reason, with other criteria that have this verdict."""
     counted = [row for row in rows if row.decides]
     worst: Verdict = max((row.verdict for row in counted), key=ORDER.index, default="marginal")
     if not counted:
@@ -132,8 +131,7 @@ def _levels(look: int | None) -> tuple[float | None, float | None]:
 
 
 def _share(hits: int, runs: int, limit: float, look: int | None) -> tuple[Verdict, float]:
-    """Return the verdict on a share of runs, ``hits`` of ``runs``, that must stay below a limit, and
-    its upper bound."""
+    """Return the verdict on the share ``hits / runs``, which must stay below a limit, and its upper bound."""
     for_go, for_no_go = _levels(look)
     bound = upper(hits, runs) if for_go is None else upper(hits, runs, for_go)
     if for_go is not None and bound < limit:
@@ -175,8 +173,7 @@ def _usual_leg(runs: Runs, lost: NumpyArray) -> str:
 
 
 def _kinds(runs: Runs, lost: NumpyArray) -> str:
-    """Return in words how the ``lost`` runs (a mask) were lost, with counts, and the wind of departures; "" without
-    any."""
+    """Return in words how the ``lost`` runs (a mask) were lost, with counts and winds; "" without lost runs."""
     kinds = {"left the area": "left_area", "collided": "collided", "crashed": "crashed"}
     found = [f"{int((runs[name] > 0.0).sum())} {words}" for words, name in kinds.items() if (runs[name] > 0.0).any()]
     empty = int((lost & (runs["charge_end"] < CHARGE_NOISE)).sum())

@@ -99,8 +99,7 @@ def sky_of(scenario: Scenario) -> Sky:
 
 
 def _hidden(world: World, place: NumpyArray, sight: NumpyArray, used: NumpyArray) -> NumpyArray:
-    """Return a mask (T, S) of satellites that terrain or obstacles hide at a place; ``sight`` are
-    directions (T, S, 3)."""
+    """Return a mask (T, S) of satellites hidden at a place by terrain or obstacles, in directions (T, S, 3)."""
     hidden = np.zeros(used.shape, bool)
     if not can_hide(world.obstacles, world.ground):
         return hidden
@@ -124,8 +123,7 @@ def _dilution(sight: NumpyArray, used: NumpyArray) -> tuple[NumpyArray, NumpyArr
 
 
 def sky_row(sky: Sky, duration_s: float) -> Row:
-    """Return the row with the verdict on the satellites in view, from start until half an hour after
-    the last flight."""
+    """Return the row with the verdict on satellites in view, from the start to half an hour after the last flight."""
     window = sky.seconds <= duration_s + WINDOW_S
     count, pdop = sky.count[window], sky.pdop[window]
     good = ((pdop < GOOD_PDOP) & (count >= GOOD_COUNT)).mean(axis=0)

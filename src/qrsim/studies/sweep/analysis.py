@@ -199,8 +199,7 @@ def _half(values: NumpyArray, score: NumpyArray) -> float | None:
 
 
 def terms(values: NumpyArray, squares: bool) -> NumpyArray:
-    """Return the terms of a logistic model (1, values, with ``squares`` products too) at standardised
-    values (..., d)."""
+    """Return the terms of a logistic model (1, values, with ``squares`` also products) at scaled values (..., d)."""
     count = values.shape[-1]
     parts = [np.ones(values.shape[:-1]), *(values[..., i] for i in range(count))]
     if squares:

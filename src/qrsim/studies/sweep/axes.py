@@ -44,8 +44,7 @@ class Axis:
 
     @property
     def numeric(self) -> bool:
-        """Whether all values of the axis are numbers; a number of vehicles does not count, as it
-        changes the structure."""
+        """Whether all values of the axis are numbers; a number of vehicles does not count: it changes the structure."""
         if self.path.endswith(COUNT):
             return False
         return self.values is None or all(

@@ -297,8 +297,7 @@ def _middle(axis: Axis) -> object:
 
 
 def _parts(leaves: list[list[NumpyArray]], values: list[float]) -> tuple[tuple[int, NumpyArray], ...]:
-    """Return (leaf index, mask) of elements that equal ``values[i]`` in the i-th of several worlds; () if others
-    differ."""
+    """Return (leaf index, mask) of elements that equal ``values[i]`` in world i of several; () if others differ too."""
     found = []
     for number, versions in enumerate(zip(*leaves, strict=True)):
         differs = _differs(versions)
