@@ -182,7 +182,7 @@ def _only(first: Sequence[str], second: Sequence[str]) -> tuple[Names, Names]:
 
 
 def _by_time(found: list[Difference]) -> list[Difference]:
-    """Return differences sorted by the time of first difference, then by size."""
+    """Sort the differences of logged quantities by the time of first difference, then by size."""
     return sorted(found, key=lambda item: (item.first.time, -item.share))
 
 

@@ -96,7 +96,7 @@ def _print_stream(stream: StreamComparison) -> None:
 
 
 def _print_events(events: EventComparison) -> None:
-    """Print the number of equal events, and the first that only one run has."""
+    """Print the number of equal events of two runs, and the first events that only one of them has."""
     only = [f"{len(own)} only in {letter}" for letter, own in zip(RUNS, events.only, strict=True) if own]
     print(f"events: {', '.join([f'{events.equal} equal', *only])}")
     for letter, own in zip(RUNS, events.only, strict=True):
@@ -115,12 +115,12 @@ def _print_injections(found: InjectionComparison) -> None:
 
 
 def _event_text(event: Event) -> str:
-    """Return the message of an event, or kind, vehicle and time."""
+    """Return the message of an event or, if it has none, its kind, vehicle and time."""
     return event.message or f"{event.kind} of {event.vehicle or 'the world'} at {event.time:.2f} s"
 
 
 def _print_differences(found: Sequence[Difference]) -> None:
-    """Print a table of the quantities that differ."""
+    """Print a table of the logged quantities that differ between two runs."""
     table = _table(("quantity", "unit", "vehicle", "first at [s]", "in A", "in B", "largest", "RMS"), numbers=5)
     for item in found:
         where = (item.quantity, item.unit, item.first.vehicle, f"{item.first.time:.10g}")
@@ -155,7 +155,7 @@ def _table(headings: Sequence[str], numbers: int) -> Table:
 
 
 def _print_table(table: Table) -> None:
-    """Print a table, with wide rows broken in a terminal and whole in a file."""
+    """Print a Rich table, with wide rows broken in a terminal and whole in a file."""
     console = Console()
     # A terminal breaks the lines of what is wider, and no number is lost; a file has no width.
     console.width = max(console.width, 120) if console.is_terminal else 200

@@ -55,7 +55,7 @@ class EpisodesWriter:
 
 
 def episode_folders(folder: Path) -> list[Path]:
-    """Return the run folders of the episodes in a folder, in order, even if its list is incomplete."""
+    """Return the run folders in a folder of episodes, in order, even if its list of them is incomplete."""
     found = [(re.fullmatch(r"episode-(\d{4,})", path.name), path) for path in folder.iterdir()]
     numbered = sorted((int(match[1]), path) for match, path in found if match and (path / RUN_FILE).is_file())
     return [path for _, path in numbered]

@@ -95,11 +95,11 @@ class _Data:
 
     @property
     def span(self) -> tuple[float, float]:
-        """Time of the first and last tick of any stream [s]."""
+        """Times [s] of the first and the last tick of any stream."""
         return min(float(time[0]) for time in self.time.values()), max(float(time[-1]) for time in self.time.values())
 
     def flying(self, stream: str) -> Floats:
-        """Array (T, n) that is 1 until a vehicle stops and NaN afterwards."""
+        """Array (T, n) over a stream's ticks: 1 while a vehicle flies, NaN after its flight has ended."""
         ends = [self.stops[i].time if i in self.stops else np.inf for i in range(len(self.names))]
         # Half a step of tolerance, because the two times were rounded on different ways.
         return np.where(self.time[stream][:, None] <= np.add(ends, self.time_step / 2), 1.0, np.nan)
@@ -140,7 +140,7 @@ def draw_run(run: Run) -> Figure:
 
 
 def save_figure(run: Run, path: Path) -> None:
-    """Draw a run into a file.
+    """Draw the summary figure of a run and save it.
 
     Raises:
         UsageError: the ending of the name is none that can be drawn.

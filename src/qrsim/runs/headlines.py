@@ -31,7 +31,7 @@ class Headline(NamedTuple):
 
 
 def headlines(run: Run) -> list[Headline]:
-    """Return a run's headline numbers in a fixed order, without those whose columns were not logged.
+    """Return a run's headline numbers (such as tracking error, energy); those that were not logged are left out.
 
     RMS values are the root of the mean square over the vehicles.
     """
@@ -80,7 +80,7 @@ def _estimate_errors(run: Run) -> Floats:
 
 
 def _energy(run: Run) -> float:
-    """Return the electrical energy [Wh] of all vehicles together, NaN where no power was recorded."""
+    """Return the electrical energy [Wh] that all vehicles used together; NaN if no power was recorded."""
     truth = run["truth"]
     if POWER not in truth:
         return math.nan

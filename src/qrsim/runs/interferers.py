@@ -78,7 +78,7 @@ def of_world(world: World) -> tuple[Interferer, ...]:
 
 
 def _parsed_interferer(kind: str, values: Content) -> Interferer:
-    """Return an interferer from its recorded values."""
+    """Return an interferer of a ``kind``, such as "jammer", from its values in a recorded scenario."""
 
     def number(name: str, instead: float) -> float:
         """Return the value of a key as a number; ``instead`` if it is missing or unlimited."""
@@ -108,10 +108,10 @@ def _names(satellites: object) -> list[str]:
 
 
 def lost_within(power_w: float, band: str) -> float:
-    """Return the distance [m] within which a jammer makes a receiver above it lose satellites of 45 dB-Hz."""
+    """Return the distance [m] within which a receiver above a jammer loses satellites of 45 dB-Hz."""
     return math.sqrt(float(strength(power_w, band)) * _FROM_BELOW / (LOST - 1.0))
 
 
 def _format_power(power: float) -> str:
-    """Return a power [W] as text with a suitable prefix."""
+    """Format a power [W] as text with a suitable prefix, such as mW."""
     return f"{power:g} W" if power >= 1.0 else f"{1e3 * power:g} mW" if power >= 1e-3 else f"{1e6 * power:g} uW"

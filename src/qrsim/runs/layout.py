@@ -195,7 +195,7 @@ class RunInfo:
         )
 
     def to_json(self) -> dict[str, object]:
-        """Return the fields by name, without copying, in reading order."""
+        """Return the content of run.json as a dict, in reading order, without copying."""
         first = ("state", "message", "scenario", "seed", "ticks", "time_step", "every")
         names = [*first, *(item.name for item in fields(self) if item.name not in first)]
         return {"format": FORMAT, **{name: getattr(self, name) for name in names}}

@@ -100,7 +100,7 @@ def parse_panel(run: Run, text: str) -> Panel:
 
 
 def per_axis(panel: Panel) -> list[Panel]:
-    """Return one panel for each axis of the vectors in a panel; the panel itself if it has no vectors."""
+    """Split a panel into one for each axis of its vectors; a panel without vectors stays whole."""
     asked = [word.strip() for word in panel.text.split(",")]
     if all(item.name in asked for item in panel.quantities):
         return [panel]

@@ -224,7 +224,7 @@ def _marks(around: Surroundings) -> list[tuple[str, Floats, dict[str, Any]]]:
 
 
 def _said(item: Interferer) -> str:
-    """Return the legend text of an interferer."""
+    """Return the legend text of an interferer (such as a jammer)."""
     if not math.isfinite(item.radius):
         return item.label
     return f"{item.label}: {'heard' if item.kind == 'spoofer' else 'lost'} within {item.radius:.3g} m"
@@ -240,7 +240,7 @@ def _with_interferers(around: Surroundings, low: Floats, high: Floats) -> tuple[
 
 
 def _footprint(obstacle: Any) -> Patch:
-    """Return an obstacle's outline from above as a patch."""
+    """Return a Matplotlib patch of an obstacle's outline from above."""
     look: dict[str, Any] = {"fc": "0.75", "ec": "0.35", "lw": 1.0, "zorder": 1}
     if "radius" in obstacle:
         return Circle((obstacle["y"], obstacle["x"]), obstacle["radius"], **look)

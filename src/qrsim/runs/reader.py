@@ -154,12 +154,12 @@ class Run(Tabled):
 
     @property
     def episodes(self) -> tuple[Run, ...]:
-        """The runs in the folder of a server session, in order; for a single run, itself."""
+        """Runs in the folder of a server session, in order; for a single run only itself."""
         return (self,)
 
     @property
     def unfinished(self) -> str:
-        """Text that says that the run is still being written or was killed; "" for a finished run."""
+        """Text which says that the run is still being written or was killed; "" for a finished run."""
         if self.info.state != "running":
             return ""
         return f"{self.folder}: the run has not ended, or was killed; the data end at its last flush"
@@ -189,7 +189,7 @@ class Run(Tabled):
         return stream in self._parts
 
     def table(self, stream: str, columns: Sequence[str] | None = None) -> pa.Table:
-        """Return a stream as recorded: one row per time and vehicle, or per event.
+        """Read a stream as recorded: one row per time and vehicle, or per event (``columns`` None: all).
 
         Args:
             stream: its name.
@@ -267,7 +267,7 @@ def _part_numbers(folder: Path) -> list[int]:
 
 
 def _not_a_run_message(folder: Path) -> str:
-    """Return the message for a folder that holds no run."""
+    """Return the error message for a folder that is no run folder."""
     if not folder.exists():
         return f"no run at {folder}: there is no such folder"
     hint = ""
@@ -305,7 +305,7 @@ def _problem(info: RunInfo) -> str:
 
 
 def _read_info(path: Path) -> RunInfo:
-    """Return the parsed run.json; raises RunError."""
+    """Read and check the run.json of a run folder; raises RunError."""
     try:
         data = json.loads(read_text(path))
         version = data["format"]

@@ -26,12 +26,12 @@ class Separation:
 
     @property
     def text(self) -> str:
-        """Sentence about the smallest separation, for tables."""
+        """The smallest separation as a sentence, for tables."""
         one, other = self.vehicles
         return f"separation: {self.distance_m:.2f} m at least, of {one} and {other} at {self.time_s:.2f} s"
 
     def to_json(self) -> dict[str, object]:
-        """Return the fields by name."""
+        """Return the smallest separation as a dict for JSON."""
         return {"distance_m": self.distance_m, "time_s": self.time_s, "vehicles": list(self.vehicles)}
 
 

@@ -20,7 +20,7 @@ class Setting:
 
 
 def setting_differences(first: Run, second: Run) -> list[Setting]:
-    """Return the differences in run.json and in the resolved scenario; scenario paths begin with "scenario.".
+    """Return the differing entries of two runs' run.json and scenarios; scenario paths begin with "scenario.".
 
     Raises:
         RunError: a scenario.yaml is no YAML.
@@ -37,7 +37,7 @@ def _scenario(run: Run) -> object:
 
 
 def _differences(path: str, first: object, second: object) -> Iterator[Setting]:
-    """Yield the differing settings of two nested structures; lists of plain values count as one value."""
+    """Yield the differing entries of two nested structures at ``path``; a list of plain values counts as one."""
     mine, other = _children(first), _children(second)
     if mine is not None and other is not None:
         for key in dict.fromkeys([*mine, *other]):

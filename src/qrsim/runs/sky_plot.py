@@ -25,7 +25,7 @@ _FIELDS = ("satellite", "satellite_state", "cn0", "azimuth", "elevation")
 
 
 def draw_sky(run: Run, vehicles: Sequence[str] = (), start: float | None = None, end: float | None = None) -> Figure:
-    """Draw the sky over one vehicle, zenith in the middle and north up (needs no display).
+    """Draw the GNSS satellites over one vehicle in a polar plot, zenith in the middle, north up; needs no display.
 
     Args:
         run: of a scenario whose receiver has ``per_satellite: true``.

@@ -86,7 +86,7 @@ class Stream(Tabled):
         return self._grid[1]
 
     def columns(self) -> tuple[str, ...]:
-        """Return the names of the columns."""
+        """Return the names of the stream's columns."""
         return tuple(column.name for column in self._parts.columns[len(INDEX) :])
 
     def column(self, name: str) -> Column:
@@ -112,7 +112,7 @@ class Stream(Tabled):
     def batches(
         self, names: Sequence[str] | None = None, *, start: float = -math.inf, end: float = math.inf
     ) -> Iterator[Batch]:
-        """Yield the ticks of ``arrays`` in batches, for logs larger than memory; raises as ``arrays``.
+        """Yield the arrays of ``arrays`` in batches of ticks, for logs larger than memory; raises as ``arrays``.
 
         Args:
             names: of columns; None: all.
@@ -145,7 +145,7 @@ class Stream(Tabled):
 
 
 def _codes(vehicle: pa.ChunkedArray, vehicles: Sequence[str]) -> npt.NDArray[np.int64]:
-    """Return each row's vehicle index; -1 for a vehicle that is not in the run."""
+    """Return each row's vehicle as an index into ``vehicles``; -1 for an unknown vehicle."""
     index = {name: i for i, name in enumerate(vehicles)}
     chunks = [np.zeros(0, np.int64)]
     # In a file that was damaged it may be plain text, or something else.

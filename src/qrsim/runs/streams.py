@@ -214,7 +214,7 @@ class EventFinder:
         return [event for _, _, event in found]
 
     def ending(self, history: History) -> list[Content]:
-        """Return the events at the end of a run: unfinished missions, and totals of crowded readings."""
+        """Return the events at the end of a run: unfinished missions, and counts of overflowed neighbour lists."""
         found = [event for _, _, event in self._of_missions(history, self.missions.ending(history))]
         for crowd in crowds_of(self.world, history.state):
             looks = int(crowd.looks[-1].sum())
@@ -381,7 +381,7 @@ class EventFinder:
         return {**event, "kind": kind, "field": field, "value": value, "message": message}
 
     def _nearest(self, history: History, row: int, vehicle: int) -> str:
-        """Return the name of the vehicle nearest to another."""
+        """Return the name of the vehicle nearest to vehicle ``vehicle`` at a row of a history."""
         own = self._positions(history, row)[vehicle]
         return self.names[self._nearest_to(history, row, own, vehicle)]
 

@@ -90,7 +90,7 @@ class VehicleSummary:
     failsafes: int = 0
 
     def to_json(self) -> dict[str, object]:
-        """Return the fields by name, None in place of NaN (JSON has no NaN)."""
+        """Return the summary of a vehicle's flight as a dict for JSON, with None in place of NaN."""
         return {
             name: None if isinstance(value, float) and not np.isfinite(value) else value
             for name, value in asdict(self).items()
@@ -152,7 +152,7 @@ def vectors(stream: Stream, name: str, rows: Rows | slice = slice(None)) -> Floa
 
 
 def waypoints_of(run: Run, rows: Rows | slice = slice(None)) -> Floats:
-    """Return the waypoint (T, n, 3) [m] that each vehicle was sent to, NaN under other commands and after landings."""
+    """Return each vehicle's target waypoint (T, n, 3) NED [m]; NaN under other commands and after landings."""
     commands = run["commands"]
     if "setpoint.position_ned.x" in commands:
         found = vectors(commands, "setpoint.position_ned", rows)
@@ -177,7 +177,7 @@ def gnss_sensor(run: Run) -> str | None:
 
 
 def gnss_error(run: Run) -> tuple[Floats, Floats]:
-    """Return (times (E,), errors (E, n, 3) [m] in NED) at the epochs E at which any receiver reported a new fix.
+    """Return times (E,) [s] and GNSS errors (E, n, 3) NED [m] at the E epochs at which any receiver had a new fix.
 
     An error is the reported position minus the true one at the time of the fix, so the latency of a receiver is none.
     Epochs at which the last receiver loses its fix are there too, as NaN. Epochs at which the truth was not logged are
@@ -270,7 +270,7 @@ def _without_start(waypoints: Floats, flying: Floats) -> Floats:
 
 
 def summarise(run: Run) -> list[VehicleSummary]:
-    """Return one summary per vehicle, in the order of the run's vehicles."""
+    """Return a summary of each vehicle's flight (errors, distances, battery), in the order of the run's vehicles."""
     position = vectors(run["truth"], "position_ned")
     flying = np.where(run["truth"]["valid"].astype(bool), 1.0, np.nan)
     [rows] = common_rows(run, "truth")

@@ -120,7 +120,7 @@ def surroundings_of(run: Run) -> Surroundings:
 
 
 def fixed_parts(world: Content) -> Content:
-    """Return the attributes of ``Surroundings`` that follow from a scenario's world alone, in NED.
+    """Return as a dict the attributes of ``Surroundings`` that follow from a scenario's ``world`` alone.
 
     Raises:
         KeyError, TypeError, ValueError: it is of another version of qrsim.
@@ -136,7 +136,7 @@ def fixed_parts(world: Content) -> Content:
 
 
 def _area(area: Any) -> tuple[Floats, tuple[float, float]]:
-    """Return the corners (V, 2) of a scenario's area, and its top and bottom."""
+    """Return corners (V, 2) [m] of a scenario's area, and its (top, bottom) [m, down]."""
     down = (float(area["z_min"]), float(area["z_max"]))
     if zones := _zones(area):
         kept = [zone.bounds for zone in zones if zone.keep] or [zone.bounds for zone in zones]
@@ -164,7 +164,7 @@ def _zones(area: Any) -> tuple[Zone, ...]:
 
 
 def _goals(run: Run) -> dict[str, Floats]:
-    """Return {"goals": positions} of a task with goals for its vehicles; {} without truth or vehicles."""
+    """Return {"goals": positions} of a task that gives each vehicle a goal; {} for other tasks."""
     from qrsim.core.vectors import Vec3
     from qrsim.tasks.places import goals_of
 

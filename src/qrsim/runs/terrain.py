@@ -55,7 +55,7 @@ def terrain_of(run: Run) -> Terrain:
 
 
 def _built(run: Run) -> Ground | None:
-    """Return the ground of a run's scenario; None, with a warning, if it can no longer be built."""
+    """Build the ground of a run's scenario; None, with a warning, if that is no longer possible."""
     from qrsim.scenarios.build import ground_of
 
     try:

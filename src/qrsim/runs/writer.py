@@ -93,7 +93,7 @@ class RunWriter:
         flush_rows: int = 200_000,
         flush_seconds: float = 2.0,
     ) -> RunWriter:
-        """Create a run folder, with its parents.
+        """Create a run folder, with its parents, and return its writer, which flushes after some rows or seconds.
 
         Every stream gets an empty first part, so that its columns are known however early the run ends.
 
@@ -304,12 +304,12 @@ class RunWriter:
             raise RunError(f"the log in {self.folder} is closed (state: {self._info.state}); nothing more can be added")
 
     def _write_info(self, **changes: Any) -> None:
-        """Write run.json with some changed fields."""
+        """Change some fields of the run's info, and write run.json."""
         self._info = replace(self._info, parts=self._parts(), **changes)
         self._write_json(self._info)
 
     def _write_json(self, info: RunInfo) -> None:
-        """Write run.json atomically."""
+        """Write run.json atomically, by renaming a temporary file."""
         text = json.dumps(info.to_json(), indent=2, ensure_ascii=False)
         write_atomically(self.folder / RUN_FILE, f"{text}\n".encode())
 

@@ -148,7 +148,7 @@ def _obstacles(scenario: ScenarioSpec) -> Obstacles:
 
 
 def _largest_radius(scenario: ScenarioSpec) -> float:
-    """Return the largest distance [m] at which a vehicle of the scenario collides with an obstacle."""
+    """Return the largest distance [m] from an obstacle at which any vehicle of the scenario collides."""
     own = [fleet.radius for fleet in scenario.fleets.values() if fleet.radius is not None]
     return float(max([0.5 * scenario.world.collision_distance, *own]))
 

@@ -51,5 +51,5 @@ def fence_corners(file: str, name: str | None, site: Site) -> tuple[list[list[fl
 
 
 def _corners(site: Site, vertices: Corners) -> list[list[float]]:
-    """Convert vertices (latitude, longitude) [deg] to [north, east] [m] from the site."""
+    """Convert geodetic corners (latitude, longitude) [deg] to [north, east] [m] from the site."""
     return [point[:2] for point in local_ned(site, [(*vertex, 0.0) for vertex in vertices])]

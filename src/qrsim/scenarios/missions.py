@@ -113,7 +113,7 @@ class _Author:
     def _down_to(
         self, north: float, east: float, spec: LandLeg | ReturnLeg, where: str, hold: float = 0.0
     ) -> list[Leg]:
-        """Return the legs to a position above a place (north, east) [m] and down to the ground; record problems."""
+        """Return the legs to a position above (north, east) [m] and down to the ground; record problems."""
         down = self.ground_down(north, east)
         if not self.can_stand:
             self.problems.append(
@@ -141,7 +141,7 @@ class _Author:
         return self._circle(centre, spec)
 
     def _circle(self, centre: tuple[float, ...], spec: LoiterLeg) -> list[Leg]:
-        """Return the leg to the nearest point of a circle, and the circle itself."""
+        """Return the leg to the nearest point of a loiter circle, and the circle itself."""
         north, east = self.place[0] - centre[0], self.place[1] - centre[1]
         first = math.atan2(east, north) if math.hypot(north, east) > SAME_PLACE else 0.0
         radius = abs(spec.radius)

@@ -282,7 +282,7 @@ class _Places:
             self.planned.append(PlannedVehicle(path, label, spec.file, plan, tuple(items), mission, values))
 
     def _placed(self, plan: Plan) -> list[list[float]]:
-        """Return a plan's home on the ground, then its waypoints, as [north, east, down] [m]."""
+        """Return a plan's home on the ground, then its waypoints, each as [north, east, down] [m]."""
         around = [(plan.home.latitude_deg, plan.home.longitude_deg, 0.0)]
         around += [(each.latitude_deg, each.longitude_deg, 0.0) for each in plan.waypoints]
         places = local_ned(self.site, around)
@@ -392,5 +392,5 @@ def _parameters(file: str) -> list[dict[str, float]]:
 
 
 def _lands(waypoint: Waypoint) -> bool:
-    """Return whether a waypoint of a plan is a landing."""
+    """Return whether a plan's waypoint is a landing."""
     return waypoint.command == LAND

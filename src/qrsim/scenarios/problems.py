@@ -227,7 +227,7 @@ class _Fault:
         return f" such as {{type: {value if value in names else names[0]}}}"
 
     def _shown(self, value: object) -> str:
-        """Return a value as a message shows it: at most 60 characters, an angle in degrees if so given."""
+        """Format the value for the message: at most 60 characters, an angle in degrees if given so."""
         if self.in_degrees and isinstance(value, float):
             return f"{math.degrees(value):g}"
         if value is None:

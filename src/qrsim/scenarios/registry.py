@@ -191,7 +191,7 @@ def packaged() -> Iterator[tuple[str, str, metadata.EntryPoint]]:
 
 
 def components() -> list[dict[str, str]]:
-    """Return kind, name, class and origin of every component: built in, registered, offered by packages.
+    """Return a dict with kind, name, class and origin of every component: built in, registered, or in packages.
 
     Raises:
         UsageError: as ``packaged``.

@@ -113,7 +113,7 @@ class VehicleSpec(Strict):
 
     @property
     def places_ned(self) -> dict[str, list[float]]:
-        """Path -> position NED [m] of each waypoint and leg that the vehicle flies to."""
+        """Scenario path -> position NED [m] of each waypoint and leg that the vehicle flies to."""
         routes = {"waypoints_ned": self.waypoints_ned, "rally_ned": self.rally_ned}
         places = {f"{name}.{j}": point for name, points in routes.items() for j, point in enumerate(points)}
         here = self.position_ned

@@ -35,7 +35,7 @@ def site_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def air_of(scenario: ScenarioSpec) -> SiteAir:
-    """Return the atmosphere above the site of a scenario, on its day."""
+    """Return the model of the atmosphere above the scenario's site, for its day."""
     return SiteAir.of(altitude_of(scenario), scenario.site.temperature_offset)
 
 

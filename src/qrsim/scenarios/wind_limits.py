@@ -55,7 +55,7 @@ class Limits:
 
 
 def voltages(fleet: FleetSpec) -> NumpyArray:
-    """Return the voltage (n,) of each vehicle's full battery [V]."""
+    """Return the voltage [V] of each vehicle's full battery, (n,)."""
     own = vars(fleet.controller).get("battery", FULL_V)
     if fleet.battery.type == "lithium_polymer":
         own = fleet.battery.voltage_full

@@ -29,7 +29,7 @@ COLOUR = _object_schema(r=NUMBER, g=NUMBER, b=NUMBER, a=NUMBER)
 
 
 def _list_schema(items: Schema) -> Schema:
-    """Return the JSON schema of a list."""
+    """Return the JSON schema of a list with entries of the schema ``items``."""
     return {"type": "array", "items": items}
 
 

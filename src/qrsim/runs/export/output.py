@@ -41,7 +41,7 @@ def check_target(path: Path, force: bool) -> None:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Yield a temporary file that replaces ``path`` when the block succeeds and is deleted when it fails.
+    """Context manager: give a temporary file that replaces ``path`` if the block succeeds, else is deleted.
 
     Raises:
         RunError: it cannot be written.

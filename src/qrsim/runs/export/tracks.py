@@ -252,14 +252,14 @@ def _segments(samples: Samples, place: Place, every: int, ground: Ground, fresh_
 
 
 def _is_gap(ticks: npt.NDArray[np.int64], every: int) -> npt.NDArray[np.bool_]:
-    """Return a mask (T,) of ticks that follow a gap in the log."""
+    """Return a mask (T,) of ticks that follow a gap in a log of every ``every``-th tick."""
     steps = np.diff(ticks)
     usual = max(every, int(steps.min())) if len(steps) else every
     return np.concatenate([[False], steps > usual])
 
 
 def _event_marks(run: Run, place: Place, ground: Ground) -> list[Mark]:
-    """Return the events of a run with the geodetic positions of their vehicles."""
+    """Return the run's events, each with the geodetic position of its vehicle at that time."""
     if not is_readable(run, "events"):
         return []
     events = run.events

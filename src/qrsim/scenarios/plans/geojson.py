@@ -167,7 +167,7 @@ def _ring(source: str, where: str, positions: object) -> Corners:
 
 
 def _position(source: str, where: str, position: object) -> list[float]:
-    """Return the numbers of a GeoJSON position; raises UsageError unless it has at least two."""
+    """Return a GeoJSON position as a list of numbers; raises UsageError unless it has at least two."""
     numbers = position if isinstance(position, list) else []
     whole = all(isinstance(each, int | float) and not isinstance(each, bool) for each in numbers)
     if len(numbers) < 2 or not whole:

@@ -138,7 +138,7 @@ class _Writer:
         return _said(waypoint.item, speed, until.climb, until.sink, until.yaw_deg)
 
     def _yaw(self, waypoint: Waypoint) -> float | None:
-        """Return a waypoint's yaw [deg], also of a relative turn; None without one."""
+        """Return the yaw [deg] that a waypoint commands, absolute or as a turn; None if it commands none."""
         if waypoint.turn_deg is not None:
             return math.remainder(self.heading + waypoint.turn_deg, 360.0)
         return waypoint.yaw_deg
@@ -160,7 +160,7 @@ class _Writer:
         self.heading = course if yaw_deg is None else yaw_deg
 
     def _after(self, waypoint: Waypoint, place: Place) -> Place:
-        """Return the position NED [m] of a vehicle after a waypoint: on the ground after a landing."""
+        """Return the vehicle's position NED [m] once a waypoint is done: on the ground after a landing."""
         if waypoint.command in _DOWN:
             return [*place[:2], float(self.ground_down(place[0], place[1]))]
         return place

@@ -351,7 +351,7 @@ def _winds(brief: Brief, flyer: Flyer | None, polar: bool) -> bool:
 
 
 def record_worst(brief: Brief) -> None:
-    """Fly the worst runs again and record them in the brief's folder, unless they are there.
+    """Fly the worst runs of a brief again and record them in its folder, unless they are recorded already.
 
     Raises:
         RunError: a run cannot be written.

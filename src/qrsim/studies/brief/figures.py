@@ -123,7 +123,7 @@ def _number_legs(axes: Axes, vehicle: Any, line: NumpyArray) -> None:
 
 
 def _vehicles(scenario: Scenario) -> list[Any]:
-    """Return the specifications of the vehicles that fly a mission."""
+    """Return the specifications of those of a scenario's vehicles that fly a mission."""
     return [vehicle for fleet in scenario.spec.fleets.values() for vehicle in fleet.vehicles if vehicle.legs]
 
 

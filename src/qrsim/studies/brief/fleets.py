@@ -167,7 +167,7 @@ def _vehicle(mission: MissionSpec, name: str, told: str, assumed: list[str]) -> 
 
 
 def number_each(fleets: Sequence[Fleet], content: Content) -> None:
-    """Replace, in place, each number that may differ between a fleet's vehicles by a list with a value for each."""
+    """Replace, in place, numbers that may differ between a fleet's vehicles by lists with one for each."""
     for fleet in fleets:
         if len(fleet.missions) > 1:
             for part, key in OWN_NUMBERS:

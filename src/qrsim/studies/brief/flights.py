@@ -147,7 +147,7 @@ def _wind_at_start(wind: WindSpec, scenario: Scenario) -> WindSpec:
 
 
 def plan_of(mission: MissionSpec) -> Plan:
-    """Return the plan of a mission; raises UsageError if it has nothing to fly.
+    """Read the flight plan of an operation's mission; raises UsageError if the plan has nothing to fly.
 
     Raises:
         UsageError: it cannot be read, or is empty.

@@ -88,7 +88,7 @@ class Runs:
         return self._moment(run, f"{margin}_vehicle", f"{margin}_leg", f"{margin}_at_s")
 
     def loss(self, run: int) -> Moment:
-        """Return the moment at which the first vehicle of a run stopped."""
+        """Return the moment, with vehicle and leg, at which the first vehicle of a run was lost."""
         return self._moment(run, "stopped_vehicle", "stopped_leg", "stopped_s")
 
     def _moment(self, run: int, *metrics: str) -> Moment:

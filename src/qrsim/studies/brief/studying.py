@@ -62,7 +62,7 @@ class Piece:
 
     @property
     def batch(self) -> int:
-        """Runs per batch, small enough for two workers to have one each."""
+        """Number of runs in a batch, small enough for two workers to have a batch each."""
         return BATCH if self.starts == 1 else min(BATCH, -(-self.runs // 2))
 
     def parts(self, starts: int) -> list[Piece]:

@@ -63,7 +63,7 @@ def area_of(operation: OperationSpec, plans: tuple[Plan, ...], below: Content, a
 
 
 def _check_home(name: str, plan: Plan, fence_name: str, fenced: Plan) -> None:
-    """Raise UsageError for a plan whose home is outside another plan's fence."""
+    """Raise UsageError if the home of ``plan`` is outside the fence of the plan ``fenced``."""
     home = plan.home
     site = Site.from_degrees(home.latitude_deg, home.longitude_deg, 0.0)
 
@@ -98,7 +98,7 @@ def site_of(operation: OperationSpec, plan: Plan, below: Content) -> Content:
 
 
 def ground_of(site: SiteSpec) -> Content:
-    """Return the scenario content for the terrain and the buildings of a site."""
+    """Return the world content for the terrain and the buildings of an operation's site."""
     found: Content = {}
     if site.terrain:
         found["ground"] = {"type": "dem", "file": site.terrain if len(site.terrain) > 1 else site.terrain[0]}

@@ -62,7 +62,7 @@ class Law:
 
     @property
     def text(self) -> str:
-        """Equation of the law as text."""
+        """The law's equation as text."""
         return f"{LEFT_SIDES[self.name]} = {shown(self.expression)}"
 
 

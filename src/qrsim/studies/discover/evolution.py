@@ -109,7 +109,7 @@ class Evolution:
         self.random = random.Random(seed)
 
     def run(self, generations: int, progress: Callable[[str], None] = lambda text: None) -> None:
-        """Evolve the populations; the same seed gives the same laws."""
+        """Evolve the laws' populations for some generations; the same seed gives the same laws."""
         before = random.getstate()
         # DEAP draws from the module's own generator.
         random.seed(self.random.random())

@@ -78,7 +78,7 @@ def rule_of(tree: object, law: str) -> Rule:
 
 
 def made(law: str) -> Any:
-    """Return a random expression tree for a law."""
+    """Return a random expression tree (DEAP) for a law."""
     library = gp()
     return library.PrimitiveTree(library.genHalfAndHalf(primitives(law), 1, 3))
 

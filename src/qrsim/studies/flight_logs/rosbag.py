@@ -268,7 +268,7 @@ def _tracks(found: Mapping[str, Samples], notes: list[str]) -> dict[str, Track]:
     tracks: dict[str, Track] = {}
 
     def add(names: tuple[str, ...], topic: str, columns: Floats) -> None:
-        """Add the columns of a topic as tracks, if at least two rows are finite."""
+        """Add columns (T, k) of a topic as tracks of the named signals, if at least two rows are finite."""
         # Of a topic that says nothing of it, nothing.
         if np.isfinite(columns).all(axis=1).sum() >= 2:
             times = _sample_times(found[topic], late)

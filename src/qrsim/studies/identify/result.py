@@ -78,7 +78,7 @@ class Result:
         ]
 
     def other_verdicts(self) -> dict[str, list[str]]:
-        """Return verdict -> names of the constants that were not identified."""
+        """Return verdict -> names of constants, for the constants that were not identified."""
         found: dict[str, list[str]] = {}
         for name, verdict in self.verdicts.items():
             if verdict.status == "fitted":

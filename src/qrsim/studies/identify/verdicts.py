@@ -188,7 +188,7 @@ def refuse_unexcited(logs: Sequence[FlightLog], excitations: Sequence[Excitation
 
 
 def refuse_useless(logs: Sequence[FlightLog], held: Mapping[str, str]) -> None:
-    """Raise a RunError if the fit left no usable constant.
+    """Raise RunError with the reasons, when the fit left no usable constant; ``held``: constant -> reason.
 
     Raises:
         RunError: with the reason for each constant.

@@ -75,7 +75,7 @@ class CooperativeSlam:
 
     @property
     def truth_ned(self) -> Floats:
-        """True positions (N, T + 1, 3) NED [m]."""
+        """True positions (N, T + 1, 3) NED [m] of the vehicles."""
         return np.stack([flight.truth[:, :3] for flight in self.flights])
 
     @property

@@ -180,7 +180,7 @@ def _fixes(fleet: Fleet, gnss: str, position: Floats, time_step: float, ticks: i
 def _epochs(
     fleet: Fleet, name: str, what: str, late: int, count: int, time_step: float, ticks: int
 ) -> tuple[npt.NDArray[np.int64], int]:
-    """Return the ticks (F,) below ``count`` at which a sensor reports, and its latency in ticks.
+    """Return the ticks (F,), below ``count``, at which sensor ``name`` reports, and its latency in ticks.
 
     Args:
         fleet, name: of the sensor.

@@ -114,6 +114,6 @@ def compare(
 
 
 def _solve_team(flights: Sequence[Flight], seed: int, options: dict[str, Any]) -> CooperativeSlam:
-    """Estimate the flights of one seed together, with ranges drawn for the seed."""
+    """Estimate the flights of one seed together, with simulated ranges of that seed."""
     rangings, between = team.rangings_of(flights, seed), team.between_of(flights, seed)
     return estimate_together(flights, rangings, between, **options)

@@ -48,7 +48,7 @@ class Tls:
 
 @contextmanager
 def workers_of(scheduler: str | None, workers: int, tls: Tls | None = None) -> Iterator[object]:
-    """Yield a Dask client whose workers have this process's versions.
+    """Yield a Dask client for a scheduler's workers, or for new local ones, with the versions of this process.
 
     The cluster of this machine takes nobody who has not the key that is made for it, because whoever talks to a
     scheduler can run code as its user.

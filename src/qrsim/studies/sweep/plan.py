@@ -186,7 +186,7 @@ class Plan:
                 yield axis, rows[axis.path], len(self.crossed)
 
     def _of(self, axis: Axis, part: slice) -> NumpyArray:
-        """Return a slice of an axis's values; indices of its choices if the axis is structural."""
+        """Return the values of an axis in the slice ``part``; indices of the values if the axis is structural."""
         assert axis.values is not None
         if axis.path in self.structural:
             return np.arange(part.start, part.stop)

@@ -254,7 +254,7 @@ def _worst_json(report: Report, episode: int, folder: Path) -> Content:
 
 
 def _plain(values: object) -> list[float | None]:
-    """Return numbers as a list for JSON, with None for NaN and infinity."""
+    """Convert numbers to a list for JSON, with None for NaN and infinity."""
     return [float(value) if np.isfinite(value) else None for value in np.asarray(values, float)]
 
 

@@ -221,7 +221,7 @@ def _metrics(plan: Plan) -> tuple[str, ...]:
 
 
 def _without(about: Mapping[str, object], name: str) -> Content:
-    """Return a copy of a mapping without one key."""
+    """Return a copy of a mapping without the key ``name``."""
     return {key: value for key, value in about.items() if key != name}
 
 
@@ -242,7 +242,7 @@ def _coordinate(group: Any, name: str, dimension: str, values: NumpyArray, attri
 
 
 def _attributes(plan: Plan) -> Content:
-    """Return the attributes of the store; no time of day, so that equal studies have equal stores."""
+    """Return the attributes that describe the study in the store, without a date, so that equal studies are equal."""
     study = plan.study
     return {
         "kind": KIND,

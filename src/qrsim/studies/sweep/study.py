@@ -254,7 +254,7 @@ def load_study(source: str, changes: Content | None = None, overrides: Iterable[
 
 
 def _as_mapping(overrides: Iterable[str]) -> Content:
-    """Return overrides PATH=VALUE as a mapping."""
+    """Convert overrides PATH=VALUE to a mapping of path to value."""
     pairs = (override.partition("=") for override in overrides)
     return {path.strip(): parse_yaml(text, f"--set {path}") for path, _, text in pairs}
 
@@ -265,7 +265,7 @@ def _mine(line: str) -> str:
 
 
 def _read(source: str) -> tuple[str, Path]:
-    """Return the text of a study, and the folder that its paths are relative to."""
+    """Read the YAML text of a study, and return it with the folder that its paths start in."""
     known = built_in_studies()
     if source in known:
         return resources.files("qrsim.studies.sweep").joinpath(f"{source}.yaml").read_text("utf-8"), Path.cwd()

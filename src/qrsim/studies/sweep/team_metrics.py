@@ -93,7 +93,7 @@ class TeamErrors:
 
 
 def _differences(values: Array) -> Array:
-    """Return the difference (n, n) of each pair: value of the second index minus that of the first."""
+    """Return the matrix (n, n) of values (n,): value of the second index minus that of the first."""
     return values[None] - values[:, None]
 
 

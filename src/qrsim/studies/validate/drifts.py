@@ -61,7 +61,7 @@ def _simulate_errors(sensor: str, model: Sensor, seconds: int, vehicles: int) ->
     per_row = round(KEPT_S / PERIOD)
 
     def error(reading: Any) -> jax.Array:
-        """Return the error of a reading at rest."""
+        """Return the error of a sensor's reading at rest."""
         return reading.height[None] if sensor == "barometer" else jnp.stack(jax.tree.leaves(reading.attitude))
 
     def tick(carry: Any, now: jax.Array) -> Any:

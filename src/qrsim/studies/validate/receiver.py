@@ -82,7 +82,7 @@ def _simulate_fixes(sky: SharedSky, receiver: GnssReceiver, ticks: int, seeds: i
         memory, reading = receiver.init(Draw(first_fix, jnp.uint32(0), like), still, still, start)
 
         def tick(carry: Any, now: jax.Array) -> Any:
-            """Advance sky and receiver by one period; return position and satellites used."""
+            """Advance sky and receiver by one period; return their states, and position and satellites used."""
             state, memory = carry
             seconds, fraction = split_time(now, PERIOD, LIKE)
             state = sky.step(state, Draw(later_sky, now, like), seconds, fraction)

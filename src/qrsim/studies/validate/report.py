@@ -137,7 +137,7 @@ def share_verdict(explained: float) -> Verdict:
 
 
 def reference_check(name: str, value: float, reference: str, unit: str) -> Check:
-    """Return the check that a value agrees with a reference value to 3 digits, or to as many as it has."""
+    """Return the check that a value agrees with a published one, to 3 digits or as many as that has."""
     shown = reference.partition("e")[0].replace(".", "").lstrip("0")
     digits = min(3, len(shown))
     expected = float(reference)
@@ -146,5 +146,5 @@ def reference_check(name: str, value: float, reference: str, unit: str) -> Check
 
 
 def worst(checks: Iterable[Check]) -> Check:
-    """Return the check whose error is the largest fraction of its tolerance."""
+    """Return the check with the largest error as a fraction of its tolerance."""
     return max(checks, key=lambda check: abs(check.value - check.expected) / check.tolerance)
