@@ -294,7 +294,7 @@ def _loop(
     view: Watcher | None = None,
     chunk: int = CHUNK_TICKS,
 ) -> Pace:
-    """Fly until tick ``ticks`` in chunks, pass each to ``keep``, and return the simulation's pace."""
+    """Fly until tick ``ticks`` in chunks, in real time or faster, pass each to ``keep``, and return the pace."""
     if realtime:
         chunk = max(1, min(CHUNK_TICKS, round(REALTIME_CHUNK_S / simulation.world.time_step)))
     start = time.perf_counter()

@@ -23,7 +23,8 @@ _LOWEST = math.tan(math.radians(5.0))
 
 
 def with_buildings(scenario: ScenarioSpec, quiet: bool = False) -> tuple[ScenarioSpec, list[str]]:
-    """Return a scenario with the buildings of its map file as obstacles, and the problems of that file.
+    """Return a scenario with the buildings of its map file as obstacles, and that file's errors; ``quiet``: no
+    warnings.
 
     Buildings without a height are told in a warning, as is what is no polygon. Those too far from the area to matter
     are left out.

@@ -176,7 +176,7 @@ def component_model(
     base: type[Strict] = Strict,
     more: Mapping[str, object] | None = None,
 ) -> type[Strict]:
-    """Make the pydantic model of a component class from its dataclass fields; ``name`` is its type in scenarios.
+    """Make the pydantic model of a component class; ``each``: numbers may be lists with one for each vehicle.
 
     Args:
         name: its name in the catalogue.

@@ -265,7 +265,7 @@ def _common(kind: str) -> list[str]:
 
 
 def _meant(component: type, name: str, method: bool = False) -> str:
-    """Return a "did you mean" hint: the class's own attribute nearest to a missing ``name``; "" without one."""
+    """Return a "did you mean" hint: the class's own attribute (``method``: method) nearest to a missing name; or ""."""
     own = [
         known
         for known, value in vars(component).items()

@@ -29,7 +29,7 @@ FAR_AWAY = 1e6
 def failsafes(
     given: Failsafes, fleet: FleetSpec, scenario: ScenarioSpec, ground_of: Callable[[ScenarioSpec], Ground]
 ) -> Failsafes:
-    """Return a fleet's failsafes with the area's ceiling and the vehicles' rally points filled in.
+    """Return a fleet's failsafes with the area's ceiling and rally points filled in; ``ground_of`` builds the ground.
 
     Args:
         given: as the scenario has them.

@@ -192,7 +192,7 @@ def drawn_paths(fleet: FleetSpec, number: int, name: str) -> list[tuple[str | in
 
 
 def injectable_of(fleet: FleetSpec, has_radio: bool = True) -> InjectableSpec:
-    """Return the parts of a fleet's vehicles that may fail in flight, with "all" replaced by those that exist.
+    """Return the parts of a fleet's vehicles that may fail in flight; ``has_radio``: the world has a radio.
 
     Without ``has_radio``, whether the world has a radio, no radio is among them.
     """

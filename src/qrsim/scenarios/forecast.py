@@ -63,7 +63,7 @@ def turbulence_speed(sigma: float, height: float) -> float:
 
 
 def _unknown(wind: Mapping[str, object], forecast: bool) -> str:
-    """Return an error text for an unknown parameter of a log_shear wind; "" if all are known.
+    """Return an error text for an unknown wind parameter, without a ``forecast`` only for a misspelt one; or "".
 
     Args:
         wind: without the names of forecasts.

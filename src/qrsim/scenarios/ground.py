@@ -72,7 +72,8 @@ def riding_problems(name: str, fleet: FleetSpec, ground: Ground) -> Iterator[str
 def put_on_ground(
     scenario: ScenarioSpec, ground: Ground, standing_height: Callable[[FleetSpec], NumpyArray]
 ) -> ScenarioSpec:
-    """Return a scenario in which vehicles with ``on_ground`` start at the height at which they stand on the ground.
+    """Return a scenario in which vehicles with ``on_ground`` start on the ground, by their ``standing_height`` (n,)
+    [m].
 
     Args:
         scenario: with starts by north and east.

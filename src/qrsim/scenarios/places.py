@@ -183,7 +183,7 @@ class _Places:
         return self.flown[label]
 
     def _vehicle(self, path: str, vehicle: VehicleSpec, mission: bool) -> VehicleSpec:
-        """Return a vehicle with all places in NED [m]; record errors, and where in the file each place was written."""
+        """Return a vehicle with all places in NED [m], errors recorded; ``mission``: its plan becomes legs."""
         start, route, legs = vehicle.position_ned, vehicle.waypoints_ned, list(vehicle.legs)
         again = vehicle.repeat_from
         for j, leg in enumerate(legs):
@@ -295,7 +295,7 @@ class _Places:
         return found
 
     def _plan(self, spec: RoutePlanSpec, needs_start: bool) -> list[list[float]]:
-        """Return start and route of a vehicle's plan, NED [m]; a landing keeps the height of the waypoint before."""
+        """Return start and route of a vehicle's plan, NED [m]; landings keep the height of the waypoint before."""
         file, plan = _label(spec), self._planned(spec)
         if len(plan.waypoints) > LONGEST_ROUTE:
             raise UsageError(f"{file}: has {len(plan.waypoints)} waypoints; allowed: at most {LONGEST_ROUTE}")

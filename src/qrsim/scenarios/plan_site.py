@@ -157,7 +157,7 @@ def items_far_from_home(file: str, plan: Plan) -> str | None:
 
 
 def in_feet(file: str, plan: Plan, ceiling: float | None, winged: bool) -> str | None:
-    """Return a hint that a plan's heights may be in feet; None if plausible in metres. ``winged``: for fixed wings.
+    """Return a hint that a plan's heights may be in feet, from those and the ceiling [m]; None if plausible in metres.
 
     Args:
         file: of the plan.

@@ -292,7 +292,7 @@ _OF_ONE_SITE = {"height": ("height_amsl",), "height_amsl": ("height",)}
 
 
 def _drop_twin(target: Content, name: str, kept: Container[str] = ()) -> None:
-    """Remove entries that ``name`` replaces, such as the same angle in another unit, except those in ``kept``.
+    """Remove keys of scenario content that ``name`` replaces, such as an angle in another unit, except ``kept``.
 
     Those in ``kept`` are given with it, and stay for the check of the whole to refuse.
     """

@@ -68,7 +68,7 @@ def slot(makers: Callable[[], Mapping[str, Maker]], key: str = "type") -> object
 
 
 def slot_of(choices: Mapping[str, type], *, each: bool = False, more: Mapping[str, object] | None = None) -> object:
-    """Return the pydantic annotation of a place for components of the classes in ``choices``, which may grow later."""
+    """Return the pydantic annotation of a place for components of ``choices``; ``each``: one number per vehicle too."""
     made: dict[tuple[str, type], type[Strict]] = {}
 
     def make(name: str, component: type) -> type[Strict]:

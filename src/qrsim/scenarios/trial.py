@@ -112,7 +112,7 @@ def _trace_first_tick(scenario: ScenarioSpec, kinds: dict[type, str]) -> None:
             return
 
     def watched(part: object, size: int | None) -> Any:
-        """Return a part of the world in which components from outside check what their methods return."""
+        """Return a part of the world in which outside components check their results; ``size``: of the fleet."""
 
         def watch(item: Any) -> object:
             """Return a component from outside as its checking subclass; any other item unchanged."""

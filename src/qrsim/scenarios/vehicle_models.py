@@ -90,7 +90,8 @@ SHORT = {"model", "own", "geometry", "arm", "rotor_height"}
 
 
 def _written_out(vehicle: Content, warn: Callable[[str], None]) -> Content:
-    """Return a multirotor's content with all parameters that its model, preset or own numbers imply.
+    """Return a multirotor's content with all parameters that its model, preset or own numbers imply; ``warn`` is
+    called.
 
     Raises:
         UsageError: its message begins with the path below the vehicle.
@@ -120,7 +121,7 @@ def _fill_gains(fleet: Content, attitude_bandwidth: float) -> None:
 
 
 def _own(own: object, geometry: object, beside: Content, warn: Callable[[str], None]) -> Multirotor:
-    """Identify a multirotor model from the six measured numbers under ``own`` of a scenario."""
+    """Build a multirotor model from the six measured numbers under ``own`` of a scenario; ``warn`` takes doubts."""
     if not isinstance(own, dict):
         raise UsageError(f"own: expected {', '.join(SIX)}, found {own!r:.100}")
     for key in own:

@@ -30,7 +30,7 @@ MOST_OF_CELL = 2.0
 
 
 def with_profile(scenario: ScenarioSpec, quiet: bool = False) -> tuple[ScenarioSpec, list[str]]:
-    """Return a scenario with the numbers of its wind file filled in, and the errors of that file.
+    """Return a scenario with its wind file's numbers filled in, and the file's errors; ``quiet``: without warnings.
 
     Turbulence that leaves out its strength and bearing takes those of the profile 20 ft above the ground, in the middle
     of the run.
@@ -53,7 +53,7 @@ def with_profile(scenario: ScenarioSpec, quiet: bool = False) -> tuple[ScenarioS
 
 
 def _numbers(scenario: ScenarioSpec, quiet: bool) -> Any:
-    """Read a wind file; return the wind profile at the site and time as a pydantic model."""
+    """Read a wind file; return its profile at the site and time as a pydantic model; ``quiet``: without warnings."""
     wind, place = scenario.world.wind, scenario.site
     start = scenario.start_time.timestamp()
     request = Request(

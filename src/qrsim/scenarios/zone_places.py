@@ -95,7 +95,8 @@ def _note(written: dict[str, str], here: str, path: str, zone: ZoneSpec, each: Z
 def _placed(
     zone: ZoneSpec, keep: bool, site: Site, barred: set[str | None], plans: dict[str, Plan]
 ) -> Iterator[tuple[bool, ZoneSpec]]:
-    """Yield (is inclusion, zone in NED) for each zone that one zone of a scenario becomes; a file may have several."""
+    """Yield (is inclusion, zone in NED) for each zone that one zone becomes (of a file several);
+    ``keep``: it is one."""
     rest: Content = {"floor": zone.floor, "ceiling": zone.ceiling, "above": zone.above}
     if zone.polygon_geodetic is not None:
         outline, *holes = (corners_ned(ring, site) for ring in (zone.polygon_geodetic, *zone.holes_geodetic))

@@ -80,7 +80,7 @@ def groups_of(run: Run) -> list[Group]:
 
 
 def _columns_with(columns: Sequence[Column], prefix: str) -> tuple[Column, ...]:
-    """Return the columns with names that begin with a prefix."""
+    """Return those columns of a stream that have names with a prefix."""
     return tuple(column for column in columns if column.name.startswith(prefix))
 
 

@@ -128,7 +128,7 @@ class _Writer:
     # ---- speed and heading ----
 
     def _shared(self, waypoint: Waypoint, yaw_deg: float | None) -> Content:
-        """Return the values that all legs of a waypoint share, as scenario content: item number, speeds, yaw."""
+        """Return the values that all legs of a waypoint share, as scenario content: item, speeds, ``yaw_deg``."""
         speed = self.plan.hover_speed if waypoint.speed is None else waypoint.speed
         return _said(waypoint.item, speed, waypoint.climb, waypoint.sink, yaw_deg)
 
@@ -167,7 +167,7 @@ class _Writer:
 
 
 def _said(item: int, speed: float | None, climb: float | None, sink: float | None, yaw_deg: float | None) -> Content:
-    """Return the values of a leg that are not None as scenario content: item, speeds [m/s] and yaw."""
+    """Return the values of a leg that are not None as scenario content: item, speeds (climb, sink) [m/s] and yaw."""
     said: Content = {"item": item}
     for name, value in (("speed", speed), ("climb_speed", climb), ("sink_speed", sink)):
         if value is not None:

@@ -57,7 +57,7 @@ class Route:
         self._until: Condition | None = None
 
     def take(self, content: Mapping[str, object], path: str, side_deg: float | None = None) -> None:
-        """Append the next mission item of the file; ``fly`` then converts all items to waypoints."""
+        """Append the file's next mission item, with a heading relative to its course (``side_deg``); see ``fly``."""
         self.items.append(SimpleItem(len(self.items) + 1, path, dict(content), side_deg))
 
     def fly(self) -> None:

@@ -23,7 +23,7 @@ NONE = (0.0, 0.0, 0.0)
 def end_tangent(
     begin: Sequence[float], end: Sequence[float], after: Sequence[float] | None, after_is_spline: bool
 ) -> tuple[float, ...]:
-    """Return the tangent (3,) [m] at the end of a spline leg; ``after`` is the place after it, None for a stop.
+    """Return the tangent (3,) [m] at a spline leg's end; ``after`` is the next place, None for a stop.
 
     Args:
         begin, end: of the spline [m].

@@ -59,7 +59,7 @@ class FaultOutcome:
 
 
 def fault_scenario(operation: OperationSpec, flights: Flights) -> Content:
-    """Return scenario content with every fault of the operation, too late to matter, and a radio station for link loss.
+    """Return scenario content with the operation's faults, at first after the missions, and a station for link loss.
 
     Raises:
         ScenarioError: the station has no room next to the first home.

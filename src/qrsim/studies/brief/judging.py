@@ -107,7 +107,7 @@ def undecided(rows: Sequence[Row]) -> bool:
 def judge(
     runs: Runs, criteria: CriteriaSpec, look: int | None, energy: bool = True, low_battery: float = 0.15
 ) -> list[Row]:
-    """Return a row with a verdict for each criterion of the nominal runs; ``look`` numbers the interim analysis.
+    """Return a row with a verdict for each criterion of the nominal runs at interim analysis ``look``.
 
     Args:
         runs: flown so far.
@@ -131,7 +131,7 @@ def _levels(look: int | None) -> tuple[float | None, float | None]:
 
 
 def _share(hits: int, runs: int, limit: float, look: int | None) -> tuple[Verdict, float]:
-    """Return the verdict on the share ``hits / runs``, which must stay below a limit, and its upper bound."""
+    """Return verdict at interim analysis ``look`` and upper bound of a share of runs that must stay below a limit."""
     for_go, for_no_go = _levels(look)
     bound = upper(hits, runs) if for_go is None else upper(hits, runs, for_go)
     if for_go is not None and bound < limit:
@@ -142,7 +142,7 @@ def _share(hits: int, runs: int, limit: float, look: int | None) -> tuple[Verdic
 
 
 def _loss(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
-    """Return the row with the verdict on the share of lost vehicles."""
+    """Return the row with the verdict on the share of lost vehicles at interim analysis ``look``."""
     lost = runs["stopped"] > 0.0
     hits, total = int(lost.sum()), len(runs)
     verdict, bound = _share(hits, total, criteria.p_loss, look)
@@ -185,7 +185,7 @@ def _kinds(runs: Runs, lost: NumpyArray) -> str:
 
 
 def _finished(runs: Runs, look: int | None, low_battery: float) -> Row:
-    """Return the row with the verdict on the share of runs that do not finish the mission."""
+    """Return the row with the verdict, at interim analysis ``look``, on the share of runs that do not finish."""
     missed = runs["not_finished"] > 0.0
     hits, total = int(missed.sum()), len(runs)
     verdict, bound = _share(hits, total, UNFINISHED, look)
@@ -207,7 +207,7 @@ def _finished(runs: Runs, look: int | None, low_battery: float) -> Row:
 
 
 def _reserve(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
-    """Return the row with the verdict on the charge at the end of the worst 5 % of runs."""
+    """Return the row with the verdict, at interim analysis ``look``, on the charge at the end of runs."""
     left = runs["charge_end"]
     # The charge of a lost run says nothing, unless it was the charge that ended it.
     left = np.where((runs["stopped"] > 0.0) & ~(left < CHARGE_NOISE), np.nan, left)

@@ -101,7 +101,7 @@ def wind_study(name: str, first_seed: int, points: Sequence[Point], winds: Winds
 def boundary_of(
     winds: Winds, reserve: float | None, seed: int, folder: Path, flyer: Flyer | None, polar: bool
 ) -> tuple[Boundary, bool]:
-    """Explore the wind boundary, the forecast's direction first; return it, and whether it is complete.
+    """Explore the wind boundary in the forecast's direction (``polar``: in all); return it, and whether complete.
 
     Args:
         winds: of the brief.
@@ -113,7 +113,7 @@ def boundary_of(
     """
 
     def flying(part: str) -> Callable[[int, list[Point]], tuple[list[Trial], bool]]:
-        """Return a function that flies rounds of winds for the directions of one part of the boundary."""
+        """Return a function that flies a round of winds: from number and winds to (trials, whether complete)."""
 
         def fly(number: int, points: list[Point]) -> tuple[list[Trial], bool]:
             """Fly the winds of round ``number``; return their trials, and whether all are complete."""
@@ -132,7 +132,7 @@ def boundary_of(
 
 
 def _trials(path: Path, points: Sequence[Point], reserve: float | None) -> list[Trial]:
-    """Return how many runs at each wind succeeded, from a study's store; [] if nothing has been flown yet."""
+    """Return how many runs at each wind succeeded, with ``reserve`` charge left, from a store; [] without one."""
     try:
         results = Results(path) if path.exists() else None
     except RunError:  # nothing has been flown yet

@@ -148,7 +148,7 @@ def refined(
     mass: float,
     trimmed: bool = True,
 ) -> tuple[Proposal, dict[str, float]]:
-    """Refit a proposed law's constants and trims to windows flown together with the laws chosen so far."""
+    """Refit a law's constants and, if ``trimmed``, trims to windows flown with the laws chosen so far; return both."""
     names = TRIMS.get(law, ()) if trimmed else ()
     partners = {name: choice.laws[name] for name in partners_of(law, choice.laws)}
     none = dict.fromkeys(TRIMS.get(law, ()), 0.0)

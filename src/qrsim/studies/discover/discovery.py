@@ -113,8 +113,7 @@ def discover(
     delay: float | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Discovery:
-    """Evolve laws of motion on the first share ``train`` of a log and score them on the rest; ``delay`` None:
-    estimated.
+    """Evolve laws of motion on the first share ``train`` of a log, and score them on the rest.
 
     Raises:
         LogError: signals are missing, the log is too short, or shows no law.

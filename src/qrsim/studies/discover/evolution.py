@@ -298,7 +298,7 @@ SHOWS = {
 
 
 def fitted(residual: Callable[[Floats], Floats], start: Floats, steps: int) -> tuple[Floats, float]:
-    """Fit constants by at most ``steps`` Levenberg-Marquardt steps; return them and the remaining mean square.
+    """Fit constants (K,) by at most ``steps`` Levenberg-Marquardt steps on ``residual``; also return the mean square.
 
     Args:
         residual: (K, B) -> (B, N).

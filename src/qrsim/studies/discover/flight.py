@@ -132,7 +132,7 @@ def _starts(log: FlightLog, names: tuple[str, ...], rows: NumpyArray, margin: in
 
 
 def _turned(angles: NumpyArray, vector: NumpyArray, to_body: bool) -> NumpyArray:
-    """Rotate vectors (3, ...) from NED into body axes by Euler angles (3, ...), or back."""
+    """Rotate vectors (3, ...) by Euler angles (3, ...) from NED into body axes; ``to_body`` False: back."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(angles), np.sin(angles)
     rows = (
         (cp * cy, cp * sy, -sp),
@@ -192,7 +192,7 @@ def _state_rate(
     moving: bool,
     vehicle: Quadrotor,
 ) -> Floats:
-    """Return the derivative (10, ...) of the state ``now`` under the laws ``rules`` and the commands ``asked``."""
+    """Return the derivative (10, ...) of the state under laws ``rules``; ``moving``: velocity counts."""
     change = np.zeros_like(now)
     roll, pitch, _, p, q, r, u, v, w, thrust = now
     if "tilt" in rules:

@@ -16,7 +16,7 @@ FORMATS = "PX4 ULog (.ulg), ArduPilot DataFlash (.bin), a bag of ROS 2, CSV with
 
 
 def read_log(path: Path, namespace: str | None = None, boot: int | None = None) -> FlightLog:
-    """Read a flight log of any supported format, recognised by its content.
+    """Read a flight log of any supported format, recognised by its content; ``boot`` selects one of several.
 
     Args:
         path: of a file, or of the folder of a bag.

@@ -116,7 +116,7 @@ def needed_for(constant: str) -> tuple[str, ...]:
 
 
 def aspects_of(constant: str, separate: bool) -> tuple[str, ...]:
-    """Return the aspects of motion (such as "roll") that excite a constant, any one of which is enough."""
+    """Return aspects of motion (such as "roll"), any of which excites a constant; ``separate``: pitch has its own."""
     if constant in PITCH:
         return ("pitch",)
     if constant in ROLL:

@@ -76,7 +76,7 @@ def _terms_content(kind: str, noise: Noise) -> dict[str, dict[str, object]]:
 
 
 def _print_terms(found: Mapping[str, Noise], content: Content, *, quiet: bool) -> None:
-    """Print an IMU's noise terms with their intervals, and the names of the files that were written."""
+    """Print an IMU's noise terms with intervals, the files written and, unless ``quiet``, the time at rest."""
     first, last = content["at_rest_s"]
     if not quiet:
         print(f"at rest from {first:.0f} to {last:.0f} s, {content['rate_hz']:.4g} readings a second")
@@ -114,7 +114,7 @@ def draw(found: Mapping[str, Noise]) -> Figure:
 
 
 def checked_imu(logs: list[Path], out: Path, default: Path, *, overwrite: bool) -> Path:
-    """Check the arguments of an IMU identification, and return the path of the sensor file; raises UsageError.
+    """Check the arguments, and return the sensor file to write; raises UsageError if it exists without ``overwrite``.
 
     Raises:
         UsageError: not one log, a name of another kind, or a file that exists.

@@ -140,7 +140,7 @@ def inverse_of(matrix: Floats) -> tuple[NumpyArray, NumpyArray]:
 
 
 def _blocks(misfits: Sequence[Misfit], window_s: Sequence[float], robust: bool) -> tuple[Floats, Floats]:
-    """Return the curvature (B, K, K) and the gradient (B, K) of the cost for each of B blocks of windows."""
+    """Return the curvature (B, K, K) and the gradient (B, K) of the (``robust``) cost for B blocks of windows."""
     curvatures, scores = [], []
     windows = sum(each.residual.shape[1] for each in misfits)
     for each, length in zip(misfits, window_s, strict=True):

@@ -99,7 +99,7 @@ class Piece:
 
 
 def cut(log: FlightLog, horizon: float, first: float = 0.0, last: float = 1.0, whole: bool = False) -> Piece:
-    """Cut rows ``first`` to ``last`` (fractions) of a log into windows of ``horizon`` [s]; gaps end windows early.
+    """Cut rows ``first`` to ``last`` (fractions) of a log into windows of ``horizon`` [s]; ``whole``: no shorter ones.
 
     Args:
         log: what was read.

@@ -96,7 +96,7 @@ def channels(
     windows: Array,
     dt: float,
 ) -> Array:
-    """Simulate the n windows of one log from their initial states; return channels (R, n, 10).
+    """Simulate n windows from initial states, with thrust in them if ``thrust_measured``; return (R, n, 10).
 
     Args:
         names: of the unknowns.

@@ -51,7 +51,7 @@ def channels_in(aspect: str) -> tuple[str, ...]:
 def coloured_channels(
     constant: str, separate: bool, whiteness: Sequence[Mapping[str, Mapping[str, float]]]
 ) -> list[str]:
-    """Return the channels with residuals that are not white among those a constant affects; ``whiteness`` is by log.
+    """Return those channels a constant affects that have residuals which are not white, in any log.
 
     Args:
         constant: its name.
@@ -70,7 +70,7 @@ def coloured_channels(
 
 
 def not_shown(names: Sequence[str], separate: bool, excitations: Sequence[Excitation]) -> dict[str, str]:
-    """Return constant -> reason, for constants that none of the logs excites."""
+    """Return constant -> reason, for constants that no log excites; ``separate``: pitch has its own."""
     held = {}
     for name in names:
         aspects = aspects_of(name, separate)

@@ -262,7 +262,7 @@ def _solve(
 
 
 def _deviations(flights: Sequence[Flight], fix_std: float | None) -> list[float]:
-    """Return the standard deviation [m] of each vehicle's fixes; for a vehicle without fixes that of the others."""
+    """Return each vehicle's standard deviation of fixes [m]: ``fix_std``, or by its errors, or by other vehicles'."""
     if fix_std is not None:
         return [fix_std] * len(flights)
     known = [flight.fix_std for flight in flights if len(flight.fix_error)]

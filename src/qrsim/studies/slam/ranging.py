@@ -72,7 +72,7 @@ def guesses_of(seed: int, centre: Floats, count: int = LANDMARKS) -> Floats:
 def landmarks_given(
     north_east: Floats, true_ned: object, guess_ned: object, ranged: bool, seed: int
 ) -> tuple[Floats | None, Floats]:
-    """Return the landmarks' true positions (L, 3) (None: unknown), and first guesses of them, given or drawn.
+    """Return landmarks' true positions (L, 3) or None, and first guesses; ``ranged``: a user gives the ranges.
 
     Args:
         north_east: (T, 2) where was flown.
@@ -117,7 +117,7 @@ def measure_ranges(
     vehicle: int = 0,
     alone: bool = True,
 ) -> Ranging:
-    """Simulate ranges from positions (T + 1, 3) to landmarks (L, 3) within ``limit`` [m], with white noise.
+    """Simulate ranges (T + 1, L) to landmarks within ``limit`` [m]; ``alone``: raise if none is within it.
 
     The noise is of the seed and of the vehicle's number.
 

@@ -31,7 +31,7 @@ TRUE_STATE = (
 
 
 def flight_of_run(run: Run, vehicle: str | None, state_period: float, process_noise: float | None) -> Flight:
-    """Read the flight of one vehicle from a run, with states every ``state_period`` [s].
+    """Read the flight of one vehicle from a run, with states every ``state_period`` [s] and given process noise.
 
     Args:
         run: the run folder, with truth, measurements and commands of every tick.
@@ -206,7 +206,7 @@ def _epochs(
 
 
 def between_of_run(run: Run, vehicles: Sequence[str], state_period: float, states: int, std: float | None) -> Between:
-    """Read ranges between vehicles from a run; a pair that measured both ways gets the mean.
+    """Read ranges between vehicles from a run, with deviation ``std`` [m]; of two of a pair the mean.
 
     Args:
         run: the run folder, with measurements of every tick.

@@ -90,12 +90,12 @@ class Study:
     arms: dict[tuple[str, str], Arm]
 
     def trajectory_errors(self, noise: str, arm: str) -> Floats:
-        """Return the root mean square trajectory error (S,) [m] of each seed, by GNSS noise and estimator."""
+        """Return each seed's root mean square trajectory error (S,) [m], by GNSS noise and estimator (arm)."""
         pairs = zip(self.arms[noise, arm].position_ned, self.flights[noise], strict=True)
         return np.array([rms_distance(position, flight.truth[:, :3]) for position, flight in pairs])
 
     def landmark_errors(self, noise: str, arm: str) -> Floats:
-        """Return the root mean square landmark error (S,) [m] of each seed, by GNSS noise and estimator.
+        """Return each seed's root mean square landmark error (S,) [m], by GNSS noise and estimator (arm).
 
         Over those that are determined in every arm of the seed; NaN where there are none.
         """
@@ -106,7 +106,7 @@ class Study:
         return np.array(errors)
 
     def position_errors(self, noise: str, arm: str, period: float) -> list[Floats]:
-        """Return each seed's position errors (N, 2) north and east [m], one every ``period`` [s]."""
+        """Return each seed's position errors (N, 2) [m], one every ``period`` [s], by GNSS noise and estimator."""
         found = []
         for position, flight in zip(self.arms[noise, arm].position_ned, self.flights[noise], strict=True):
             every = round(period / (flight.ticks * flight.time_step))
@@ -196,7 +196,7 @@ def study(
 def _solve_arms(
     flight: Flight, ranging: Ranging, bias: float | None, **options: Any
 ) -> dict[str, tuple[Floats, Floats, Slam]]:
-    """Return estimator (arm) -> positions of the vehicle, of the landmarks, and the solution they come from."""
+    """Return estimator (arm) -> (vehicle's positions, landmarks, solution); ``bias``: error's time constant [s]."""
     whole = estimate(flight, ranging, keep=(TEN,), **options)
     converged = (whole.position_ned, whole.landmarks_ned, whole)
     if options["graph"] == "paper":

@@ -23,7 +23,7 @@ MEANING = {
 
 
 def check_together(vehicles: int, graph: str, of_run: bool, given: Sequence[str]) -> None:
-    """Raise UsageError for options (``given``) that cannot be used with several vehicles.
+    """Raise UsageError for options (``given``) that several vehicles cannot have; ``of_run``: of a run.
 
     Args:
         vehicles: how many.

@@ -155,7 +155,7 @@ def _vehicle_ranges(
     state_period: float,
     seed: int,
 ) -> Between:
-    """Return the ranges between vehicles, by ``kind``: "none", "simulated", or "measured" in the run."""
+    """Return the ranges between vehicles by ``kind``: "none", "simulated" with deviation ``std``, or "measured"."""
     count = len(flights[0].truth)
     if kind == "none" or len(names) == 1:
         return no_ranges(len(names), count)

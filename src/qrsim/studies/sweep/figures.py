@@ -114,7 +114,7 @@ def draw_map(results: Results, pair: tuple[Parameter, Parameter], metric: str) -
 def _mesh(
     axes: Axes, pair: tuple[Parameter, Parameter], values: NumpyArray, colours: str, most: float | None = None
 ) -> QuadMesh:
-    """Draw values at pairs of levels (L1, L2) of two parameters as a colour mesh, the first parameter to the right."""
+    """Draw values at pairs of levels (L1, L2) as a colour mesh, the first parameter to the right, 0 to ``most``."""
     one, other = pair
     least = None if most is None else 0.0
     image = axes.pcolormesh(edges(one), edges(other), values.T, cmap=colours, vmin=least, vmax=most)

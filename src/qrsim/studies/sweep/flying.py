@@ -134,7 +134,7 @@ def _roll_out(job: Job) -> dict[str, NumpyArray]:
 
 @lru_cache(maxsize=8)
 def _beside_built_in(own_metrics: object, missions: bool) -> Any:
-    """Return an object with built-in and user's metrics; the same for all batches, so that JAX compiles it once."""
+    """Return an object with built-in (``missions``: also of missions) and user's metrics, the same for all batches."""
     from qrsim.interface.metrics import FLIGHT_METRICS
     from qrsim.interface.mission_metrics import MISSION_METRICS
     from qrsim.studies.sweep.own_metrics import BothMetrics

@@ -283,7 +283,7 @@ def _place(base: Content, axis: Axis, lowest: Mapping[str, object], world: World
 
 
 def _in_world(value: Any, step: float, in_degrees: bool) -> Any:
-    """Convert a scenario's value to its number in the World: to ticks of ``step`` [s], to radians, or unchanged."""
+    """Convert a scenario's value to its number in the World: ticks of ``step`` [s], radians if ``in_degrees``."""
     if in_degrees:
         return math.radians(value)
     return round(value / step) if step else value

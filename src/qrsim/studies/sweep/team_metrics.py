@@ -98,7 +98,7 @@ def _differences(values: Array) -> Array:
 
 
 def _neighbours(north: Array, east: Array) -> Array:
-    """Return a bool matrix (n, n) of the vehicles that are closest to each other at the start."""
+    """Return a mask (n, n) of the pairs of vehicles closest to each other, from coordinates (n,) [m]."""
     square = jnp.square(_differences(north)) + jnp.square(_differences(east))
     square = jnp.where(jnp.eye(square.shape[0], dtype=bool), jnp.inf, square)
     return square < 1.01 * jnp.min(square)

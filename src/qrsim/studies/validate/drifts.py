@@ -177,7 +177,7 @@ def _time_constant(of: Process, z: float, reason: str) -> Check:
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Simulate the drifts of both sensors; return the outcome for the report. ``full``: with all vehicles."""
+    """Simulate the drifts of both sensors, in full or with few vehicles; return the outcome for the report."""
     found = processes(VEHICLES if full else FEW_VEHICLES)
     checks = [check for name, of in found.items() for check in _drift_checks(name, of)]
     numbers = {

@@ -83,7 +83,7 @@ def simulate(name: str, orbits: Path, record: Recorded, seeds: int) -> tuple[Sim
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Compare a recorded GNSS receiver with simulated ones; return the outcome for the report."""
+    """Compare a recorded GNSS receiver with simulated ones, in full or few; return the outcome for the report."""
     record = recorded_receiver(paths[RECORDING])
     seeds = SEEDS if full else FEW_SEEDS
     runs, used = {}, (0, 0)

@@ -56,7 +56,7 @@ def _simulate_readings(sensor: Imu, inputs: dict[str, Any], begin: Stream, sourc
         return Drawn(tuple(Draw(stream, now, like).normal_rows(size)))
 
     def tick(state: Any, now: jax.Array) -> tuple[Any, Any]:
-        """Advance the IMU by one reading."""
+        """Advance the IMU by one reading; return its state and the reading."""
         state, reading = sensor.step(state, drawn(source, now, sensor.normals), **inputs)
         return state, tuple(getattr(reading, field).stack() for field in FIELDS.values())
 
@@ -120,7 +120,7 @@ def _sheet_checks(found: Mapping[str, Mapping[str, Chips]]) -> list[Check]:
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Simulate all IMU presets that have data sheets; return the outcome for the report."""
+    """Simulate all IMU presets that have data sheets, in full or quickly; return the outcome for the report."""
     found = {preset: chips_of(preset, CHIPS if full else FEW_CHIPS) for preset in DATA_SHEETS}
     checks = _sheet_checks(found)
     return Outcome(

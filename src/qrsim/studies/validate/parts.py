@@ -80,7 +80,8 @@ def find_recordings(parts: Sequence[Part]) -> dict[str, Path]:
 def run_parts(
     parts: Sequence[Part], found: dict[str, Path], full: bool = True, done: Callable[[Part], None] | None = None
 ) -> list[Result]:
-    """Run parts of the report in order; a part is skipped if its recordings are missing.
+    """Run parts of the report in order, in full or quickly; skip a part without its recordings. ``done``: called after
+    each.
 
     Raises:
         RunError: no part could be run.

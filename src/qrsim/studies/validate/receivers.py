@@ -113,7 +113,7 @@ def honest(preset: str, of: Fixes, count: int) -> list[Check]:
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Simulate GNSS receivers of all presets; return the outcome for the report."""
+    """Simulate GNSS receivers of all presets, in full or quickly; return the outcome for the report."""
     starts, worlds = (STARTS, WORLDS) if full else (FEW_STARTS, FEW_WORLDS)
     found = {preset: fixes(preset, starts, worlds) for preset in RECEIVER_CEP_M}
     geometry = pdops(TIMES if full else 24)

@@ -37,7 +37,7 @@ def rotation_match(path: Path, precision: str = "float64") -> Match:
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Compare recorded and simulated rotation of a rig; return the outcome for the report."""
+    """Compare the rotation of a rig, at ``paths``, with the simulation; return the outcome for the report."""
     from qrsim.studies.validate.pictures import match_figure, picture
 
     match = rotation_match(paths[RECORDING])

@@ -29,7 +29,7 @@ def thrust_match(path: Path, precision: str = "float64") -> Match:
         inputs = jnp.asarray(rows[:, [1, 3]], precision)
 
         def tick(thrust: jax.Array, row: jax.Array) -> tuple[jax.Array, jax.Array]:
-            """Advance the thrust by one row of the recording."""
+            """Advance the thrust by one row of the recording; return it twice, as ``scan`` needs."""
 
             # The rig holds the body still, so that thrust is the whole state.
             def slope(now: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -54,7 +54,7 @@ def thrust_errors(path: Path, precision: str = "float64") -> dict[str, float]:
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Compare recorded and simulated thrust of a rig; return the outcome for the report."""
+    """Compare the thrust of a rig, recorded at ``paths``, with the simulation; return the outcome for the report."""
     from qrsim.studies.validate.pictures import match_figure, picture
 
     match = thrust_match(paths[RECORDING])

@@ -113,7 +113,7 @@ def consistency(flight: Outdoor) -> dict[str, float]:
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Compare recorded and simulated translation of the outdoor flight; return the outcome for the report."""
+    """Compare the outdoor flight, recorded at ``paths``, with the simulation; return the outcome for the report."""
     flight = fly_recorded(paths[RECORDING])
     match, force = velocity_match(flight), specific_force_errors(flight)
     winds, own = fly_winds(flight), consistency(flight)

@@ -101,7 +101,7 @@ def spectra_figure(case: Case, sources: dict[str, Floats], levels: dict[str, Flo
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Compare simulated gusts with closed forms and with JSBSim; return the outcome for the report."""
+    """Compare simulated gusts with closed forms and JSBSim, in full or quickly; return the outcome for the report."""
     from qrsim.studies.validate.pictures import picture
 
     oracle = is_installed()

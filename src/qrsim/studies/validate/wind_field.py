@@ -201,7 +201,7 @@ def _field_checks(
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Simulate gusts at pairs of points; return the outcome for the report."""
+    """Simulate gusts at pairs of points, in full or quickly; return the outcome for the report."""
     worlds = WORLDS if full else FEW_WORLDS
     points, frozen, carried = two_points(worlds), travelling(20), travelling(worlds, "lifetime")
     near = points["3"]["along"][0]
