@@ -13,7 +13,7 @@ from qrsim.files import Content
 
 
 def with_short_names(schema: Mapping[str, object]) -> dict[str, object]:
-    """Return a JSON schema with its ``$defs`` renamed to short names, the key and type of the component.
+    """Return a JSON schema with its ``$defs`` renamed to short names: key in the scenario, and type.
 
     Args:
         schema: of scenarios, as pydantic makes it.

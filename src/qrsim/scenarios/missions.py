@@ -242,7 +242,7 @@ def _outside(path: str, parts: list[Leg], scenario: ScenarioSpec, author: _Autho
 
 
 def ways_of(fleet: FleetSpec, vehicle: VehicleSpec, ground: object) -> Iterator[tuple[str, Leg]]:
-    """Yield (path of the mission's entry, leg) for each leg of a vehicle, those that repeat twice."""
+    """Yield (path of the mission's entry, leg) for each leg of a vehicle; legs that are repeated come twice."""
     name, specs = _specs(vehicle)
     again = _again(fleet, vehicle)
     author = _author(fleet, vehicle, ground, name)

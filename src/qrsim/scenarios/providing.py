@@ -103,7 +103,7 @@ def outside_components(content: object) -> list[dict[str, str]]:
 
 
 def outside_problems(content: object) -> Iterator[str]:
-    """Yield an error for each component in a client's scenario that would make this machine run other code."""
+    """Yield an error for each component in a client's scenario that would make this machine load other code."""
     for path, kind, part in places(content):
         name = part["type"]
         if code.is_code(name) or ":" in name:

@@ -74,7 +74,7 @@ class FaultError(UsageError):
 
 
 def trial_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield errors of components from outside that show when the first tick of a scenario is traced."""
+    """Yield the errors of components that are not built in, which show when a scenario's first tick is traced."""
     if not registry.any_outside():
         return
     content = scenario.model_dump(mode="json")
@@ -112,10 +112,10 @@ def _trace_first_tick(scenario: ScenarioSpec, kinds: dict[type, str]) -> None:
             return
 
     def watched(part: object, size: int | None) -> Any:
-        """Return a part of the world in which outside components check their results; ``size``: of the fleet."""
+        """Return a part of the world with results of not built-in components checked; ``size``: of their fleet."""
 
         def watch(item: Any) -> object:
-            """Return a component from outside as its checking subclass; any other item unchanged."""
+            """Return a component that is not built in as its checking subclass; any other item unchanged."""
             own: Any = type(item)
             if own not in kinds:
                 return item

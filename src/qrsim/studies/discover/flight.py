@@ -216,7 +216,7 @@ def _state_rate(
 
 
 def _channels(state: Floats, names: tuple[str, ...]) -> Floats:
-    """Return the measured channels (C, ...) of a state (10, ...)."""
+    """Return the measured channels (C, ...), those named, of a state (10, ...)."""
     parts = []
     if "roll" in names:
         parts.append(state[:6])

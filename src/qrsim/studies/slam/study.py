@@ -215,7 +215,7 @@ def _solve_arms(
 
 
 def numbers(flown: Study) -> Content:
-    """Return all numbers of a study as a dict for JSON."""
+    """Return all results of a study as a dict for JSON."""
     result: Content = {"seeds": len(flown.seeds), "confidence": CONFIDENCE, "errors": {}, "paired": {}}
     measures = {"trajectory_m": flown.trajectory_errors, "landmarks_m": flown.landmark_errors}
     for noise, arm in flown.arms:

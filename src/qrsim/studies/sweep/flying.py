@@ -51,7 +51,7 @@ def fly(job: Job, threads: int = 1) -> dict[str, NumpyArray] | str:
 
 @lru_cache(maxsize=8)
 def _group(dumped: bytes) -> Group:
-    """Unpickle a ``Group`` in a worker, after loading its components from outside; cached for the next batches."""
+    """Unpickle a ``Group`` in a worker, after loading components that are not built in; cached for the next batches."""
     from qrsim.errors import UsageError
     from qrsim.scenarios.providing import provide_components
 
