@@ -45,7 +45,7 @@ MOST_PARTS = 10_000_000
 
 
 def open_run(path: Path | str, *, skip_damaged: bool = False, code: bool = False) -> Run:
-    """Open a run folder for reading as it is now; ``code``: load the Python files that its scenario names (unsafe).
+    """Open a run folder for reading, as it is now; reopen it to see newer data. ``code``: load its scenario's files.
 
     Args:
         path: the run folder; or a folder of the episodes of a server's session, which is the run of its episode where

@@ -362,7 +362,7 @@ class ScenarioSpec(Strict):
 
 
 def refresh(kind: str, name: str | None = None) -> None:
-    """Update the pydantic schema with components registered of a kind; raises the error of the one called ``name``."""
+    """Update the pydantic schema after a component of a kind was registered; an error in that of ``name`` is raised."""
     if kind not in _SLOTS:
         return
     if name is not None:

@@ -74,7 +74,7 @@ def _track_style(simplekml: ModuleType, number: int, kind: str) -> object:
 
 
 def _add_track(folder: simplekml.Folder, track: Track, style: object, heights: Heights) -> None:
-    """Add the unbroken pieces of a vehicle's track to a KML folder, as time-animated tracks."""
+    """Add the pieces of a vehicle's track to a KML folder, animated over time; ``heights`` is their reference."""
     found = folder.newgxmultitrack(name=said_in_xml(track.title), gxinterpolate=0)
     found.style = style
     for segment in track.segments:
@@ -84,7 +84,7 @@ def _add_track(folder: simplekml.Folder, track: Track, style: object, heights: H
 
 
 def _add_event(folder: simplekml.Folder, mark: Mark, heights: Heights) -> None:
-    """Add an event to a KML folder as a point."""
+    """Add an event to a KML folder as a point; ``heights`` selects the height's reference."""
     said = {"name": said_in_xml(mark.title), "description": said_in_xml(mark.event.message)}
     # Without a place it has no geometry, which is not the same as one at 0, 0.
     found = folder.newmultigeometry(**said) if mark.geodetic is None else folder.newpoint(**said)

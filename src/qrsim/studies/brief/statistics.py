@@ -17,7 +17,7 @@ FEWEST = 32
 
 
 def upper(hits: int, runs: int, alpha: float = ALPHA) -> float:
-    """Return the one-sided upper confidence bound of the share ``hits / runs`` (Clopper and Pearson 1934)."""
+    """Return the one-sided upper confidence bound of ``hits / runs`` (Clopper and Pearson, Biometrika 26, 1934)."""
     return 1.0 if hits >= runs else float(beta.ppf(1.0 - alpha, hits + 1, runs - hits))
 
 
@@ -27,7 +27,7 @@ def lower(hits: int, runs: int, alpha: float = ALPHA) -> float:
 
 
 def wilson(hits: int, runs: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Return the two-sided confidence interval of the share ``hits / runs`` for display (Wilson 1927)."""
+    """Return the two-sided confidence interval of the share ``hits / runs`` for display (Wilson, JASA 22, 1927)."""
     if runs == 0:
         return 0.0, 1.0
     z = float(norm.ppf(0.5 + confidence / 2.0))

@@ -84,7 +84,7 @@ def lacking(log: FlightLog) -> tuple[str, ...]:
 
 
 def constants_in(channels: Iterable[str], separate: bool) -> tuple[str, ...]:
-    """Return the model's constants that the given measured signals depend on; ``separate``: pitch has its own."""
+    """Return the model's constants that the measured signals depend on; ``separate``: pitch differs from roll."""
     channels = set(channels)
     found: tuple[str, ...] = ()
     if "roll" in channels:
@@ -116,7 +116,7 @@ def needed_for(constant: str) -> tuple[str, ...]:
 
 
 def aspects_of(constant: str, separate: bool) -> tuple[str, ...]:
-    """Return aspects of motion (such as "roll"), any of which excites a constant; ``separate``: pitch has its own."""
+    """Return aspects of motion (such as "roll"), any of which excites a constant; ``separate``: pitch unlike roll."""
     if constant in PITCH:
         return ("pitch",)
     if constant in ROLL:
@@ -129,7 +129,7 @@ def aspects_of(constant: str, separate: bool) -> tuple[str, ...]:
 
 
 def check_names(names: Iterable[str], separate: bool) -> None:
-    """Raise UsageError for names that are not constants of the model; ``separate``: pitch has its own.
+    """Raise UsageError for names that are no constants of the model; ``separate``: pitch differs from roll.
 
     Raises:
         UsageError: names the nearest one.
@@ -158,6 +158,6 @@ def unit_of(name: str) -> str:
 
 
 def vehicle_of(values: dict[str, float], separate: bool) -> Quadrotor:
-    """Return the published quadrotor with the given constants; ``separate``: pitch has its own."""
+    """Return the published quadrotor with the given constants; ``separate``: pitch differs from roll."""
     cls = SeparateQuadrotor if separate else Quadrotor
     return record_of(cls, **values)

@@ -20,7 +20,7 @@ HORIZON_S = 5.0
 
 
 def open_loop(piece: Piece, values: Mapping[str, float], nuisances: Mapping[str, float], separate: bool) -> Floats:
-    """Simulate channels (R, n, C) of a log's windows open loop; ``separate``: pitch has constants of its own."""
+    """Simulate channels (R, n, C) of a log's windows open loop; ``separate``: pitch differs from roll."""
     shooting = Shooting(piece, vehicle_of(dict(values), separate))
     return shooting.simulated(nuisances)
 

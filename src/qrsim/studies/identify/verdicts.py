@@ -70,7 +70,7 @@ def coloured_channels(
 
 
 def not_shown(names: Sequence[str], separate: bool, excitations: Sequence[Excitation]) -> dict[str, str]:
-    """Return constant -> reason, for constants that no log excites; ``separate``: pitch has its own."""
+    """Return constant -> reason, for constants that no log excites; ``separate``: pitch differs from roll."""
     held = {}
     for name in names:
         aspects = aspects_of(name, separate)

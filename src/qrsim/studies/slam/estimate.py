@@ -169,7 +169,7 @@ def from_run(
     damping: Literal["metres", "diagonal"] = "metres",
     keep: tuple[int, ...] = (),
 ) -> Slam:
-    """Estimate the trajectory of a recorded flight, and landmarks from ranges, as one smoothing problem.
+    """Smooth the trajectory of a recorded flight and estimate landmarks from ranges; see docs/explanation/slam.md.
 
     Args:
         run: a run folder, or what ``qrsim.open_run`` returned.
