@@ -99,7 +99,7 @@ def _flight_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _flies_paths(controller: Any) -> bool:
-    """Return whether a controller flies the paths of failsafes; that of a rover drives along them."""
+    """Return whether a controller class flies paths through the air; that of a rover drives along them."""
     return PathSetpoint in controller.setpoints and not issubclass(controller, RoverController)
 
 

@@ -182,7 +182,7 @@ def _place_entities(around: Surroundings) -> list[Content]:
 
 
 def _persons(around: Surroundings, time: float) -> list[Content]:
-    """Return scene entities of persons: all at time 0, later only those found at ``time`` [s]."""
+    """Return scene entities of persons: all for a ``time`` below 0, else those found at that time [s]."""
     return [
         _scene_entity(
             f"person {i}", spheres=[_sphere_primitive((*place, 0.0), 2.0, FOUND if found <= time else MISSING)]

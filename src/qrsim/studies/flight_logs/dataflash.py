@@ -49,7 +49,7 @@ _NEARLY = 0.9
 
 
 def read_dataflash(path: Path, boot: int | None = None) -> FlightLog:
-    """Read an ArduPilot .bin log; ``boot`` selects one of several boots, None the longest.
+    """Read an ArduPilot .bin log; ``boot`` selects one of several boots, None the one with most messages.
 
     Of several batteries or cores of the estimator one is read; the notes say which, and which boot.
 

@@ -100,7 +100,7 @@ def allan_slope(errors: Sequence[Floats], period: float) -> dict[str, float]:
     centred = (abscissa - abscissa.mean()) / np.sum(np.square(abscissa - abscissa.mean()))
 
     def slope(pooled: Floats) -> Floats:
-        """Return the slope in log-log scale of an Allan deviation over its windows."""
+        """Return the slope of an Allan deviation over its windows, in log-log scale, from the pooled variances."""
         return np.asarray(0.5 * np.log(pooled[..., within]) @ centred)
 
     found = {"slope": float(slope(variances.mean(axis=0)))}

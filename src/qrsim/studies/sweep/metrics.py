@@ -86,7 +86,7 @@ def _end_error(found: Found) -> NumpyArray:
 
 
 def _of_least(name: str, part: str) -> Callable[[Found], NumpyArray]:
-    """Return a function that gives ``part`` (a metric) of the vehicle with the smallest ``name`` in each episode."""
+    """Return a function that gives ``part``, a metric or "vehicle", of each episode's vehicle with least ``name``."""
 
     def of(found: Found) -> NumpyArray:
         """Return a value (W,) of each episode's vehicle with the smallest metric; NaN if no vehicle has the metric."""

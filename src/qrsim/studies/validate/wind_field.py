@@ -62,7 +62,7 @@ def _gusts_at(field: DrydenField, wind: LogShear, place: jax.Array, seconds: jax
 
 
 def gusts(place: Floats, seconds: Floats, worlds: int, evolution: Evolution = "lifetime") -> Floats:
-    """Return gusts (W, n, 3) [m/s] of a gust field carried by a north wind, at places (n, 3) and seconds (n,)."""
+    """Return gusts (W, n, 3) [m/s] of a gust field in a wind that blows north, at places (n, 3) and seconds (n,)."""
     given = record_of(DrydenField, speed_20ft=SPEED_20FT, evolution=evolution)
     field = jax.tree.map(jnp.asarray, cast(given, np.float32))
     wind = cast(record_of(LogShear, SPEED_20FT, np.pi), np.float32)
