@@ -16,7 +16,7 @@ _SERIES_BELOW = 0.1
 def overlapping_allan_deviation(
     values: npt.ArrayLike, sample_period: float, lengths: npt.ArrayLike | None = None
 ) -> tuple[Float64, Float64]:
-    """Return the overlapping Allan deviation (K, ...) in the unit of the values, and the windows (K,) [s].
+    """Return the overlapping Allan deviation (K, ...) of sampled values, in their unit, and the windows (K,) [s].
 
     The root of half the mean squared difference of the averages over two neighbouring windows, over all pairs of
     windows that fit into the record (IEEE Std 1139-2008, annex B, with the values as frequency).
@@ -48,7 +48,7 @@ def overlapping_allan_deviation(
 
 
 def exponential_allan_variance(window: npt.ArrayLike, time_constant: npt.ArrayLike) -> Float64:
-    """Return the Allan variance (...) of a unit-variance process with autocovariance exp(-|t| / time_constant).
+    """Return the Allan variance (...) at windows [s] of a unit-variance process with autocovariance exp(-|t|/constant).
 
     With x = window / time_constant it is (2 x - 3 + 4 exp(-x) - exp(-2 x)) / x^2: half the expected square of the
     difference of two neighbouring averages is the variance of one average minus the covariance of both. A process
