@@ -28,7 +28,7 @@ def _shape_text(value: Any) -> str:
 
 
 def _array(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
-    """Yield a problem unless the value is a floating-point array of the given shape."""
+    """Yield an error unless a value is a floating-point array of the given shape; ``what`` names it in the error."""
     if value is None or isinstance(value, str | bytes | type):
         yield f"{what} is {value!r:.60}; expected an array of shape {shape}"
         return
@@ -44,7 +44,7 @@ def _array(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
 
 
 def _number(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
-    """Yield a problem unless the value is an array of the given shape, or one number for all vehicles."""
+    """Yield an error unless a value is an array of the given shape, or one number for all vehicles."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return
     try:
@@ -55,7 +55,7 @@ def _number(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
 
 
 def _vector(what: str, value: object, shape: tuple[int, ...]) -> Iterator[str]:
-    """Yield the problems of a value that should be a vector of three arrays of the given shape."""
+    """Yield the errors of a value that should be a ``Vec3`` of three arrays of the given shape."""
     if not isinstance(value, Vec3):
         yield f"{what} is {_shown(value)}; expected a qrsim.Vec3 of arrays of shape {shape}"
         return
@@ -71,13 +71,13 @@ def _shown(value: object) -> str:
 
 
 def _pair(value: object, what: str) -> Iterator[str]:
-    """Yield a problem unless the value is a tuple of two."""
+    """Yield an error unless a method's result is a tuple of two; ``what`` says which two."""
     if not isinstance(value, tuple) or len(value) != 2:
         yield f"it returned {_shown(value)}; expected a pair, {what}"
 
 
 def _each(what: str, value: object, shape: tuple[int, ...]) -> Iterator[str]:
-    """Yield the problems of a value that should be a record of arrays of the given shape."""
+    """Yield the errors of a value that should be a record with arrays of the given shape only."""
     if not dataclasses.is_dataclass(value) or isinstance(value, type) or jax.tree_util.all_leaves([value]):
         yield f"{what} is {_shown(value)}; expected a record (@qrsim.record) of arrays of shape {shape}"
         return
@@ -87,7 +87,7 @@ def _each(what: str, value: object, shape: tuple[int, ...]) -> Iterator[str]:
 
 
 def _posed(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
-    """Yield the problems of a value that should be a ``Pose`` or a ``Start`` of the given shape."""
+    """Yield the errors of a value that should be a ``Pose`` or a ``Start`` with arrays of the given shape."""
     for name in ("position_ned", "velocity_body", "rates_body"):
         yield from _vector(f"{what}.{name}", getattr(value, name), shape)
     if not isinstance(value.attitude, Euler):
@@ -96,7 +96,7 @@ def _posed(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
 
 
 def unchanged(what: str, before: object, after: object) -> Iterator[str]:
-    """Yield the differences in structure, type and shape of a state before and after a step."""
+    """Yield the differences in structure, type and shape of a component's state before and after a step."""
     old: Any = jax.tree.structure(before)
     new: Any = jax.tree.structure(after)
     if old != new:
@@ -118,17 +118,18 @@ Check = Callable[[Any, tuple[Any, ...], Any], Iterator[str]]
 
 
 def _shape_in(args: tuple[object, ...]) -> tuple[int, ...] | None:
-    """Return (n,) of the first vector, angles or array with one number for each vehicle among some arguments."""
+    """Return the shape (n,) of the first array with one number per vehicle among a method's arguments."""
     shapes = (tuple(np.shape(leaf)) for leaf in jax.tree.leaves(args))
     return next((shape for shape in shapes if len(shape) == 1), None)
 
 
 def _own(self: Any) -> tuple[int, ...]:
-    """Return the shape (n,) of the component's fleet, () for a component of the world."""
+    """Return the shape (n,) of arrays for the component's fleet; () for a component of the world."""
     return () if self._size is None else (self._size,)
 
 
 def _check_reading(self: Any, args: object, result: Any) -> Iterator[str]:
+    """Yield errors of a sensor's ``init``, which returns (state, reading), a reading a record with units."""
     yield from _pair(result, "the new state and the reading")
     yield from _each("the reading", result[1], _own(self))
     for field in dataclasses.fields(result[1]):
@@ -138,12 +139,13 @@ def _check_reading(self: Any, args: object, result: Any) -> Iterator[str]:
 
 
 def _check_next_reading(self: object, args: Any, result: Any) -> Iterator[str]:
+    """Yield errors of a sensor's ``step``: those of ``init``, and a state that changes its structure."""
     yield from _check_reading(self, args, result)
     yield from unchanged("the state", args[0], result[0])
 
 
 def _same_shape_as(check: Callable[[str, Any, tuple[int, ...]], Iterator[str]], position: int) -> Check:
-    """Return a check that the result has the shape of the argument at ``position``."""
+    """Return a check that a method's result has the shape of its argument number ``position``."""
 
     def checked(self: object, args: Any, result: object) -> Iterator[str]:
         shape = _shape_in(args[position : position + 1])
@@ -158,15 +160,18 @@ def _check_state(self: object, args: Any, result: Any) -> Iterator[str]:
 
 
 def _check_command(self: Any, args: object, result: Any) -> Iterator[str]:
+    """Yield errors of a controller's ``step``, which returns (state, command)."""
     yield from _check_state_and(self, "the command", args, result)
     yield from _each("the command", result[1], _own(self))
 
 
 def _check_setpoint(self: object, args: object, result: object) -> Iterator[str]:
+    """Yield errors of a guidance's ``step``, which returns (state, set-point)."""
     yield from _check_state_and(self, "the set-point", args, result)
 
 
 def _check_state_and(self: Any, what: str, args: Any, result: Any) -> Iterator[str]:
+    """Yield errors of a result (state, ``what``), and of a second part not of the type that the class gives."""
     yield from _pair(result, f"the new state and {what}")
     yield from unchanged("the state", args[0], result[0])
     gives = getattr(type(self), "gives", None)
@@ -175,6 +180,7 @@ def _check_state_and(self: Any, what: str, args: Any, result: Any) -> Iterator[s
 
 
 def _check_idle_command(self: object, args: object, result: object) -> Iterator[str]:
+    """Yield errors of an idle command that is not of the component's type of command."""
     own = getattr(type(self), "command_type", object)
     if not isinstance(result, own):
         yield f"the command is {_shown(result)}; expected {own.__name__}, the command_type of {type(self).__name__}"
@@ -182,12 +188,14 @@ def _check_idle_command(self: object, args: object, result: object) -> Iterator[
 
 
 def _check_vehicle_step(self: Any, args: Any, result: Any) -> Iterator[str]:
+    """Yield errors of a vehicle's ``step``, which returns (state, specific force)."""
     yield from _pair(result, "the new state and the specific force")
     yield from unchanged("the state", args[0], result[0])
     yield from _vector("the specific force", result[1], _own(self))
 
 
 def _check_vehicle_state(self: object, args: object, result: object) -> Iterator[str]:
+    """Yield errors of a vehicle's initial state, a record with a position."""
     if isinstance(result, Pose):
         yield from _posed("the state", result, _own(self))
     yield from _each("the state", result, _own(self))
@@ -215,6 +223,7 @@ def _check_specific_force(self: object, args: object, result: object) -> Iterato
 
 
 def _check_battery_state(self: Any, args: object, result: Any) -> Iterator[str]:
+    """Yield errors of the initial state of a battery, which has a charge if it drains."""
     if self.drains and not hasattr(result, "charge"):
         yield f"the state is {_shown(result)}; expected a record with the field charge, since drains is True"
     elif self.drains:
@@ -222,7 +231,7 @@ def _check_battery_state(self: Any, args: object, result: Any) -> Iterator[str]:
 
 
 def _check_voltage(self: object, args: Any, result: object) -> Iterator[str]:
-    """Yield problems of a voltage; by contract it or the state may be None, but both mean a forgotten return."""
+    """Yield errors of a battery's voltage; None is allowed only if the battery has a state."""
     if result is not None:
         yield from _array("the voltage", result, _own(self))
     elif args[0] is None:
@@ -233,6 +242,7 @@ def _check_voltage(self: object, args: Any, result: object) -> Iterator[str]:
 
 
 def _check_area_checks(self: object, args: Any, result: object) -> Iterator[str]:
+    """Yield errors of an area's ``check``, a list of (reason code, value (n,), broken (n,) bool)."""
     shape = _shape_in(args[:1])
     assert shape is not None
     if not isinstance(result, list | tuple):
@@ -251,6 +261,7 @@ def _check_area_checks(self: object, args: Any, result: object) -> Iterator[str]
 
 
 def _check_placement(self: Any, args: object, result: Any) -> Iterator[str]:
+    """Yield errors of a placement's result: the vehicles' start, and whether places were found."""
     yield from _pair(result, "the start and whether a place was found")
     if not isinstance(result[0], Start):
         yield f"the start is {_shown(result[0])}; expected the Start that it was handed, by qrsim.core.tree.replace"
@@ -260,6 +271,7 @@ def _check_placement(self: Any, args: object, result: Any) -> Iterator[str]:
 
 
 def _check_reward(self: Any, args: Any, result: Any) -> Iterator[str]:
+    """Yield errors of a task's ``judge``, which returns (memory, reward (n,))."""
     yield from _pair(result, "the new memory and the reward")
     yield from unchanged("the memory", args[0], result[0])
     yield from _for_each_fleet(self, args[1], "the reward", result[1], lambda what, n, part: _array(what, part, (n,)))
@@ -268,7 +280,7 @@ def _check_reward(self: Any, args: Any, result: Any) -> Iterator[str]:
 def _for_each_fleet(
     task: Any, world: World, what: str, result: Any, check: Callable[[str, int, Any], Iterator[str]]
 ) -> Iterator[str]:
-    """Yield the problems that ``check(what, agents, value)`` finds, for each fleet of a task of several."""
+    """Yield the errors that ``check(what, agents, value)`` finds in each agents' fleet of a task's result."""
     sizes = {fleet.name: fleet.size for fleet in world.fleets}
     for fleet in task.fleets:
         if fleet not in sizes:
@@ -286,6 +298,7 @@ def _for_each_fleet(
 
 
 def _check_observation(whole: str, n: int, result: object) -> Iterator[str]:
+    """Yield errors of an observation ``whole``, an array (n, O) or a dict of arrays (n, ...) by name."""
     parts = result if isinstance(result, dict) else {"": result}
     for name, part in parts.items():
         what = f"{whole}{f' {name!r}' if name else ''}"
@@ -301,6 +314,7 @@ def _check_axis_names(self: Any, args: Any, result: Any) -> Iterator[str]:
 
 
 def _check_axes(what: str, n: int, result: object) -> Iterator[str]:
+    """Yield errors of the names of observed numbers, a tuple of ``Axis`` or a dict of them."""
     verb = "" if what == RETURNED else " is"
     for axes in result.values() if isinstance(result, dict) else (result,):
         if not isinstance(axes, tuple | list) or not all(isinstance(axis, Axis) for axis in axes):
@@ -319,7 +333,7 @@ def _check_observation_names(self: Any, args: Any, result: Any) -> Iterator[str]
 
 
 def _check_names_match(self: Any, whole: str, result: Any, names: Any) -> Iterator[str]:
-    """Yield where an observation differs from the names in ``sees``."""
+    """Yield the differences between an observation and the names that the task's ``sees`` gives."""
     if isinstance(names, dict) != isinstance(result, dict):
         yield f"{whole} is {_shown(result)}, but {type(self).__name__}.sees returns {_shown(names)}"
     for name, axes in names.items() if isinstance(result, dict) else (("", names),):
@@ -343,7 +357,7 @@ def _check_actions(self: object, args: Any, result: object) -> Iterator[str]:
 
 
 def _commands_in(action: object) -> list[object]:
-    """Return the commands and set-points that are in an action."""
+    """Return the commands and set-points in one fleet's action."""
     if isinstance(action, Saying):
         return _commands_in(action.action)
     if isinstance(action, Some):
@@ -352,6 +366,7 @@ def _commands_in(action: object) -> list[object]:
 
 
 def _check_action(fleet: Any, action: Any) -> Iterator[str]:
+    """Yield errors of a command or set-point that the fleet does not accept, or of a wrong shape."""
     what = f"the action of fleet '{fleet.name}'"
     taken = (*getattr(type(fleet.controller), "setpoints", ()), *fleet.vehicle.actions)
     if not isinstance(action, taken):
@@ -365,36 +380,21 @@ def _check_action(fleet: Any, action: Any) -> Iterator[str]:
 
 
 CHECKS: dict[tuple[str, str], Check] = {
-    ("sensor", "init"): _check_reading,
-    ("sensor", "step"): _check_next_reading,
-    ("wind", "velocity_ned"): _same_shape_as(_vector, 0),
-    ("gust", "velocity_ned"): _same_shape_as(_vector, 0),
-    ("updraft", "velocity_ned"): _same_shape_as(_vector, 0),
-    ("turbulence", "step"): _check_state,
+    ("sensor", "init"): _check_reading, ("sensor", "step"): _check_next_reading,
+    ("wind", "velocity_ned"): _same_shape_as(_vector, 0), ("gust", "velocity_ned"): _same_shape_as(_vector, 0),
+    ("updraft", "velocity_ned"): _same_shape_as(_vector, 0), ("turbulence", "step"): _check_state,
     ("turbulence", "gust_ned"): _same_shape_as(_vector, 1),
-    ("turbulence", "gust_rates_ned"): _same_shape_as(_vector, 1),
-    ("vehicle", "initial_state"): _check_vehicle_state,
-    ("vehicle", "pose"): _check_pose,
-    ("vehicle", "idle_command"): _check_idle_command,
-    ("vehicle", "load"): _check_load,
-    ("vehicle", "specific_force"): _check_specific_force,
-    ("vehicle", "step"): _check_vehicle_step,
-    ("vehicle", "stopped"): _check_state,
-    ("battery", "init"): _check_battery_state,
-    ("battery", "step"): _check_state,
-    ("battery", "voltage"): _check_voltage,
-    ("controller", "idle_command"): _check_idle_command,
-    ("controller", "step"): _check_command,
-    ("guidance", "step"): _check_setpoint,
-    ("area", "check"): _check_area_checks,
-    ("area", "margin"): _same_shape_as(_array, 0),
-    ("area", "height_agl"): _same_shape_as(_array, 0),
-    ("ground", "down"): _same_shape_as(_array, 0),
-    ("ground", "normal"): _same_shape_as(_vector, 0),
-    ("sky", "step"): _check_state,
-    ("placement", "place"): _check_placement,
-    ("task", "judge"): _check_reward,
-    ("task", "observe"): _check_observation_names,
-    ("task", "sees"): _check_axis_names,
+    ("turbulence", "gust_rates_ned"): _same_shape_as(_vector, 1), ("vehicle", "initial_state"): _check_vehicle_state,
+    ("vehicle", "pose"): _check_pose, ("vehicle", "idle_command"): _check_idle_command,
+    ("vehicle", "load"): _check_load, ("vehicle", "specific_force"): _check_specific_force,
+    ("vehicle", "step"): _check_vehicle_step, ("vehicle", "stopped"): _check_state,
+    ("battery", "init"): _check_battery_state, ("battery", "step"): _check_state,
+    ("battery", "voltage"): _check_voltage, ("controller", "idle_command"): _check_idle_command,
+    ("controller", "step"): _check_command, ("guidance", "step"): _check_setpoint,
+    ("area", "check"): _check_area_checks, ("area", "margin"): _same_shape_as(_array, 0),
+    ("area", "height_agl"): _same_shape_as(_array, 0), ("ground", "down"): _same_shape_as(_array, 0),
+    ("ground", "normal"): _same_shape_as(_vector, 0), ("sky", "step"): _check_state,
+    ("placement", "place"): _check_placement, ("task", "judge"): _check_reward,
+    ("task", "observe"): _check_observation_names, ("task", "sees"): _check_axis_names,
     ("task", "commands"): _check_actions,
-}
+}  # fmt: skip
