@@ -245,7 +245,8 @@ def item_of(message: Message) -> Item:
 
 
 def _scale(frame: int) -> float:
-    """Return the integer units per degree (1e7) or per metre (1e4) in x and y of a mission item, by its MAV_FRAME."""
+    """Return the integer units per degree (1e7) or metre (1e4; 1 in the mission frame) in x and y of a mission item, by
+    its MAV_FRAME."""
     return 1.0 if frame == _MISSION_FRAME else 1e4 if frame in _LOCAL_FRAMES else 1e7
 
 
