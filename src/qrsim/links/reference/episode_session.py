@@ -153,7 +153,8 @@ class EpisodeSession:
         )
 
     def _action(self, given: Sequence[Arrayd]) -> NumpyArray:
-        """Return the agents' actions (n, A) from a request's vectors; raises UsageError for wrong counts."""
+        """Return the agents' actions (n, A) from a request's vectors; raises UsageError for wrong counts and numbers
+        out of range."""
         axes, agents = self.play.axes, self.play.agents
         with np.errstate(over="ignore"):
             action = np.array(rows_of(given, (len(axes),), "action", agents), PRECISION)

@@ -319,7 +319,7 @@ class Server:
 
     async def advance(self, connection: Connection, session: Session, command: object, ticks: int) -> None:
         """Advance a session by ``ticks`` with a command, in the session's thread; raises UsageError if the client
-        leaves before the end.
+        leaves first.
 
         Raises:
             UsageError: the command cannot be flown, and nothing has changed; or its client leaves meanwhile.

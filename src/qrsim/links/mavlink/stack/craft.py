@@ -146,8 +146,7 @@ class Craft:
         return self.seen.position_ned[2] - (altitude - self.seen.altitude)
 
     def allows(self, place: Triple, lands: bool = False) -> bool:
-        """Return whether a position NED [m] is inside the fence and between floor and ceiling; ``lands``: the ground is
-        allowed.
+        """Return whether a position NED [m] is inside the fence, and between floor and ceiling of the flight area.
 
         On the ground heights do not count; ``lands``: the floor does not.
         """
