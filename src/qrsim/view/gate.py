@@ -173,7 +173,7 @@ class Gate:
         with _installing:
             plain = library.serve
 
-            class Closed(plain):  # type: ignore[misc]
+            class Closed(plain):  # type: ignore[misc, valid-type]
                 """A server that drops unused connections when it closes.
 
                 Browsers open connections in advance. websockets waits until each has timed out, after 10 s.
