@@ -226,7 +226,7 @@ class Worlds:
         shared: what all have in common.
         extent: how many.
         constant: what each has for itself, leaves (B, ...).
-        look: overwrites arrays from a state, where that is asked for; ``call(shared, state, arrays, tick)``.
+        look: fills arrays of zeros from a state, where that is asked for; ``call(shared, state, arrays, tick)``.
         looked: the arrays of one world, as shapes and types.
 
     Attributes:

@@ -75,7 +75,7 @@ def make_look(function: Function, shared: Shared, state: Packer, found: Packer, 
     """Return a program that computes arrays for an observer, such as pictures, from the states of flown worlds.
 
     Args:
-        function: ``call(shared, state, arrays, tick)`` of one world returns the arrays, in place of those given.
+        function: ``call(shared, state, arrays, tick)`` of one world returns the arrays, in place of zeros.
         shared: what all worlds have in common.
         state: layout of the state of one.
         found: layout of the arrays.

@@ -54,9 +54,8 @@ def _tick_progress(play: Play, own: tuple[Any, Any], progress: Progress, number:
 
 
 def _look(play: Play, progress: Progress, to: dict[str, jax.Array], tick: Any) -> dict[str, jax.Array]:
-    """Return the parts of an observation that are computed on demand, in place of ``to``, of any content."""
-    # Zeros are written here, where the part is in the cache, and by all threads.
-    return play.look(progress, jax.tree.map(jnp.zeros_like, to))
+    """Return the parts of an observation that are computed on demand."""
+    return play.look(progress, to)
 
 
 def _merged(seen: Any, late: dict[str, NumpyArray]) -> dict[str, Any]:

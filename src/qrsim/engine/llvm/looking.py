@@ -22,10 +22,10 @@ FEW_WORLDS = 16
 
 
 class Looks:
-    """A program that fills arrays from the states of worlds.
+    """A program that fills arrays of zeros from the states of worlds.
 
     Args:
-        program: reads what all worlds share and the state of one, and overwrites arrays, which are its last input.
+        program: reads what all worlds share and the state of one, and changes arrays, which are its last input.
         shared: values of what they share.
         workers: threads, at most.
     """
@@ -41,7 +41,7 @@ class Looks:
         """Return the arrays of all worlds (B, ...), or of some of them (b, ...), in memory of their own."""
         count = states.count if rows is None else len(rows)
         layout = self._program.inputs[-1].layout
-        found = unset((count, layout.sizes[0]), layout.dtype), unset((count, layout.sizes[1]), np.dtype(np.int32))
+        found = zeros((count, layout.sizes[0]), layout.dtype), zeros((count, layout.sizes[1]), np.dtype(np.int32))
         table = np.empty((count, 6), np.uint64)
         table[:, :2] = [part.ctypes.data for part in self._shared]
         table[:, 2:4] = states.places(np.arange(count) if rows is None else np.asarray(rows))
@@ -68,7 +68,7 @@ class Looks:
             done.result()
 
 
-def unset(shape: tuple[int, int], dtype: DType) -> NumpyArray:
-    """Return an array of any content, with room for a vector behind its end."""
+def zeros(shape: tuple[int, int], dtype: DType) -> NumpyArray:
+    """Return an array of zeros, with room for a vector behind its end."""
     size = shape[0] * shape[1]
-    return np.empty(size + SPARE, dtype)[:size].reshape(shape)
+    return np.zeros(size + SPARE, dtype)[:size].reshape(shape)
