@@ -94,12 +94,39 @@ def test_highlights_say_who_and_when(plots: Plots, monkeypatch: pytest.MonkeyPat
         (0.0, "estimate first outside its 95 % band: <b>"),
     ]
     # The first one's error is 3 m = 1.5 standard deviations.
-    for band, told in ((1.0, "first outside its 95 % band: a_0; then <b> 0.0 s"), (9.0, "never outside its 95 % band")):
+    outside = "first outside its 95 % band: a_0; then <b> 0.00 s"
+    for band, told in ((1.0, outside), (9.0, "never outside its 95 % band")):
         monkeypatch.setattr(highlights, "BAND", band)
         assert plots.highlights()[-1][1] == f"estimate {told}"
     data = plots.answer({"number": 3, "lines": [], "highlights": True})
     assert data is not None
     assert json.loads(data[4:])["highlights"][0] == [0.0, "closest to another vehicle: a_0, 5.00 m"]
+
+
+@pytest.mark.parametrize(
+    ("past", "told"),
+    [
+        # North of the fence from the tick at 7.5 s on, which is exactly on it; the second vehicle stays 5 m away.
+        ([], (7.5, "reached the fence: a_0, outside from 7.50 s on")),
+        # Back inside at 9 s, and the second one outside at 8 s.
+        (
+            [(90, 200, 0, 3.0), (80, 100, 1, -1.0)],
+            (7.5, "reached the fence: a_0, outside from 7.50 s until 9.00 s; then <b> 8.00 s"),
+        ),
+        # Never nearer than 1 cm: the closest approach.
+        ([(75, 200, 0, 0.01)], (7.5, "closest to the fence: a_0, 0.01 m")),
+    ],
+)
+def test_a_fence_that_was_reached_has_its_first_time(plots: Plots, past: list[Any], told: object):
+    series = Series(plots._recording.members[0], plots._recording.members[0])
+    values = np.stack([7.5 - np.arange(TICKS) * STEP, np.full(TICKS, 5.0)], axis=1)
+    # As after a stop at the fence: many ticks are equally near.
+    values[75:, 0] = 0.0
+    for first, last, vehicle, value in past:
+        values[first:last, vehicle] = value
+    series.quantities[highlights.FENCE] = series.quantities["derived.height"]
+    series._kept[highlights.FENCE] = (np.arange(TICKS) * STEP, values)
+    assert list(highlights._extreme(series, *highlights.EXTREMES[0])) == [(pytest.approx(told[0]), told[1])]
 
 
 @pytest.mark.filterwarnings("ignore:.*cannot be built:UserWarning")

@@ -197,7 +197,7 @@ class View:
                 frame = recording.frame(time)
                 remember_paths(scene, recording, frame.time)
                 scene.draw(frame)
-                return f"{recording.heading}, {frame.time:.1f} s"
+                return f"{recording.heading}, {frame.time:.2f} s"
 
             record_video(server, path, times, self._pixels, draw, lambda done: update(completed=done, total=len(times)))
         print(path)

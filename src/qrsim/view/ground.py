@@ -23,7 +23,7 @@ from qrsim.world.state import World
 
 AREA_COLOUR, OBSTACLE_COLOUR, NORTH_COLOUR = GREY, (150, 140, 130), GREY
 GROUND_COLOUR = (205, 214, 186)
-KEEP_OUTS = "zones to stay out of"
+KEEP_OUTS, OBSTACLES = "zones to stay out of", "obstacles"
 # Points along each side of a surface that is drawn: 40000 make a page of half a megabyte.
 MOST_ALONG = 200
 
@@ -169,7 +169,7 @@ def keep_out_layers(stage: Stage, world: World) -> list[Layer]:
 class Obstacles(Layer):
     """Boxes, cylinders and prisms."""
 
-    title = "obstacles"
+    title = OBSTACLES
 
     def __init__(self, stage: Stage, world: World):
         self._obstacles = world.obstacles

@@ -24,8 +24,11 @@ MOST_NAMED = 8
 # Links with fewer packets than this are not compared.
 FEWEST_PACKETS = 10
 # Quantity, whether its largest value counts, and text with places for the vehicle and the value.
+FENCE = "derived.fence_distance"
+# A distance to the fence below this [m] reads 0.00, and counts as reached.
+TOUCHED = 0.005
 EXTREMES: tuple[tuple[str, bool, str], ...] = (
-    ("derived.fence_distance", False, "closest to the fence: {}, {:.2f} m"),
+    (FENCE, False, "closest to the fence: {}, {:.2f} m"),
     ("derived.nearest_vehicle", False, "closest to another vehicle: {}, {:.2f} m"),
     ("derived.wind_speed", True, "strongest wind: {}, {:.1f} m/s"),
     ("derived.estimate_error", True, "largest error of the estimate: {}, {:.2f} m"),
@@ -71,8 +74,34 @@ def _extreme(own: Series, name: str, most: bool, words: str) -> Iterator[Highlig
         return
     row, vehicle = np.unravel_index(np.argmax(values) if most else np.argmin(values), values.shape)
     value = float(values[row, vehicle])
-    if np.isfinite(value):
+    if name == FENCE and value < TOUCHED:
+        yield from _beyond_fence(own, time, values)
+    elif np.isfinite(value):
         yield float(time[row]), words.format(_named(own, int(vehicle)), value)
+
+
+def _beyond_fence(own: Series, time: Floats, values: Floats) -> Iterator[Highlight]:
+    """Yield which vehicles reached the fence, with their first times [s] there, the earliest first.
+
+    Args:
+        own: the run.
+        time: (T,) [s].
+        values: distances (T, n) [m], infinite where they do not count.
+    """
+    reached = sorted((float(time[np.argmax(rows)]), i) for i, rows in enumerate((values < TOUCHED).T) if rows.any())
+    (first, vehicle), *others = reached
+    after = values[time >= first - 1e-6, vehicle]
+    back = np.flatnonzero(np.isfinite(after) & (after >= TOUCHED))
+    until = f"until {time[time >= first - 1e-6][back[0]]:.2f} s" if len(back) else "on"
+    names = own.member.recording.run.vehicles
+    yield first, f"reached the fence: {_named(own, vehicle)}, outside from {first:.2f} s {until}{_then(others, names)}"
+
+
+def _then(others: Sequence[tuple[float, int]], names: Sequence[str]) -> str:
+    """Return the end of a text about the first of some vehicles: the others, with their times [s]; "" for none."""
+    also = [f"{names[i]} {at:.2f} s" for at, i in others[:MOST_NAMED]]
+    more = [f"{len(others) - MOST_NAMED} more"] if len(others) > MOST_NAMED else []
+    return f"; then {', '.join([*also, *more])}" if also else ""
 
 
 def _counts(own: Series, time: Floats) -> Floats:
@@ -106,10 +135,7 @@ def _outside(own: Series) -> Iterator[Highlight]:
         yield None, f"estimate never outside its 95 % band{_of_run(own)}"
         return
     (first, vehicle), *others = sorted(outside)
-    names = own.member.recording.run.vehicles
-    also = [f"{names[i]} {at:.1f} s" for at, i in others[:MOST_NAMED]]
-    more = [f"{len(others) - MOST_NAMED} more"] if len(others) > MOST_NAMED else []
-    then = f"; then {', '.join([*also, *more])}" if also else ""
+    then = _then(others, own.member.recording.run.vehicles)
     yield first, f"estimate first outside its 95 % band: {_named(own, vehicle)}{then}"
 
 

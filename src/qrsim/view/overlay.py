@@ -17,7 +17,7 @@ from qrsim.runs import colours
 from qrsim.view.air import AIR, GUST, REACHES, WHOLE
 from qrsim.view.differences import DIFFERENCES, differences_of
 from qrsim.view.ellipsoids import UNCERTAINTY
-from qrsim.view.ground import KEEP_OUTS
+from qrsim.view.ground import KEEP_OUTS, OBSTACLES
 from qrsim.view.interference import INTERFERENCE
 from qrsim.view.jets import WAKES
 from qrsim.view.layers import MOST_LABELS, STRONG_WIND, Bodies, Layer, Stage
@@ -30,7 +30,18 @@ from qrsim.view.thermals import THERMALS
 # Where pages look from at first, seen from what is looked at, NED.
 SOUTH = (-0.85, -0.3, -0.45)
 # Parts of the overlay; the last one calls the others.
-SCRIPTS = ("sky.js", "differences.js", "colourbar.js", "tools.js", "labels.js", "overlay.js")
+SCRIPTS = (
+    "asking.js",
+    "sky.js",
+    "differences.js",
+    "colourbar.js",
+    "theme.js",
+    "solids.js",
+    "tools.js",
+    "labels.js",
+    "table.js",
+    "overlay.js",
+)
 # Of the ground and the sky.
 GROUNDS = {
     "light": {"plane_color": (226, 232, 214), "cell_color": (196, 205, 186), "section_color": (168, 178, 160)},
@@ -102,8 +113,9 @@ class Overlay:
         self._stated: dict[int, list[str]] = {}
         self._data = {
             "title": title,
-            "css": _text("overlay.css"),
+            "css": _text("overlay.css") + _text("table.css"),
             "names": stage.cast.names,
+            "runOf": None if stage.cast.run_of is None else stage.cast.run_of.tolist(),
             "colours": _plain(stage.palette),
             "colourOf": stage.hues.tolist(),
             "stopped": colours.STOPPED,
@@ -116,6 +128,7 @@ class Overlay:
             "north": north[0],
             "site": stage.cast.site,
             "surface": f"{layers['ground and north'].path}/surface",
+            "obstacles": layers[OBSTACLES].path if OBSTACLES in layers else None,
             "layers": [layer.path for layer in layers.values()],
             "themes": {
                 name: {f"{layers['ground and north'].path}/{node}": _plain(own) for node, own in parts.items()}
@@ -164,6 +177,10 @@ class Overlay:
     def follow(self, vehicle: int | None, browser: object = None) -> None:
         """Follow a vehicle with the camera (None: none), in one browser or, by default, all."""
         self._tell("follow", vehicle, browser)
+
+    def identify(self, browser: Any) -> None:
+        """Tell a browser its number, with which it chooses a vehicle in its table."""
+        self._tell("browser", browser.client_id, browser)
 
     def ride(self, vehicle: int, kind: str) -> None:
         """Let the camera of all browsers go with a vehicle, behind it ("chase") or at its nose ("onboard")."""

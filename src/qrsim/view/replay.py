@@ -50,6 +50,8 @@ class Replay:
             self._slider: Any = page.server.gui.add_slider("t [s]", 0.0, max(end, step), step, min(time, end))
         self._slider.on_update(self._scrub)
         self._timeline = Timeline(page.server, end, recording.events, clock, self.seek, Plots(recording))
+        page.wishes = self._timeline.wish
+        page.stops = {vehicle: event.time for event, vehicle in recording.stops}
         page.note = page.note or " / ".join(recording.notes)
         page.sky = lambda vehicle: recording.sky(vehicle, self.time)
         page.add_colours(recording.paints.names, recording.paints.of, colour)
