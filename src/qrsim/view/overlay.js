@@ -259,7 +259,6 @@
   const layLegend = (tree, box) => {
     const room = free(box), under = box.height - room.bottom, narrow = box.width <= 700;
     const covered = document.getElementById("qrsim-plots")?.offsetHeight || table.box.offsetHeight;
-    legend.style.display = legendOpen && !(narrow && covered) ? "" : "none";
     extra.scale.style.bottom = under + 10 + "px";
     // On a small screen it is over the scale, and not there while plots or the table are open.
     legend.style.bottom = under + (narrow ? 50 : 10) + "px";
@@ -267,7 +266,9 @@
     const sky = root.querySelector(".qrsim-sky");
     sky.style.top = room.top + 2 + "px";
     const top = sky.offsetHeight ? sky.offsetTop + sky.offsetHeight : room.top - 4;
-    legend.style.maxHeight = Math.max(60, box.height - under - top - (narrow ? 80 : 40)) + "px";
+    const high = box.height - under - top - (narrow ? 80 : 20);
+    legend.style.maxHeight = Math.max(0, high) + "px";
+    legend.style.display = legendOpen && !(narrow && covered) && high > 80 ? "" : "none";
     bar.style.bottom = under + 48 + "px";
     const some = Object.keys(reasons).length > 0;
     for (const row of rows) {
@@ -320,7 +321,7 @@
     extra.ride();
     extra.keepLens();
     const marks = data.layers.map((name) => shown(tree, name)).join();
-    const mark = [now.at.join(), now.turn.join(), now.span, eye, box.left, box.top, box.width, box.height, free(box).bottom, marks,
+    const mark = [now.at.join(), now.turn.join(), now.span, eye, box.left, box.top, box.width, box.height, free(box).top, free(box).bottom, marks,
       state.chosen, JSON.stringify([reasons, states]), legendOpen].join("|");
     if (mark === seen) return;
     seen = mark;

@@ -61,6 +61,7 @@ class Page:
         plotted: returns for a vehicle and a measured quantity its (times, measured, true), each (K,).
         failing: adds to a browser's panel what lets parts of its chosen vehicle fail; None: nothing can.
         stops: vehicle -> time at which it stopped [s], for the table; None: when a frame first shows that it has.
+        paused: called after a user has paused the clock by a button.
         wishes: handles requests of browsers' scripts that are neither for the table nor a choice in it.
     """
 
@@ -87,6 +88,7 @@ class Page:
         self.viewers: dict[int, Viewer] = {}
         self.stops: dict[int, float] | None = None
         self._seen_stopped: dict[int, float] = {}
+        self.paused: Callable[[], None] = lambda: None
         self.wishes: Callable[[Any], bytes | None] = lambda wish: None
         listen(server, self.wish)
         self.drawn = 0
@@ -252,6 +254,8 @@ class Page:
             # What is drawn from now on says so itself; this is for what was drawn before.
             if self.scene.frame is not None:
                 self._say(self.scene.frame)
+            if buttons.value == "pause":
+                self.paused()
 
         @speed.on_update
         def _(_: object) -> None:

@@ -89,7 +89,9 @@
     else if (some.length > 60) make("small", found, `and ${some.length - 60} more`);
   };
   search.onfocus = search.oninput = suggest;
-  search.onblur = () => { found.hidden = true; replacing = null; search.placeholder = PLACEHOLDER; };
+  // The search ends: with a choice, or without.
+  const leave = () => { found.hidden = true; replacing = null; search.placeholder = PLACEHOLDER; };
+  search.onblur = leave;
   search.onkeydown = (event) => {
     if (event.key === "Enter") { const first = matches(search.value)[0]; if (first) add(first.names); }
     if (event.key === "Escape") search.blur();
@@ -118,6 +120,7 @@
     state.panels[state.active].fresh = true;
     search.value = "";
     search.blur();
+    leave();
     build();
   };
   const replace = (panel, name) => {
@@ -239,7 +242,7 @@
     const set = data.together.find(([, names]) => panel.names.every((own) => names.includes(own)));
     if (!set || panel.names.length < 2) return name.replace(/^derived\./, "");
     const [, part] = name.match(/^(?:commands|measurements)?\.?([a-z_0-9]+)/);
-    return `${set[0].split(":")[0]}, ${part === "setpoint" ? "set-point" : part}`;
+    return `${set[0].split(":")[0]}, ${{ setpoint: "set-point", derived: "truth" }[part] ?? part}`;
   };
   // The lines of a plot in words: value at the time shown, lowest and highest with a way to their times.
   const tell = (panel) => {
@@ -366,8 +369,11 @@
     build();
     list.load();
   };
-  let chosen = null;
+  let chosen = null, wide = 0;
   const watch = setInterval(() => {
+    // The scene gets wider and narrower with viser's panel.
+    const right = window.__viserMutable?.canvas?.getBoundingClientRect().right ?? 0;
+    if (right !== wide) { wide = right; if (state.open) size(); }
     const now = window.qrsim?.state.chosen ?? null;
     if (now === chosen) return;
     chosen = now;
