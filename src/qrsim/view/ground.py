@@ -33,7 +33,7 @@ class Ground(Layer):
 
     Attributes:
         north: (3,) tip of the arrow [m].
-        cell: of the grid [m].
+        cell: of the grid [m]; None: there is none on uneven ground.
     """
 
     title = "ground and north"
@@ -70,7 +70,9 @@ class Ground(Layer):
                 position=(0.0, 0.0, 0.0),
             )
         else:
-            down = float(down_at(self._ground, np.array([north]), np.array([east]))[0])
+            # Over the highest ground along it.
+            along = north + length * np.linspace(0.0, 1.15, 9)
+            down = float(down_at(self._ground, along, np.full(9, east)).min())
             scene.add_mesh_simple(
                 f"{self.path}/surface",
                 *surface(self._ground, found, reach),
@@ -79,7 +81,8 @@ class Ground(Layer):
                 side="double",
                 cast_shadow=False,
             )
-        self.north, self.cell = (north + 1.15 * length, east, down), cell
+        self.north = (north + 1.15 * length, east, down)
+        self.cell = cell if self._ground.at_zero else None
         scene.add_mesh_simple(
             f"{self.path}/north",
             *shapes.arrow(),

@@ -97,7 +97,6 @@
   // What panels leave of the canvas, in its pixels; `whole`: with what the table covers.
   const free = (box, whole = false) => {
     let [left, top, right, bottom] = [0, Math.max(44, 16 + tools.offsetHeight), box.width, box.height];
-    if (!whole && table.box.offsetHeight) top = table.box.offsetTop + table.box.offsetHeight + 6;
     const bar = document.getElementById("qrsim-timeline")?.getBoundingClientRect();
     if (bar) bottom = Math.min(bottom, bar.top - box.top);
     const plots = document.getElementById("qrsim-plots")?.getBoundingClientRect();
@@ -107,6 +106,9 @@
     if (sheet?.height) bottom = Math.min(bottom, sheet.top - box.top);
     const panel = document.getElementById("qrsim-panel")?.getBoundingClientRect();
     if (panel && box.width > 700) right = Math.min(right, panel.left - box.left);
+    // On a small screen the panel of an exported page is a line under the tools, while it is closed.
+    else if (panel && panel.height < 90) top = Math.max(top, panel.bottom - box.top + 6);
+    if (!whole && table.box.offsetHeight) top = table.box.offsetTop + table.box.offsetHeight + 6;
     if (legendOpen && box.width > 700) left = legend.offsetWidth + 12;
     return { left, top, right, bottom: Math.max(bottom, top + 40), width: right - left, height: bottom - top };
   };

@@ -96,7 +96,7 @@ class Overlay:
         bodies: of the vehicles.
         layers: that can be shown and hidden, by title.
         title: of the page, beside "qrsim".
-        north: a place north of the origin that is marked, and the cell of the grid [m]; None: none.
+        north: a place north of the origin that is marked, and the cell of the grid [m]; None: there is no grid.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class Overlay:
         bodies: Bodies,
         layers: dict[str, Layer],
         title: str,
-        north: tuple[tuple[float, float, float], float],
+        north: tuple[tuple[float, float, float], float | None],
     ):
         self._server = server
         self._said: dict[int, str] | None = None
@@ -202,7 +202,7 @@ class Overlay:
         run_script(browser or self._server, what, told)
 
 
-def _legend(stage: Stage, layers: dict[str, Layer], cell: float) -> list[dict[str, object]]:
+def _legend(stage: Stage, layers: dict[str, Layer], cell: float | None) -> list[dict[str, object]]:
     """Return the rows of the legend."""
     rows: list[dict[str, object]] = []
     rows += [_row("body", [stage.palette[number]], name, "") for number, name in enumerate(stage.cast.runs)]
@@ -223,7 +223,8 @@ def _legend(stage: Stage, layers: dict[str, Layer], cell: float) -> list[dict[st
             found = [("line", [stage.colours[0]], found[0][2])]
         rows += [_row(*row, layer.path) | {"ifStopped": row[2] == STOPPED} for row in found]
     rows.append(_row("size", [colours.GREY], "", layers["vehicles"].path))
-    rows.append(_row("thin", [colours.GREY], f"grid of {cell:g} m", layers["ground and north"].path))
+    if cell is not None:
+        rows.append(_row("thin", [colours.GREY], f"grid of {cell:g} m", layers["ground and north"].path))
     return rows
 
 

@@ -6,12 +6,12 @@ const tableIn = (host) => {
   const fixed = (digits, scale = 1) => (value) => (Number.isFinite(value) ? (scale * value).toFixed(digits).replace(/^-(0\.?0*)$/, "$1").replace("-", "\u2212") : "\u2013");
   // Heading, width [px], hint, and how a number is written; in the order of an answer (table.py), after the name.
   const columns = [
-    ["north m", 66, "north of the origin", fixed(1)], ["east m", 66, "east of the origin", fixed(1)],
-    ["height m", 66, "height over the origin", fixed(1)], ["speed m/s", 58, "speed over ground", fixed(1)],
+    ["north m", 76, "north of the origin", fixed(1)], ["east m", 76, "east of the origin", fixed(1)],
+    ["height m", 70, "height over the origin", fixed(1)], ["speed m/s", 58, "speed over ground", fixed(1)],
     ["battery %", 62, "charge of the battery", fixed(0, 100)],
     ["estimate error m", 78, "distance between the estimated and the true position", fixed(2)],
     ["estimate \u03c3 m", 78, "standard deviation that the estimator reports, of all three axes", fixed(2)],
-    ["state", 400, "waypoint, failsafe, or when and why it stopped; sorted by the time of the stop", null],
+    ["state", 380, "waypoint, failsafe, or when and why it stopped; sorted by the time of the stop", null],
   ];
   const box = make("div", "qrsim-table", host.root), bar = make("div", "qrsim-table-bar", box);
   const words = make("span", "", bar), filter = make("input", "", bar), shut = make("button", "", bar, "\u2715");

@@ -193,6 +193,8 @@ const toolsIn = (host) => {
     const bearing = (((Math.atan2(e, n) * 180) / Math.PI) + 360) % 360;
     words.textContent = `${named(ends[0])} to ${named(ends[1])}: ${Math.hypot(level, d).toFixed(1)} m, level ${level.toFixed(1)} m, ` +
       `height ${number(-d, 1)} m, bearing ${bearing.toFixed(0)}\u00b0`;
+    // No number is parted from its unit.
+    words.textContent = words.textContent.replace(/(\d) m\b/g, "$1\u00a0m");
   };
 
   // ---- the lens: the view from the top is that of a map, by a camera far above with a narrow field of view ----
@@ -327,7 +329,7 @@ const toolsIn = (host) => {
     canvas = to;
   };
   return {
-    listen, ride, go, geodetic, groundAt, placeAt, ground, scale, lens, keepLens, farther, down: DOWN,
+    listen, ride, go, geodetic, groundAt, placeAt, pick, ground, scale, lens, keepLens, farther, down: DOWN,
     lay: (box) => { layScale(box); say(box); layMeasure(box); },
     boxes: () => [pointer, words],
     ends: () => { listen(null); window.removeEventListener("keydown", escape); },
