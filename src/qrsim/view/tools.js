@@ -10,11 +10,21 @@ const toolsIn = (host) => {
 
   // ---- the ground, and places on the Earth ----
 
-  // Down coordinate [m] of the ground: that of its surface, a square grid of corners, or 0.
-  const ground = (north, east) => {
+  // The surface of the ground: its corners in a square grid of n x n, the highest and lowest down coordinate, and the cell [m]; null: z = 0.
+  let relief = null;
+  const reliefOf = () => {
     const own = host.nodes()[data.surface]?.message?.props?.vertices;
-    if (!own) return 0;
-    const at = host.floats(own), n = Math.round(Math.sqrt(at.length / 3)), last = at.length - 3;
+    if (!own) return null;
+    if (relief?.own === own) return relief;
+    const at = host.floats(own), n = Math.round(Math.sqrt(at.length / 3));
+    let [top, bottom] = [Infinity, -Infinity];
+    for (let k = 2; k < at.length; k += 3) { top = Math.min(top, at[k]); bottom = Math.max(bottom, at[k]); }
+    return (relief = { own, at, n, top, bottom, cell: Math.max(0.5, Math.abs(at[at.length - 3] - at[0]) / (n - 1)) });
+  };
+  // Down coordinate [m] of the ground; null beyond its surface.
+  const ground = (north, east, surface = reliefOf()) => {
+    if (!surface) return 0;
+    const { at, n } = surface, last = at.length - 3;
     const row = ((n - 1) * (north - at[0])) / (at[last] - at[0]), column = ((n - 1) * (east - at[1])) / (at[last + 1] - at[1]);
     if (!(row >= 0 && column >= 0 && row <= n - 1 && column <= n - 1)) return null;
     const i = Math.min(n - 2, Math.floor(row)), j = Math.min(n - 2, Math.floor(column)), f = row - i, g = column - j;
@@ -30,27 +40,16 @@ const toolsIn = (host) => {
     const eye = nedOf(host.m().camera.position), way = ned.map((value, axis) => value - eye[axis]), size = Math.hypot(...way);
     return { eye, way: way.map((value) => value / size), size };
   };
-  // Highest and lowest down coordinate [m] of the ground, and the cell of its grid [m].
-  let relief = null;
-  const reliefOf = () => {
-    const own = host.nodes()[data.surface]?.message?.props?.vertices;
-    if (!own) return { top: 0, bottom: 0, cell: 1 };
-    if (relief?.own === own) return relief;
-    const at = host.floats(own), n = Math.round(Math.sqrt(at.length / 3));
-    let [top, bottom] = [Infinity, -Infinity];
-    for (let k = 2; k < at.length; k += 3) { top = Math.min(top, at[k]); bottom = Math.max(bottom, at[k]); }
-    return (relief = { own, top, bottom, cell: Math.max(0.5, Math.abs(at[at.length - 3] - at[0]) / (n - 1)) });
-  };
   // How far [m] the ground is on a ray; Infinity for the sky. On uneven ground, by steps of half a cell, then halves.
   const farOf = ({ eye, way }) => {
-    const { top, bottom, cell } = reliefOf(), to = (down) => (down - eye[2]) / way[2];
+    const surface = reliefOf(), { top, bottom, cell } = surface ?? { top: 0, bottom: 0, cell: 1 }, to = (down) => (down - eye[2]) / way[2];
     if (eye[2] < top && !(way[2] > 1e-9)) return Infinity;
     const first = eye[2] < top ? to(top) : 0, level = Math.hypot(way[0], way[1]);
     // Beyond 100 km there is the horizon.
     const last = Math.min(way[2] > 1e-9 ? to(bottom) : Infinity, 1e5 / Math.max(level, 1e-9));
     if (first > last) return Infinity;
     if (top === bottom) return first > 0 ? first : Infinity;
-    const above = (s) => { const g = ground(eye[0] + s * way[0], eye[1] + s * way[1]); return g === null ? NaN : g - eye[2] - s * way[2]; };
+    const above = (s) => { const g = ground(eye[0] + s * way[0], eye[1] + s * way[1], surface); return g === null ? NaN : g - eye[2] - s * way[2]; };
     const step = Math.max((last - first) / 4000, Math.min((0.5 * cell) / Math.max(level, 1e-9), (last - first) / 20), 1e-3);
     for (let s = first; s < last + step; s += step) {
       if (!(above(s + step) < 1e-6)) continue;
@@ -74,8 +73,8 @@ const toolsIn = (host) => {
   };
   // What a pixel shows: its place NED [m], and in one word what is there; null for the sky.
   const placeAt = (x, y, box) => {
-    const ray = rayOf(x, y, box), seen = [[0, 0], [NEAR - 2, 0], [2 - NEAR, 0], [0, NEAR - 2], [0, 2 - NEAR]].map(([dx, dy]) => {
-      const own = rayOf(x + dx, y + dy, box);
+    const ray = rayOf(x, y, box), seen = [[0, 0], [-1, -1], [1, -1], [-1, 1], [1, 1]].map(([dx, dy]) => {
+      const own = rayOf(x + 0.7 * NEAR * dx, y + 0.7 * NEAR * dy, box);
       return solids.cast(own.eye, own.way);
     });
     let best = null;
@@ -137,7 +136,7 @@ const toolsIn = (host) => {
   let mouse = null;
   // Words for a place; those of flat ground are without its height, which is 0.
   const told = ({ ned, what }) => {
-    const parts = [`N ${number(ned[0], 1)} m, E ${number(ned[1], 1)} m`], hilly = !!host.nodes()[data.surface];
+    const parts = [`N ${number(ned[0], 1)} m, E ${number(ned[1], 1)} m`], hilly = !!reliefOf();
     if (data.site) parts.unshift(geodetic(ned).map((value) => number(value, 6) + "\u00b0").join(", "));
     if (what !== "ground" || hilly) parts.push(`${what} ${number(-ned[2], 1)} m`);
     const below = what !== "ground" && hilly ? ground(ned[0], ned[1]) : null;
