@@ -247,8 +247,6 @@ class View:
         """Serve the page of the runs until Ctrl-C; it is there, and says so, while they are being loaded."""
         from qrsim.view.clock import SPEEDS, Clock
         from qrsim.view.loading import show_loading
-        from qrsim.view.page import Page
-        from qrsim.view.replay import Replay
         from qrsim.view.server import address, start_server
 
         # Options can be wrong for these runs, which is an error before there is a page.
@@ -265,6 +263,10 @@ class View:
                 if sys.stdout.isatty():
                     print(f"loading {names}: {address(server)}", flush=True)
                 recording = self._opened()
+            # These take most of the time of a start, which the page is there for already.
+            from qrsim.view.page import Page
+            from qrsim.view.replay import Replay
+
             page = Page(server, recording.cast, recording.world, recording.heading, clock, recording.imagery)
             replay = Replay(recording, page, clock, self.at or 0.0, self.colour)
             stop = threading.Event()

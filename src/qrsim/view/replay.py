@@ -72,7 +72,7 @@ class Replay:
         return answer
 
     def _paused(self) -> None:
-        """Let panel, slider and timeline say the time that is drawn, which they do at some frames only while it plays."""
+        """Let panel, slider and timeline say the time that is drawn; while it plays, they do so at some frames only."""
         self.seek(self.time)
 
     def seek(self, time: float, everything: bool = True) -> None:
