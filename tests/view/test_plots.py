@@ -13,6 +13,7 @@ import pytest
 
 from qrsim.models.scene.area import BoxArea
 from qrsim.runs import Column, RunInfo, RunWriter, open_run
+from qrsim.runs.layout import Event
 from qrsim.view import highlights
 from qrsim.view.derived import nearest, to_fence
 from qrsim.view.highlights import highlights_of
@@ -104,24 +105,30 @@ def test_highlights_say_who_and_when(plots: Plots, monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize(
-    ("past", "told"),
+    ("past", "stops", "told"),
     [
-        # North of the fence from the tick at 7.5 s on, which is exactly on it; the second vehicle stays 5 m away.
-        ([], (7.5, "reached the fence: a_0, outside from 7.50 s on")),
+        # The first vehicle is at the fence at 7.5 s, and 0.1 m beyond it from the next tick on.
+        ([], {}, (7.6, "outside the fence: a_0 from 7.60 s on")),
         # Back inside at 9 s, and the second one outside at 8 s.
         (
             [(90, 200, 0, 3.0), (80, 100, 1, -1.0)],
-            (7.5, "reached the fence: a_0, outside from 7.50 s until 9.00 s; then <b> 8.00 s"),
+            {},
+            (7.6, "outside the fence: a_0 from 7.60 s to 9.00 s; then <b> 8.00 s"),
         ),
-        # Never nearer than 1 cm: the closest approach.
-        ([(75, 200, 0, 0.01)], (7.5, "closest to the fence: a_0, 0.01 m")),
+        # It stopped there: its log has the last place inside for good, so that many ticks are equally near.
+        ([(75, 200, 0, 0.001)], {0: 7.52}, (7.52, "outside the fence: a_0 from 7.52 s on")),
+        # Never outside: the closest approach, at its first tick.
+        ([(75, 200, 0, 0.001)], {}, (7.5, "closest to the fence: a_0, 0.00 m")),
     ],
 )
-def test_a_fence_that_was_reached_has_its_first_time(plots: Plots, past: list[Any], told: object):
-    series = Series(plots._recording.members[0], plots._recording.members[0])
+def test_beyond_a_fence_the_first_time_counts(
+    plots: Plots, past: list[Any], stops: dict[int, float], told: tuple[float, str], monkeypatch: pytest.MonkeyPatch
+):
+    member = plots._recording.members[0]
+    events = [(Event(at, 376, "a_0", "out_of_area", None, None, ""), vehicle) for vehicle, at in stops.items()]
+    monkeypatch.setattr(member.recording, "stops", events)
+    series = Series(member, member)
     values = np.stack([7.5 - np.arange(TICKS) * STEP, np.full(TICKS, 5.0)], axis=1)
-    # As after a stop at the fence: many ticks are equally near.
-    values[75:, 0] = 0.0
     for first, last, vehicle, value in past:
         values[first:last, vehicle] = value
     series.quantities[highlights.FENCE] = series.quantities["derived.height"]

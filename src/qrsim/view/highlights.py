@@ -25,8 +25,8 @@ MOST_NAMED = 8
 FEWEST_PACKETS = 10
 # Quantity, whether its largest value counts, and text with places for the vehicle and the value.
 FENCE = "derived.fence_distance"
-# A distance to the fence below this [m] reads 0.00, and counts as reached.
-TOUCHED = 0.005
+# Kind of the event of a vehicle that stopped because it left its area; its log ends at the last place inside.
+LEFT = "out_of_area"
 EXTREMES: tuple[tuple[str, bool, str], ...] = (
     (FENCE, False, "closest to the fence: {}, {:.2f} m"),
     ("derived.nearest_vehicle", False, "closest to another vehicle: {}, {:.2f} m"),
@@ -74,27 +74,35 @@ def _extreme(own: Series, name: str, most: bool, words: str) -> Iterator[Highlig
         return
     row, vehicle = np.unravel_index(np.argmax(values) if most else np.argmin(values), values.shape)
     value = float(values[row, vehicle])
-    if name == FENCE and value < TOUCHED:
-        yield from _beyond_fence(own, time, values)
+    beyond = list(_beyond_fence(own, time, values)) if name == FENCE else []
+    if beyond:
+        yield from beyond
     elif np.isfinite(value):
         yield float(time[row]), words.format(_named(own, int(vehicle)), value)
 
 
 def _beyond_fence(own: Series, time: Floats, values: Floats) -> Iterator[Highlight]:
-    """Yield which vehicles reached the fence, with their first times [s] there, the earliest first.
+    """Yield which vehicles were outside the fence, with their first times [s] there, the earliest first.
 
     Args:
         own: the run.
         time: (T,) [s].
         values: distances (T, n) [m], infinite where they do not count.
     """
-    reached = sorted((float(time[np.argmax(rows)]), i) for i, rows in enumerate((values < TOUCHED).T) if rows.any())
-    (first, vehicle), *others = reached
-    after = values[time >= first - 1e-6, vehicle]
-    back = np.flatnonzero(np.isfinite(after) & (after >= TOUCHED))
-    until = f"until {time[time >= first - 1e-6][back[0]]:.2f} s" if len(back) else "on"
-    names = own.member.recording.run.vehicles
-    yield first, f"reached the fence: {_named(own, vehicle)}, outside from {first:.2f} s {until}{_then(others, names)}"
+    first = {i: float(time[np.argmax(rows)]) for i, rows in enumerate((values < 0.0).T) if rows.any()}
+    for event, vehicle in own.member.recording.stops:
+        if event.kind == LEFT:
+            at = event.time + own.member.shift
+            first[vehicle] = min(at, first.get(vehicle, at))
+    reached = sorted((at, vehicle) for vehicle, at in first.items() if at >= 0.0)
+    if not reached:
+        return
+    (at, vehicle), *others = reached
+    later = time > at + 1e-6
+    back = np.flatnonzero(np.isfinite(values[later, vehicle]) & (values[later, vehicle] >= 0.0))
+    until = f"to {time[later][back[0]]:.2f} s" if len(back) else "on"
+    then = _then(others, own.member.recording.run.vehicles)
+    yield at, f"outside the fence: {_named(own, vehicle)} from {at:.2f} s {until}{then}"
 
 
 def _then(others: Sequence[tuple[float, int]], names: Sequence[str]) -> str:
