@@ -11,7 +11,7 @@ const tableIn = (host) => {
     ["battery %", 62, "charge of the battery", fixed(0, 100)],
     ["estimate error m", 78, "distance between the estimated and the true position", fixed(2)],
     ["estimate \u03c3 m", 78, "standard deviation that the estimator reports, of all three axes", fixed(2)],
-    ["state", 380, "waypoint, failsafe, or when and why it stopped; sorted by the time of the stop", null],
+    ["state", 520, "waypoint, failsafe, or when and why it stopped; sorted by the time of the stop", null],
   ];
   const box = make("div", "qrsim-table", host.root), bar = make("div", "qrsim-table-bar", box);
   const words = make("span", "", bar), filter = make("input", "", bar), shut = make("button", "", bar, "\u2715");
