@@ -18,9 +18,10 @@ from evidence import IMAGES, ROOT
 from evidence.returns import fly
 from evidence.tasks import summary
 from qrsim.envs.batch import Batch
+from qrsim.envs.functional import Functional
 from qrsim.envs.objective import objective_of
 from qrsim.envs.scoring import HOVER, maker
-from qrsim.envs.viewing import batch_of
+from qrsim.envs.viewing import batch_of, view_of
 from qrsim.runs.picture import new_figure, save_picture
 from qrsim.studies.learn.flights import Flights
 from qrsim.studies.learn.suited import plan_of
@@ -37,6 +38,8 @@ STEPS = {
     "keep_velocity": 1_200_000,
     "land_on_pad": 2_000_000,
     PURSUIT: 5_000_000,
+    "keep_formation": 3_000_000,
+    "search_small": 1_000_000,
 }
 SEEDS = 10
 # What training changes of a task [s].
@@ -107,7 +110,7 @@ def compared(task: str) -> dict[str, Any]:
     """Return how hovering and the baseline do in the same episodes, and the part that ends near the goal."""
     found = {}
     for name in (HOVER, "baseline"):
-        batch = Batch(task, TRIALS, [] if task in SHORTER else ["task.period=0.1"])
+        batch = batch_of(task, TRIALS, [], view_of(Functional.of(task)))
         play = batch.functional.play
         policies = [maker(name, play)(play, seed) for seed in range(TRIALS)]
 
