@@ -191,6 +191,7 @@ def _plan_of(training: Training) -> dict[str, Any]:
         "envs": plan.envs,
         "tries": plan.tries,
         "settings": asdict(plan.settings),
+        **({"integral": True} if plan.integral else {}),
     }
 
 
