@@ -189,7 +189,11 @@ class PolicyFile:
 
     def content(self) -> bytes:
         """Return the policy file's bytes."""
-        meta = json.dumps({"format": FORMAT, "view": asdict(self.view), "facts": self.facts}, sort_keys=True)
+        view = asdict(self.view)
+        if not self.view.summed:
+            # Versions without integrals read the file too.
+            del view["summed"]
+        meta = json.dumps({"format": FORMAT, "view": view, "facts": self.facts}, sort_keys=True)
         arrays: dict[str, Any] = {META: np.frombuffer(meta.encode(), np.uint8)}
         arrays |= {"mean": self.scaling.mean, "deviation": self.scaling.deviation}
         for number, (weights, offset) in enumerate(self.layers):

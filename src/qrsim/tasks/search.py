@@ -155,7 +155,8 @@ class Search(Task):
         offset = Vec3(persons.north[None] - here.x[:, None], persons.east[None] - here.y[:, None], -here.z[:, None])
         squared = jnp.where(missing[None], square(offset), FARTHEST)
         nearest = (squared == jnp.min(squared, axis=1, keepdims=True)) & missing[None]
-        share = nearest / jnp.maximum(jnp.sum(nearest, axis=1, keepdims=True), 1).astype(squared.dtype)
+        share = nearest.astype(squared.dtype)
+        share = share / jnp.maximum(jnp.sum(share, axis=1, keepdims=True), 1.0)
         to_person = offset.map(lambda axis: jnp.sum(share * axis, axis=1))
         number = jnp.sum(missing).astype(squared.dtype)
         return {"to_person_ned": to_person.stack(), "missing": jnp.broadcast_to(number, here.x.shape)}
