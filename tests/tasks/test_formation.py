@@ -62,7 +62,7 @@ def test_what_is_heard_becomes_offsets_to_the_own_place() -> None:
     age = np.where(sender >= 0, np.float32(0.0), np.float32(np.nan))
     age[1, 1] = 0.5
     inbox = Inbox(*map(jnp.asarray, (payload, sender, age, age, sender >= 0)))
-    seen = np.asarray(KIND().observe_heard(None, world, state, inbox))
+    seen = np.asarray(KIND().observe_received(None, world, state, inbox))
     assert seen.shape == (2, 25)
     # The leader is at 2 m north by now, so the place is at (-1, -4, -10) m.
     assert seen[0, 9:].tolist() == [-1.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.5, 1.0] + [0.0] * 8
@@ -109,7 +109,7 @@ def test_the_baseline_weighs_those_that_it_hears() -> None:
     [
         ("task.leader=leader", "task.leader: no fleet is called 'leader'; did you mean 'leaders'"),
         ("task.leader=followers", "task.leader: 'followers' is the fleet of the agents"),
-        ("world.radio=null", "world.radio: there is none, and the task 'keep_formation'"),
+        ("world.radio=null", "world.radio: the task 'keep_formation' needs one; give a preset"),
         ("world.radio.beacon=false", "needs beacons; give world.radio beacon: true and a size of at least 6"),
         ("fleets.leaders.radio=none", "fleets.leaders.radio: none; the task 'keep_formation' needs one"),
     ],

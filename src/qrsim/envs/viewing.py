@@ -10,6 +10,7 @@ from qrsim.envs.functional import Functional
 from qrsim.envs.scoring import neutral
 from qrsim.errors import UsageError
 from qrsim.tasks.learned import View, observed_names
+from qrsim.tasks.search import Search
 
 # Wanted time between two decisions [s]; a task with longer steps has one for each.
 DECISION = 0.1
@@ -41,7 +42,8 @@ def view_of(functional: Functional, integral: bool = False) -> View:
     try:
         observed = observed_names(play)
     except UsageError as error:
-        raise UsageError(f"{name}: {error}") from None
+        hint = "; task.observes=likeliest gives numbers" if isinstance(play.task, Search) else ""
+        raise UsageError(f"{name}: {error}{hint}") from None
     acts = tuple(axis.name for axis in play.axes)
     turns = "yaw" in observed and all(axis in acts for axis in BODY)
     chases = AHEAD[0] in observed and all(axis in acts for axis in LEVEL)

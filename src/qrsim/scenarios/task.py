@@ -60,7 +60,7 @@ def _formation_problems(scenario: ScenarioSpec) -> Iterator[str]:
     if task.leader == task.fleet:
         yield f"task.leader: '{task.leader}' is the fleet of the agents, task.fleet; name another one"
     if radio is None:
-        yield f"world.radio: there is none, and the task '{task.type}' is about what is heard"
+        yield f"world.radio: the task '{task.type}' needs one; give a preset, such as world.radio: sphere"
     elif not radio.beacon or radio.size < BEACON:
         yield f"task '{task.type}': it needs beacons; give world.radio beacon: true and a size of at least {BEACON}"
     for name in {task.leader, task.fleet} & set(scenario.fleets):

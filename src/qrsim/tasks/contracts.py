@@ -42,7 +42,7 @@ class Task(Protocol):
         leave: whether an agent that stops leaves, and the others fly on until all have stopped; else its episode ends.
         axes: the numbers of an action, with unit and range, where they do not depend on the world (see ``acts``).
         asks_for: kind of set-points that its fleet's controller must take; None: its actions are commands.
-        hears: whether radio messages are numbers of the observation, by ``observe_heard``. The agents then
+        receives: whether radio messages are numbers of the observation, by ``observe_received``. The agents then
             send beacons alone; else messages are parts of actions and observations.
         hands_in: whether an agent hands in an answer at the end, which has a ``score``.
         baseline: class of a policy for comparison, as ``qrsim score`` takes it; None: the task has none of its own.
@@ -54,7 +54,7 @@ class Task(Protocol):
     leave: bool = False
     axes: ClassVar[tuple[Axis, ...]] = ()
     asks_for: ClassVar[type | None] = None
-    hears: ClassVar[bool] = False
+    receives: ClassVar[bool] = False
     hands_in: ClassVar[bool] = False
     baseline: ClassVar[type | None] = None
 
@@ -104,8 +104,8 @@ class Task(Protocol):
     def observe(self, memory: Any, world: World, state: State) -> Any:
         """Return each agent's observation, (n, O) or a dict of arrays (n, ...); never the truth."""
 
-    def observe_heard(self, memory: Any, world: World, state: State, inbox: Inbox) -> Any:
-        """Return the observation of a task that ``hears``, with the messages that all vehicles have received."""
+    def observe_received(self, memory: Any, world: World, state: State, inbox: Inbox) -> Any:
+        """Return the observation of a task with ``receives``, from the messages that all vehicles have received."""
         raise NotImplementedError
 
     @abstractmethod

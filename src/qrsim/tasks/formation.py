@@ -44,7 +44,7 @@ class FormationMemory:
 
 @record
 class KeepFormation(Task):
-    """Keep a place in a formation that follows a leader, by the positions that are heard over the radio.
+    """Keep a place in a formation that follows a leader, by the positions that are received by radio.
 
     The places are the first waypoints of the agents, or their starts without waypoints, relative to the start of the
     leader. An agent's return is minus the mean over time of its squared error [m^2]. The error counts up to
@@ -52,13 +52,13 @@ class KeepFormation(Task):
     """
 
     penalty: Array = penalty()
-    fleet: str = setting(default="followers", doc="name of the fleet whose vehicles are the agents")
-    leader: str = setting(default="leaders", doc="name of the fleet whose first vehicle is followed")
+    fleet: str = setting(default="followers", doc="name of the fleet of the agents")
+    leader: str = setting(default="leaders", doc="name of the fleet with the leader, its first vehicle")
     period: float = action_period(0.2)
 
     axes: ClassVar[tuple[Axis, ...]] = velocity_axes(3.0, "ned")
     asks_for: ClassVar[type | None] = VelocitySetpoint
-    hears: ClassVar[bool] = True
+    receives: ClassVar[bool] = True
 
     def init(self, world: World, state: State, draw: Draw) -> FormationMemory:
         """Return the memory at the start."""
@@ -105,7 +105,7 @@ class KeepFormation(Task):
         own = believed(fleet_of(world, state, self.fleet)[1])
         return jnp.concatenate([own, jnp.zeros((own.shape[0], OTHER * own.shape[0]), own.dtype)], axis=-1)
 
-    def observe_heard(self, memory: FormationMemory, world: World, state: State, inbox: Inbox) -> Array:
+    def observe_received(self, memory: FormationMemory, world: World, state: State, inbox: Inbox) -> Array:
         """Return each agent's estimate, and what it has heard of the leader and the n - 1 other agents (n, 9 + 8 n).
 
         For each: the offset from the agent to its place by that vehicle's position, where this vehicle would be now at

@@ -105,8 +105,8 @@ class Play:
 
     @property
     def message(self) -> int:
-        """Size D of an agent's radio message; 0 without a radio, or if the task observes what its agents hear."""
-        return 0 if self.task.hears else message_size(self.world)
+        """Size D of an agent's radio message; 0 without a radio, or if messages are part of the observation."""
+        return 0 if self.task.receives else message_size(self.world)
 
     @property
     def ticks(self) -> int:
@@ -226,8 +226,8 @@ class Play:
 
     def observed(self, memory: object, state: State, tick: Array) -> Any:
         """Return the observation at a tick () int32 of the episode, with received messages if there is a radio."""
-        if self.task.hears:
-            return self.task.observe_heard(memory, self.world, state, heard(self.world, state, tick))
+        if self.task.receives:
+            return self.task.observe_received(memory, self.world, state, heard(self.world, state, tick))
         observe, fleets = self.task.observe_early if self.late else self.task.observe, self.task.fleets
         seen: Any = observe(memory, self.world, state)
         if not self.message:

@@ -145,7 +145,7 @@ class Search(Task):
     def truth(self, memory: SearchMemory, world: World, state: State) -> dict[str, Array]:
         """Return the offsets (n, 3) NED [m] to the nearest missing person, and the number missing.
 
-        The offset is 0 when nobody is missing. With ``observes: picture`` the dict is empty.
+        The offset is 0 once all are found. With ``observes: picture`` the dict is empty.
         """
         if self.observes == "picture":
             return {}

@@ -1,4 +1,4 @@
-"""Baseline of a formation: the leader's velocity, and a consensus on the positions that are heard."""
+"""Baseline of a formation: the leader's velocity, and a consensus on the received positions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ GAIN, LEADER = 0.5, 0.5
 class Consensus:
     """Flies each agent at the velocity of the leader, corrected by a weighted mean of its offsets to its place.
 
-    An agent that does not hear the leader takes the mean velocity of the agents that it hears. It is the law of Ren
+    An agent without a message of the leader takes the mean velocity of the agents with one. It is the law of Ren
     (2007), as in ``control.teams.formation``, in all three axes.
 
     Args:
