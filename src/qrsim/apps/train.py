@@ -67,7 +67,7 @@ class Train:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check the options, train the policy, and print the result."""
+        """Run ``qrsim train``: check the options, train a policy for a task, and print the result."""
         self._check()
         require("learn", "qrsim train")
         if self.tensorboard:
@@ -115,7 +115,7 @@ class Train:
         self._tell(training, folder)
 
     def _board(self, folder: Path, steps: int) -> Board | None:
-        """Return the event files of --tensorboard, None without it."""
+        """Return the writer of TensorBoard event files with --tensorboard, None without it."""
         from qrsim.studies.learn.board import Board
 
         return Board(folder, steps) if self.tensorboard else None
@@ -136,14 +136,14 @@ class Train:
             raise UsageError(f"--envs {self.envs}: expected 1 to {MOST_ENVS}")
 
     def _tell_row(self, row: Tried) -> None:
-        """Print one row of the training's progress: a cycle."""
+        """Print a row of the training's progress: one cycle and its scores."""
         if self.json:
             return
         text = f"cycle {row.cycle}, {row.steps} steps, {row.seconds:.0f} s: mean return {row.mean_return:.4g}, "
         print(f"{text}flown to the end {row.flown_to_the_end:.3g}", flush=True)
 
     def _tell(self, training: Training, folder: Path) -> None:
-        """Print the result of the training as text or JSON."""
+        """Print the result of the training, as text or JSON."""
         policy = folder / "policy.npz"
         if self.json:
             best = None if training.best is None else asdict(training.best[1])
@@ -161,14 +161,14 @@ class Train:
 
 
 def _name_of(plan: Plan) -> str:
-    """Return a task's name for a folder; raises as ``Functional.of`` for a task that cannot be learned."""
+    """Return the task's name for a folder; raises UsageError for a task that cannot be learned."""
     from qrsim.envs.functional import Functional
 
     return Functional.of(plan.task, plan.overrides).name.replace("/", "_")
 
 
 def _shown(best: tuple[object, Tried] | None) -> str:
-    """Return the scores of the best policy as text."""
+    """Return the best policy's scores as text."""
     if best is None:
         return "none yet"
     row = best[1]

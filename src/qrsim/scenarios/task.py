@@ -24,7 +24,7 @@ CONTENTS = {"search": "persons", "plume_mapping": "plume"}
 
 
 def task_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield each problem of a task in its scenario."""
+    """Yield the errors of a task in its scenario: unknown fleets, wrong period, missing contents or sensors."""
     task = scenario.task
     if task.type == "none":
         return
@@ -70,7 +70,7 @@ def _formation_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _senses_problems(task: Any, fleet: FleetSpec) -> Iterator[str]:
-    """Yield the problems of the sensors that an agent's observation names."""
+    """Yield the errors of the sensor names in a task's ``senses``, which agents observe."""
     names = vars(task).get("senses") or ()
     if is_outside("task", task.type):
         return
@@ -87,7 +87,7 @@ def _senses_problems(task: Any, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _setpoint_problems(scenario: ScenarioSpec, name: str, asks_for: type | None) -> Iterator[str]:
-    """Yield a problem if a fleet's controller does not take the set-points of its task."""
+    """Yield an error if a fleet's controller does not accept ``asks_for``, the set-points of its task."""
     task, fleet = scenario.task, scenario.fleets[name]
     if asks_for is not None and asks_for not in known.CONTROLLERS[fleet.controller.type].setpoints:
         fitting = [name for name, cls in known.CONTROLLERS.items() if asks_for in cls.setpoints]
@@ -104,7 +104,7 @@ def _setpoint_problems(scenario: ScenarioSpec, name: str, asks_for: type | None)
 
 
 def _fleet_problems(scenario: ScenarioSpec, fleet: FleetSpec) -> Iterator[str]:
-    """Yield the sensors that a task names and its fleet lacks, or has of another type."""
+    """Yield the sensors that a task needs and that its fleet lacks, or has of another type."""
     task = scenario.task
     yield from _senses_problems(task, fleet)
     for field, types in SENSORS.items():

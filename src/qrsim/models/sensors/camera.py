@@ -32,7 +32,7 @@ class TakesPictures(Protocol):
     """Method of sensors with ``takes_pictures``, in addition to their contract."""
 
     def develop(self, reading: object, around: Surroundings, stream: Stream, size: Array) -> Picture:
-        """Return the last picture of each vehicle (n,), scores for windows of the ground; see ``Camera.develop``."""
+        """Return the last picture of each vehicle (n,): a score for each window of ground; see ``Camera.develop``."""
         ...
 
 
@@ -99,7 +99,7 @@ class PersonClassifier:
     clutter_std: Array = parameter(default=0.04, unit="1", doc="without a person: further std on clutter", minimum=0.0)
 
     def person(self, distance: Array, ground: Array) -> tuple[Array, Array]:
-        """Return mean and std of the score of windows with a person, of any shape.
+        """Return mean and std of a classifier's score for ground windows with a person, by distance [m] and class.
 
         Args:
             distance: r [m].
@@ -113,17 +113,17 @@ class PersonClassifier:
         return mean, self.person_std + r * (self.person_std_slope + r * self.person_std_curve)
 
     def none(self, distance: Array, ground: Array) -> tuple[Array, Array]:
-        """Return mean and std of the score of windows without a person, of any shape; see ``person``."""
+        """Return mean and std of a classifier's score for ground windows without a person; see ``person``."""
         r = jnp.clip(distance, 0.0, self.range_limit)
         mean = self.none_mean + self.none_rise * jnp.minimum(r / self.near, 1.0)
         std = self.none_std + r * (self.none_std_slope + r * self.none_std_curve)
         return mean, std + jnp.where(ground == CLUTTER, self.clutter_std, 0.0)
 
     def ratio(self, score: Array, distance: Array, ground: Array) -> Array:
-        """Return the log-likelihood ratio of a score: ln N(score; person) - ln N(score; none)."""
+        """Return the log-likelihood ratio, person over no person, of a window's score at a distance [m]."""
 
         def log_density(mean: Array, std: Array) -> Array:
-            """Return the logarithm of a normal density at the score, without its constant."""
+            """Return the log of a normal density at the score, without its constant."""
             offset = (score - mean) / std
             return -0.5 * offset * offset - log(std)
 
@@ -158,23 +158,23 @@ class Camera(Sensor):
     takes_pictures: ClassVar[bool] = True
 
     def init(self, draw: Noise, position_ned: Vec3, attitude: Euler) -> tuple[Array, CameraReading]:
-        """Return the number of the first picture, 0, and the reading with the pose at which it was taken."""
+        """Return the number of the first picture, 0, and the reading: this number and the pose of the camera."""
         number = jnp.zeros_like(position_ned.x)
         return number, CameraReading(position_ned, attitude, number)
 
     def restart(
         self, state: Array, draw: Noise, since: Array, position_ned: Vec3, attitude: Euler
     ) -> tuple[Array, CameraReading]:
-        """Return the last picture's number, and a reading taken again at the new poses."""
+        """Return the last picture's number, and a reading with the poses after ``set_state`` has moved vehicles."""
         return state, CameraReading(position_ned, attitude, state)
 
     def step(self, state: Array, draw: Noise, position_ned: Vec3, attitude: Euler) -> tuple[Array, CameraReading]:
-        """Return the next picture's number, and the reading with the pose at which it was taken."""
+        """Return the next picture's number, and the reading: this number and the pose of the camera."""
         number = state + 1.0
         return number, CameraReading(position_ned, attitude, number)
 
     def develop(self, reading: CameraReading, around: Surroundings, stream: Stream, size: Array) -> Picture:
-        """Return the last picture of each vehicle (n,): a score for each window of the ground.
+        """Return the last picture of each vehicle (n,): a person score for each window (about ``size`` [m]) of ground.
 
         Args:
             reading: where and when.
@@ -185,7 +185,7 @@ class Camera(Sensor):
         tick = self.tick_of(reading, around)
 
         def one(camera: Camera, reading: CameraReading, tick: Array, identity: Array) -> Picture:
-            """Return the picture of one vehicle."""
+            """Return the picture of one vehicle, by the random numbers of its tick and identity."""
             noise = jnp.zeros((self.most_rows * self.most_columns, 1), reading.picture.dtype)
             if self.noisy:
                 draw = Draw(Stream(stream.high, stream.low, identity[None]), tick, reading.picture)
@@ -195,7 +195,7 @@ class Camera(Sensor):
         return jax.vmap(one)(self.for_each(reading), reading, tick, stream.ids)
 
     def ratios(self, reading: CameraReading, around: Surroundings, stream: Stream, size: Array, to: Array) -> Array:
-        """Return the log-likelihood ratios (n, R, C) of ``develop`` alone, 0 beyond the grid of windows.
+        """Return only the log-likelihood ratios (n, R, C) of ``develop``, put into ``to``; 0 outside a picture's grid.
 
         Args:
             reading, around, stream, size: see ``develop``.
@@ -204,7 +204,7 @@ class Camera(Sensor):
         return camera_windows.ratios(self, reading, around, stream, size, to)
 
     def frame(self, reading: CameraReading, around: Surroundings, size: Array) -> tuple[Array, Array]:
-        """Return rows and columns (n, 2) int32 of the last pictures, and their corners (n, 4, 2) on the ground [m].
+        """Return each last picture's rows and columns (n, 2) int32, and its corners (n, 4, 2) [m] on the ground.
 
         The grid is rows and columns. Corners are north and east [m] on the ground: upper left, upper right, lower
         right, lower left. Those of a vehicle that has stopped are NaN, and its grid is 0.
@@ -214,7 +214,7 @@ class Camera(Sensor):
         """
 
         def one(camera: Camera, reading: CameraReading) -> tuple[Array, Array]:
-            """Return grid and corners of one vehicle's picture."""
+            """Return one vehicle's picture grid (rows, columns) and its corners on the ground."""
             view = camera.view(reading, around, size)
             zero = jnp.zeros_like(view.rows)
             row = jnp.stack([zero, zero, view.rows, view.rows])
@@ -227,7 +227,7 @@ class Camera(Sensor):
         return jax.vmap(one)(self.for_each(reading), reading)
 
     def for_each(self, reading: CameraReading) -> Camera:
-        """Return the camera with every parameter broadcast to (n,), one value for each vehicle."""
+        """Return the camera with every parameter broadcast to one value for each vehicle (n,)."""
         return jax.tree.map(lambda leaf: jnp.broadcast_to(jnp.asarray(leaf), reading.picture.shape), self)
 
     def tick_of(self, reading: CameraReading, around: Surroundings) -> Array:
@@ -238,7 +238,7 @@ class Camera(Sensor):
         return number * ticks
 
     def _develop(self, reading: CameraReading, around: Surroundings, tick: Array, noise: Array, size: Array) -> Picture:
-        """Return the picture of one vehicle from the normals (R, C) of its windows."""
+        """Return one vehicle's picture, from a standard normal (R, C) for each of its ground windows."""
         view = self.view(reading, around, size)
         row = jnp.arange(self.most_rows + 1).astype(noise.dtype)[:, None]
         column = jnp.arange(self.most_columns + 1).astype(noise.dtype)[None, :]
@@ -259,11 +259,11 @@ class Camera(Sensor):
         )
 
     def middle(self, view: View, row: Array, column: Array) -> tuple[Array, Array]:
-        """Return the pixels (x, y) of the centres of windows; row and column (...) are floating-point numbers."""
+        """Return pixel coordinates (x, y) of windows' centres, for their rows and columns (...) in the grid."""
         return view.left + (column + 0.5) * view.width, view.top + (row + 0.5) * view.height
 
     def ratio(self, view: View, around: Surroundings, x: Array, y: Array, present: Array, noise: Array) -> Array:
-        """Return the log-likelihood ratios of windows of one picture.
+        """Return the log-likelihood ratio of each ground window of one picture; ``present``: shows a person.
 
         Args:
             view: of the camera.
@@ -280,7 +280,7 @@ class Camera(Sensor):
         return self.classifier.ratio(score, distance, ground) + 0.0 * distance
 
     def view(self, reading: CameraReading, around: Surroundings, size: Array) -> View:
-        """Return the projection of one camera onto the ground, with its grid of windows of about ``size`` [m]."""
+        """Return one camera's projection onto the ground, with its grid of windows of about ``size`` [m]."""
         position, direction = around.over_ground(reading.taken_at_ned), rotation(reading.taken_attitude)
         axis = position + direction.down * (-position.z / direction.down.z)
         pixels = [
@@ -293,7 +293,7 @@ class Camera(Sensor):
         side = jnp.sqrt(0.5 * jnp.abs(doubled))
 
         def cut(length: int, most: int) -> tuple[Array, Array, Array]:
-            """Return number and length of windows along one side of the picture, and the margin."""
+            """Return number and length [pixels] of windows along one side of a picture, and the margin."""
             count = jnp.clip(jnp.round(length / side), 1.0, most)
             window = jnp.floor(length / count)
             return count, window, jnp.floor(0.5 * (length - window * jnp.floor(length / window)))
@@ -303,7 +303,7 @@ class Camera(Sensor):
         return View(position, direction, rows, columns, width, height, left, top)
 
     def _in_picture(self, position: Vec3, direction: Rotation, north: Array, east: Array) -> tuple[Array, Array]:
-        """Return the pixels (x, y) of points on the ground."""
+        """Return pixel coordinates (x, y) of points on the ground, north and east [m]."""
         seen = direction.to_body(Vec3(north - position.x, east - position.y, -position.z + 0.0 * north))
         return (
             self.principal_x + self.focal_length * seen.y / seen.z,
@@ -311,7 +311,7 @@ class Camera(Sensor):
         )
 
     def _on_ground(self, view: View, x: Array, y: Array) -> Vec3:
-        """Return the points on the ground shown by pixels; x (1, C) or (R, C), y (R, 1) or (R, C)."""
+        """Return the points on the ground that pixels show; x is (1, C) or (R, C), y is (R, 1) or (R, C)."""
         right = (x - self.principal_x) / self.focal_length + 0.0 * y
         ahead = -(y - self.principal_y) / self.focal_length + 0.0 * x
         ray = view.direction.to_ned(Vec3(ahead, right, jnp.ones_like(right)))
@@ -319,12 +319,12 @@ class Camera(Sensor):
         return Vec3(view.position.x + reach * ray.x, view.position.y + reach * ray.y, jnp.zeros_like(reach))
 
     def shows(self, view: View, persons: PersonsState, tick: Array) -> Array:
-        """Return () bool: the centre of a person not found by ``tick`` is in the picture."""
+        """Return () bool: the picture shows the centre of a person who has not been found by ``tick``."""
         here = self._in_frame(*self._in_picture(view.position, view.direction, persons.north, persons.east))
         return jnp.any(here & persons.missing(tick))
 
     def winners(self, view: View, persons: PersonsState, tick: Array, size: Array) -> tuple[Array, Array, Array]:
-        """Return windows (Q,) by row and column, and (Q,) bool: the person nearest its centre is not found yet.
+        """Return windows (Q,) of persons, as row and column, and (Q,) bool: the person nearest its centre is missing.
 
         A window is named for each of nine points of each person; the nearest of them counts.
         """
@@ -334,7 +334,7 @@ class Camera(Sensor):
         return row, column, jnp.isfinite(nearness) & (nearness == nearest) & missing
 
     def _points(self, view: View, persons: PersonsState, tick: Array, size: Array) -> tuple[Array, Array, Array, Array]:
-        """Return row and column int32 of nine points of each person (Q,), squared distance to its centre, missing.
+        """Return row, column, squared distance to the window's centre, and missing (Q,), for nine points a person.
 
         Points that are in no window are infinitely far, in a row and a column beyond the last.
         """
@@ -364,7 +364,7 @@ class Camera(Sensor):
         return row, column, nearness, missing
 
     def _present(self, view: View, persons: PersonsState, tick: Array, size: Array) -> Array:
-        """Return (R, C) bool: the person nearest a window's centre is one not found by ``tick``."""
+        """Return (R, C) bool: the person nearest a window's centre has not been found by ``tick``."""
         row, column, nearness, missing = self._points(view, persons, tick, size)
         window = row, column
         nearest = jnp.full((self.most_rows, self.most_columns), jnp.inf, nearness.dtype)
@@ -374,7 +374,7 @@ class Camera(Sensor):
         return jnp.zeros(nearest.shape, bool).at[window].max(wins, mode="drop")
 
     def _in_frame(self, x: Array, y: Array) -> Array:
-        """Return whether pixel coordinates are inside the picture."""
+        """Return whether pixel coordinates are within the picture."""
         return (x >= 0.0) & (x < self.width) & (y >= 0.0) & (y < self.height)
 
 
