@@ -84,7 +84,7 @@ class OneWorld:
             self._bound[type(command)] = program, slot
 
     def reset(self, keys: WorldKeys) -> tuple[Packer, Buffers]:
-        """Start an episode; return its first state as flat buffers, with their layout."""
+        """Start an episode; return the layout and flat buffers of its first state."""
         program = self._reset.program(keys)
         state: Buffers = program.start()
         layout = program.layout

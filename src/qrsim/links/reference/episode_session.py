@@ -200,7 +200,7 @@ class EpisodeSession:
 
     @property
     def packed(self) -> tuple[Packer, Buffers]:
-        """Present state of the world in flat buffers, and the layout that unpacks it."""
+        """Layout and flat buffers of the world's present state."""
         state = jax.tree.map(np.asarray, self._episodes.episode(0).state)
         if self._layout is None:
             self._layout = Packer(state)

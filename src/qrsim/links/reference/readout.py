@@ -81,7 +81,7 @@ class Source(Protocol):
 
     @property
     def packed(self) -> tuple[Packer, Buffers]:
-        """State of the world in flat buffers, and the layout that unpacks it."""
+        """Layout and flat buffers of the world's state."""
 
 
 def places_of(simulation: Source) -> Any:
