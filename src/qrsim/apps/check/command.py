@@ -201,8 +201,8 @@ class Check:
 
 
 def _draw(scenario: Scenario, flown: Rollout, found: list[Outcome], path: Path) -> RunError | None:
-    """Draw the picture of a check; return an error instead of raising it, so that the numbers are printed all the
-    same."""
+    """Draw the picture of a check; return an error (None: it is drawn) instead of raising it, so that the numbers are
+    printed all the same."""
     from qrsim.apps.check.picture import save_picture
 
     try:
