@@ -13,7 +13,8 @@ from qrsim.core.arrays import Floats
 from qrsim.envs.batch import Batch
 from qrsim.errors import UsageError
 from qrsim.tasks.baselines.many import Many
-from qrsim.tasks.learned import LIMIT, PolicyFile, forward, side_of_fleet
+from qrsim.tasks.learned import LIMIT, PolicyFile, forward
+from qrsim.tasks.teams import side_of_fleet
 
 
 class OneSide:
@@ -33,7 +34,7 @@ class OneSide:
     """
 
     def __init__(self, batch: Batch, fleet: str, others: Others | None = None):
-        self._batch, self._side = batch, side_of_fleet(batch.functional.play, fleet)
+        self._batch, self._side = batch, side_of_fleet(batch.functional.play.sides, fleet)
         self.functional, self.size, self.agents = batch.functional, batch.size, self._side.names
         self._many, self._others = Many(batch.functional.play, batch.size), others
         self._given: dict[str, Floats] | None = None
@@ -107,10 +108,10 @@ class Others:
         self.fleet = file.view.fleet if file.view.fleet is not None else names[0]
         if self.fleet == learner:
             raise UsageError(f"--others {file.name}: it flies fleet '{learner}', which learns")
-        side_of_fleet(play, self.fleet)
+        side_of_fleet(play.sides, self.fleet)
         file.check(play, self.fleet)
-        self._file, self._agents = file, len(side_of_fleet(play, self.fleet).names)
-        self._last = np.zeros((batch.size, self._agents, len(file.view.flown)), np.float32)
+        self._file, self._agents = file, len(side_of_fleet(play.sides, self.fleet).names)
+        self._last = np.zeros((batch.size, self._agents, file.view.remembered), np.float32)
 
     def begin(self, rows: Floats | None = None) -> None:
         """Begin all episodes, or the next ones in some rows."""
@@ -120,8 +121,8 @@ class Others:
         """Return the actions (B, n, A) for observations (B, n, O)."""
         view, shape = self._file.view, seen.shape[:2]
         rows = seen.reshape(-1, seen.shape[-1])
-        inputs = self._file.scaling.scaled(view.features(rows, self._last.reshape(len(rows), -1)))
-        outputs = forward(self._file.layers, inputs).clip(-LIMIT, LIMIT)
-        self._last = outputs.reshape(self._last.shape)
-        found: Floats = view.action(outputs, rows).reshape(*shape, -1)
+        last = self._last.reshape(len(rows), -1)
+        outputs = forward(self._file.layers, self._file.scaling.scaled(view.features(rows, last)))
+        self._last = view.remember(outputs, rows, last).reshape(self._last.shape)
+        found: Floats = view.action(outputs.clip(-LIMIT, LIMIT), rows).reshape(*shape, -1)
         return found

@@ -9,7 +9,9 @@ from qrsim.envs.batch import Batch
 from qrsim.envs.functional import Functional
 from qrsim.envs.scoring import neutral
 from qrsim.errors import UsageError
-from qrsim.tasks.learned import View, observed_names, side_of_fleet
+from qrsim.tasks.learned import View, observed_names
+from qrsim.tasks.search import Search
+from qrsim.tasks.teams import side_of_fleet
 
 # Wanted time between two decisions [s]; a task with longer steps has one for each.
 DECISION = 0.1
@@ -20,15 +22,18 @@ BODY = ("pitch", "roll")
 # A pursuer sees and moves relative to the direction of the first mouse, as it looks alike from all sides.
 AHEAD_OF_MOUSE = ("cat_0_offset_north", "cat_0_offset_east")
 AHEAD, LEVEL = ("mouse_0_offset_north", "mouse_0_offset_east"), ("velocity_north", "velocity_east")
+# Beginnings of the names of observed errors, whose integral makes up for a constant wind.
+INTEGRATED = ("to_", "wanting_")
 # What is never commanded: a battery is full.
 GIVEN = ("battery",)
 
 
-def view_of(functional: Functional, fleet: str | None = None) -> View:
+def view_of(functional: Functional, integral: bool = False, fleet: str | None = None) -> View:
     """Return the learner's view of a task: inputs, outputs, and the time between decisions.
 
     Args:
         functional: the task.
+        integral: the integral of the offset to the goal, or of the missing velocity, is an input too.
         fleet: name of the one that learns, of several.
 
     Raises:
@@ -43,19 +48,24 @@ def view_of(functional: Functional, fleet: str | None = None) -> View:
         raise UsageError(f"{name}: agents are of the fleets {fleets}; choose the one that learns by --fleet")
     if not several and fleet is not None:
         raise UsageError(f"--fleet {fleet}: {name} has agents of {play.sides[0].fleet} only")
-    side = side_of_fleet(play, fleet)
+    side = side_of_fleet(play.sides, fleet)
     try:
         observed = observed_names(play, fleet)
     except UsageError as error:
-        raise UsageError(f"{name}: {error}") from None
+        hint = "; task.observes=likeliest gives numbers" if isinstance(play.task, Search) else ""
+        raise UsageError(f"{name}: {error}{hint}") from None
     acts = tuple(axis.name for axis in side.axes)
     turns = "yaw" in observed and all(axis in acts for axis in BODY)
     towards = next((pair for pair in (AHEAD, AHEAD_OF_MOUSE) if pair[0] in observed), None)
     chases = towards is not None and all(axis in acts for axis in LEVEL)
+    summed = tuple(number for number, name in enumerate(observed) if name.startswith(INTEGRATED)) if integral else ()
+    if integral and not summed:
+        raise UsageError(f"{name}: it observes no offset to a goal or velocity that an integral could be taken of")
+    names = (*observed, *(f"sum_{observed[number]}" for number in summed))
     pairs = tuple(
-        (number, observed.index(name.removesuffix("north") + "east"))
-        for number, name in enumerate(observed)
-        if (turns or chases) and name.endswith("_north") and name.removesuffix("north") + "east" in observed
+        (number, names.index(name.removesuffix("north") + "east"))
+        for number, name in enumerate(names)
+        if (turns or chases) and name.endswith("_north") and name.removesuffix("north") + "east" in names
     )
     # An offset to the goal says more than a position, and what turns with the heading needs none.
     goal = any(each.startswith("to_") for each in observed)
@@ -67,7 +77,7 @@ def view_of(functional: Functional, fleet: str | None = None) -> View:
         seconds=_seconds(play.task.period, play.steps),
         observed=observed,
         acts=acts,
-        kept=tuple(number for number, each in enumerate(observed) if each not in left_out),
+        kept=tuple(number for number, each in enumerate(names) if each not in left_out),
         pairs=pairs,
         yaw=observed.index("yaw") if turns else None,
         flown=flown,
@@ -76,6 +86,7 @@ def view_of(functional: Functional, fleet: str | None = None) -> View:
         ahead=(observed.index(towards[0]), observed.index(towards[1])) if chases and towards is not None else None,
         fleet=fleet if several else None,
         turned=(flown.index(acts.index(LEVEL[0])), flown.index(acts.index(LEVEL[1]))) if chases else None,
+        summed=summed,
     )
 
 

@@ -102,8 +102,8 @@ def fly_round(
         outputs = wanted if act is None else act(features)
         count += int(alive.sum())
         flown = outputs + NOISE * rng.standard_normal(outputs.shape, np.float32)
-        flights.last = flown.clip(-LIMIT, LIMIT)
-        action = flights.view.action(flights.last, flights.seen).reshape(batch.size, flights.agents, -1)
+        flights.last = flights.view.remember(flown, flights.seen, flights.last)
+        action = flights.view.action(flown.clip(-LIMIT, LIMIT), flights.seen).reshape(batch.size, flights.agents, -1)
         _, terminated, _ = batch.step(action)
         alive &= ~np.repeat(terminated, flights.agents)
         if not alive.any():

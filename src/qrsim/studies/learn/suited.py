@@ -9,8 +9,10 @@ from qrsim.envs.functional import Functional
 from qrsim.studies.learn.ppo import Settings
 from qrsim.studies.learn.starting import BASELINE
 from qrsim.studies.learn.training import Plan
+from qrsim.tasks.formation import KeepFormation
 from qrsim.tasks.landing import Land
 from qrsim.tasks.pursuit import Pursuit
+from qrsim.tasks.search import Search
 
 # Decisions of 1 s, whose consequences are fewer; noise that cats a few metres from each other survive.
 PURSUIT = Settings(discount=0.97, epochs=4, minibatches=8, spread=0.3, averaged=0.9)
@@ -21,8 +23,16 @@ STARTED_WIDTH = 48
 STARTED_TRIES = 200
 # Noise with which a vehicle near the ground seldom tips over.
 LANDING = Settings(spread=0.4)
+# Decisions of 0.2 s and more: fewer samples, and more passes over them.
+SLOW, SLOW_ENVS = Settings(epochs=4, minibatches=8, spread=0.4), 64
 # Episodes side by side: fewer of a team, so that the policy is improved more often for the same decisions.
 ENVS, PURSUIT_ENVS = 512, 128
+SUITED: dict[type, tuple[Settings, int]] = {
+    Pursuit: (PURSUIT, PURSUIT_ENVS),
+    Land: (LANDING, ENVS),
+    KeepFormation: (SLOW, SLOW_ENVS),
+    Search: (SLOW, SLOW_ENVS),
+}
 
 
 def plan_of(task: Any, overrides: tuple[str, ...] = (), envs: int | None = None, **changes: Any) -> Plan:
@@ -37,14 +47,13 @@ def plan_of(task: Any, overrides: tuple[str, ...] = (), envs: int | None = None,
         UsageError, ScenarioError: there is no such task.
     """
     kind = Functional.of(task, overrides).play.task
-    pursues = isinstance(kind, Pursuit)
-    settings = PURSUIT if pursues else LANDING if isinstance(kind, Land) else Settings()
+    settings, suited = next((each for task, each in SUITED.items() if isinstance(kind, task)), (Settings(), ENVS))
     if envs is None:
-        envs = PURSUIT_ENVS if pursues else ENVS
-    suited: dict[str, Any] = {"settings": settings}
+        envs = suited
+    fields: dict[str, Any] = {"settings": settings}
     if isinstance(kind, Pursuit) and not kind.senses:
-        suited["start"] = BASELINE
-    if (suited | changes).get("start") is not None:
-        width = STARTED_WIDTH if pursues else settings.width
-        suited |= {"settings": replace(settings, width=width, **STARTED), "tries": STARTED_TRIES}
-    return Plan(task, overrides, envs=envs, **(suited | changes))
+        fields["start"] = BASELINE
+    if (fields | changes).get("start") is not None:
+        width = STARTED_WIDTH if isinstance(kind, Pursuit) else settings.width
+        fields |= {"settings": replace(settings, width=width, **STARTED), "tries": STARTED_TRIES}
+    return Plan(task, overrides, envs=envs, **(fields | changes))

@@ -54,6 +54,7 @@ class Plan:
         steps: decisions of all agents, after which it ends.
         seconds: wall time after which it ends [s]; None: any.
         tries: episodes in which policies are tried.
+        integral: as of ``view_of``.
         settings: numbers of the algorithm.
         start: ``BASELINE``: the policy first imitates the task's baseline; the name of a policy file: it is that policy
             at first; None: it begins from nothing.
@@ -68,6 +69,7 @@ class Plan:
     steps: int = 3_000_000
     seconds: float | None = None
     tries: int = TRIES
+    integral: bool = False
     settings: Settings = field(default_factory=Settings)
     start: str | None = None
     fleet: str | None = None
@@ -120,7 +122,7 @@ class Training:
     def __init__(self, plan: Plan, begins: bool = True):
         self.plan = plan
         functional = Functional.of(plan.task, plan.overrides)
-        self.view = view_of(functional, plan.fleet)
+        self.view = view_of(functional, plan.integral, plan.fleet)
         self._read = read_start(plan.start, functional.play, self.view, plan.settings.width) if begins else None
         if plan.others is not None and self.view.fleet is None:
             raise UsageError(f"--others {plan.others}: all agents of {self.view.task} learn")
