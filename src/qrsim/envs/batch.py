@@ -272,11 +272,6 @@ class Batch:
         return part_of(self.sides, seen, number)
 
     @property
-    def agents(self) -> tuple[str, ...]:
-        """Names of the agents (n,)."""
-        return self.functional.agents
-
-    @property
     def vehicles(self) -> int:
         """Number of vehicles in all fleets of a world."""
         return sum(fleet.size for fleet in self.functional.play.world.fleets)
