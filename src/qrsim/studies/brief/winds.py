@@ -132,7 +132,7 @@ def boundary_of(
 
 
 def _trials(path: Path, points: Sequence[Point], reserve: float | None) -> list[Trial]:
-    """Return how many runs at each wind succeeded, with ``reserve`` charge left, from a store; [] without one."""
+    """Return how many runs at each wind succeeded, with ``reserve`` charge left, from a store; [] before any run."""
     try:
         results = Results(path) if path.exists() else None
     except RunError:  # nothing has been flown yet
