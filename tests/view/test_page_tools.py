@@ -183,6 +183,4 @@ def test_tools_of_the_page(browser: Watched) -> None:
             assert right <= 390.0
         assert browser.errors == []
     finally:
-        # A server waits for seconds for the browsers that look at it.
-        browser.open("about:blank")
         shown.server.stop()
