@@ -63,11 +63,11 @@ _inside = [0]
 
 
 def make_jaxpr(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
-    """Return ``jax.make_jaxpr`` of a function, which traces the same program in less time."""
+    """Return ``jax.make_jaxpr`` of a function in a faster form: operators of traced arrays skip jax.numpy's checks."""
     traced: Callable[..., Any] = jax.make_jaxpr(function, **options)
 
     def trace(*arguments: Any) -> Any:
-        """Trace the function for arguments, or their shapes."""
+        """Return the jaxpr of the function for these arguments, or for their shapes."""
         with _direct_operators():
             return traced(*arguments)
 
@@ -76,7 +76,7 @@ def make_jaxpr(function: Callable[..., Any], **options: Any) -> Callable[..., An
 
 @contextlib.contextmanager
 def _direct_operators() -> Iterator[None]:
-    """Bind operators of tracers at once, in all threads."""
+    """Patch jax.numpy, inside a ``with`` block and in all threads, so that operators of traced arrays bind directly."""
     with _lock:
         _inside[0] += 1
         for (owner, name), (own, _) in _REPLACED.items():
@@ -92,7 +92,7 @@ def _direct_operators() -> Iterator[None]:
 
 
 def _call(self: Any, *arguments: Any, **options: Any) -> Any:
-    """Return the result of one operation, or of JAX's function."""
+    """Return the result of a jax.numpy ufunc called with these arguments, bound directly where possible."""
     if len(arguments) == 2 and not options:
         found = _direct(id(self), *arguments)
         if found is not None:
@@ -101,7 +101,7 @@ def _call(self: Any, *arguments: Any, **options: Any) -> Any:
 
 
 def _direct(function: int, left: Any, right: Any) -> Any:
-    """Return the result of an operation on two arrays of one type, or an array and a number; None of others."""
+    """Return a traced array's operation with an array or number of its dtype, bound directly; None if not possible."""
     array, other = (left, right) if isinstance(left, jax.core.Tracer) else (right, left)
     if not isinstance(array, jax.core.Tracer):
         return None

@@ -50,6 +50,8 @@ class Lanes:
     def _set_layout(self, layout: Packer, count: int, lanes: int) -> None:
         """Set the layout of one world's state, and the number of worlds and of lanes."""
         self.layout, self.count, self._lanes = layout, count, lanes
+        # Views of leaves that were read or set before.
+        self._parts: dict[int, Array] = {}
         self.tiles = -(-count // self._lanes)
 
     def addresses(self, tile: int) -> list[int]:
@@ -114,6 +116,12 @@ class Lanes:
 
     def _part(self, number: int) -> Array:
         """Return a view of a leaf's memory (tiles, numbers of a world, lanes)."""
+        if number not in self._parts:
+            self._parts[number] = self._view(number)
+        return self._parts[number]
+
+    def _view(self, number: int) -> Array:
+        """Return a new view of a leaf's memory, as ``_part``."""
         layout = self.layout
         buffer, part = self._buffers[0 if layout.is_float[number] else 1], layout.slices[number]
         begin, end = part.start * self._lanes, part.stop * self._lanes

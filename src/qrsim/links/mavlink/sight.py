@@ -82,7 +82,7 @@ class StackSight(Sight):
             self._present[row] = sum(int(bit) for bit, column in _BITS if known[row, column])
 
     def _standing(self) -> list[bool]:
-        """Return which vehicles are on the ground."""
+        """Return, for each vehicle of the world, whether it is on the ground."""
         found: list[bool] = []
         layout, buffers = self._simulation.packed
         for fleet, feet in zip(self._simulation.world.fleets, self._feet, strict=True):
@@ -96,7 +96,8 @@ class StackSight(Sight):
         return found
 
     def see(self) -> list[Seen]:
-        """Read the present state, and return what the flight stack of each vehicle sees, until the next call."""
+        """Read the present state and return each vehicle's estimates and sensor status for its flight stack, valid
+        until the next call."""
         self.look()
         simulation, values = self._simulation, self.values
         integers = np.asarray(simulation.packed[1][1])

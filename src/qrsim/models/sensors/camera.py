@@ -7,22 +7,21 @@ a world whose vehicles have cameras is as fast as one without.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from typing import ClassVar, Protocol
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from qrsim.core.fastmath import log, sincos
 from qrsim.core.noise import Draw, Noise, Stream
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Rotation, Vec3, rotation
 from qrsim.models.scene.contents import Surroundings
 from qrsim.models.scene.persons import PersonsState
-from qrsim.models.scene.terrain import CLUTTER, OCCLUSION
 from qrsim.models.sensors import camera_windows
 from qrsim.models.sensors.contracts import Sensor
+from qrsim.models.sensors.person_classifier import Close, PersonClassifier
 
 # Corners of a person, in halves of its side.
 _CORNERS = ((-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5))
@@ -32,7 +31,7 @@ class TakesPictures(Protocol):
     """Method of sensors with ``takes_pictures``, in addition to their contract."""
 
     def develop(self, reading: object, around: Surroundings, stream: Stream, size: Array) -> Picture:
-        """Return the last picture of each vehicle (n,), scores for windows of the ground; see ``Camera.develop``."""
+        """Return the last picture of each vehicle (n,): a score for each window of ground; see ``Camera.develop``."""
         ...
 
 
@@ -75,62 +74,6 @@ class View:
 
 
 @record
-class PersonClassifier:
-    """Mean and spread of the score of a window, with and without a person, by the distance r to the ground it shows."""
-
-    range_limit: Array = parameter(
-        default=50.0, unit="m", doc="range limit: larger ranges r are clipped to it", above=0.0
-    )
-    near: Array = parameter(default=11.0, unit="m", doc="range r below which the mean changes fast", above=0.0)
-    person_mean: Array = parameter(default=0.55, unit="1", doc="with a person: middle of the mean for short r")
-    person_swing: Array = parameter(default=0.11, unit="1", doc="with a person: amplitude of the mean for short r")
-    person_slope: Array = parameter(default=0.005, unit="1/m", doc="with a person: decrease of the mean beyond")
-    occlusion_loss: Array = parameter(default=0.1, unit="1", doc="with a person: decrease of the mean if occluded")
-    person_std: Array = parameter(default=0.16, unit="1", doc="with a person: std at r = 0", above=0.0)
-    person_std_slope: Array = parameter(default=-0.0061, unit="1/m", doc="with a person: slope of the std")
-    person_std_curve: Array = parameter(default=7.4e-5, unit="1/m^2", doc="with a person: curvature of the std")
-    none_mean: Array = parameter(default=0.34, unit="1", doc="without a person: mean at r = 0")
-    none_rise: Array = parameter(
-        default=0.076, unit="1", doc="without a person: rise of the mean for short r, constant beyond"
-    )
-    none_std: Array = parameter(default=0.09, unit="1", doc="without a person: std at r = 0", above=0.0)
-    none_std_slope: Array = parameter(default=-0.0016, unit="1/m", doc="without a person: slope of the std")
-    none_std_curve: Array = parameter(default=2.4e-5, unit="1/m^2", doc="without a person: curvature of the std")
-    clutter_std: Array = parameter(default=0.04, unit="1", doc="without a person: further std on clutter", minimum=0.0)
-
-    def person(self, distance: Array, ground: Array) -> tuple[Array, Array]:
-        """Return mean and std of the score of windows with a person, of any shape.
-
-        Args:
-            distance: r [m].
-            ground: class of the ground.
-        """
-        r = jnp.clip(distance, 0.0, self.range_limit)
-        _, cosine = sincos(math.pi * (1.0 + jnp.minimum(r, self.near) / self.near))
-        near = self.person_mean + self.person_swing * cosine
-        beyond = self.person_mean + self.person_swing - self.person_slope * (r - self.near)
-        mean = jnp.where(r <= self.near, near, beyond) - jnp.where(ground == OCCLUSION, self.occlusion_loss, 0.0)
-        return mean, self.person_std + r * (self.person_std_slope + r * self.person_std_curve)
-
-    def none(self, distance: Array, ground: Array) -> tuple[Array, Array]:
-        """Return mean and std of the score of windows without a person, of any shape; see ``person``."""
-        r = jnp.clip(distance, 0.0, self.range_limit)
-        mean = self.none_mean + self.none_rise * jnp.minimum(r / self.near, 1.0)
-        std = self.none_std + r * (self.none_std_slope + r * self.none_std_curve)
-        return mean, std + jnp.where(ground == CLUTTER, self.clutter_std, 0.0)
-
-    def ratio(self, score: Array, distance: Array, ground: Array) -> Array:
-        """Return the log-likelihood ratio of a score: ln N(score; person) - ln N(score; none)."""
-
-        def log_density(mean: Array, std: Array) -> Array:
-            """Return the logarithm of a normal density at the score, without its constant."""
-            offset = (score - mean) / std
-            return -0.5 * offset * offset - log(std)
-
-        return log_density(*self.person(distance, ground)) - log_density(*self.none(distance, ground))
-
-
-@record
 class Camera(Sensor):
     """A camera that points straight down, with a classifier: a log-likelihood ratio for each window of the picture.
 
@@ -158,23 +101,23 @@ class Camera(Sensor):
     takes_pictures: ClassVar[bool] = True
 
     def init(self, draw: Noise, position_ned: Vec3, attitude: Euler) -> tuple[Array, CameraReading]:
-        """Return the number of the first picture, 0, and the reading with the pose at which it was taken."""
+        """Return the number of the first picture, 0, and the reading: this number and the pose of the camera."""
         number = jnp.zeros_like(position_ned.x)
         return number, CameraReading(position_ned, attitude, number)
 
     def restart(
         self, state: Array, draw: Noise, since: Array, position_ned: Vec3, attitude: Euler
     ) -> tuple[Array, CameraReading]:
-        """Return the last picture's number, and a reading taken again at the new poses."""
+        """Return the last picture's number, and a reading with the poses after ``set_state`` has moved vehicles."""
         return state, CameraReading(position_ned, attitude, state)
 
     def step(self, state: Array, draw: Noise, position_ned: Vec3, attitude: Euler) -> tuple[Array, CameraReading]:
-        """Return the next picture's number, and the reading with the pose at which it was taken."""
+        """Return the next picture's number, and the reading: this number and the pose of the camera."""
         number = state + 1.0
         return number, CameraReading(position_ned, attitude, number)
 
     def develop(self, reading: CameraReading, around: Surroundings, stream: Stream, size: Array) -> Picture:
-        """Return the last picture of each vehicle (n,): a score for each window of the ground.
+        """Return the last picture of each vehicle (n,): a person score for each window (about ``size`` [m]) of ground.
 
         Args:
             reading: where and when.
@@ -185,7 +128,7 @@ class Camera(Sensor):
         tick = self.tick_of(reading, around)
 
         def one(camera: Camera, reading: CameraReading, tick: Array, identity: Array) -> Picture:
-            """Return the picture of one vehicle."""
+            """Return the picture of one vehicle, by the random numbers of its tick and identity."""
             noise = jnp.zeros((self.most_rows * self.most_columns, 1), reading.picture.dtype)
             if self.noisy:
                 draw = Draw(Stream(stream.high, stream.low, identity[None]), tick, reading.picture)
@@ -195,7 +138,7 @@ class Camera(Sensor):
         return jax.vmap(one)(self.for_each(reading), reading, tick, stream.ids)
 
     def ratios(self, reading: CameraReading, around: Surroundings, stream: Stream, size: Array, to: Array) -> Array:
-        """Return the log-likelihood ratios (n, R, C) of ``develop`` alone, 0 beyond the grid of windows.
+        """Return only the log-likelihood ratios (n, R, C) of ``develop``, put into ``to``; 0 outside a picture's grid.
 
         Args:
             reading, around, stream, size: see ``develop``.
@@ -204,7 +147,7 @@ class Camera(Sensor):
         return camera_windows.ratios(self, reading, around, stream, size, to)
 
     def frame(self, reading: CameraReading, around: Surroundings, size: Array) -> tuple[Array, Array]:
-        """Return rows and columns (n, 2) int32 of the last pictures, and their corners (n, 4, 2) on the ground [m].
+        """Return each last picture's rows and columns (n, 2) int32, and its corners (n, 4, 2) [m] on the ground.
 
         The grid is rows and columns. Corners are north and east [m] on the ground: upper left, upper right, lower
         right, lower left. Those of a vehicle that has stopped are NaN, and its grid is 0.
@@ -214,7 +157,7 @@ class Camera(Sensor):
         """
 
         def one(camera: Camera, reading: CameraReading) -> tuple[Array, Array]:
-            """Return grid and corners of one vehicle's picture."""
+            """Return one vehicle's picture grid (rows, columns) and its corners on the ground."""
             view = camera.view(reading, around, size)
             zero = jnp.zeros_like(view.rows)
             row = jnp.stack([zero, zero, view.rows, view.rows])
@@ -227,7 +170,7 @@ class Camera(Sensor):
         return jax.vmap(one)(self.for_each(reading), reading)
 
     def for_each(self, reading: CameraReading) -> Camera:
-        """Return the camera with every parameter broadcast to (n,), one value for each vehicle."""
+        """Return the camera with every parameter broadcast to one value for each vehicle (n,)."""
         return jax.tree.map(lambda leaf: jnp.broadcast_to(jnp.asarray(leaf), reading.picture.shape), self)
 
     def tick_of(self, reading: CameraReading, around: Surroundings) -> Array:
@@ -238,7 +181,7 @@ class Camera(Sensor):
         return number * ticks
 
     def _develop(self, reading: CameraReading, around: Surroundings, tick: Array, noise: Array, size: Array) -> Picture:
-        """Return the picture of one vehicle from the normals (R, C) of its windows."""
+        """Return one vehicle's picture, from a standard normal (R, C) for each of its ground windows."""
         view = self.view(reading, around, size)
         row = jnp.arange(self.most_rows + 1).astype(noise.dtype)[:, None]
         column = jnp.arange(self.most_columns + 1).astype(noise.dtype)[None, :]
@@ -246,7 +189,8 @@ class Camera(Sensor):
         present = jnp.zeros(noise.shape, bool)
         if around.state.persons is not None:
             present = self._present(view, around.state.persons, tick, size)
-        ratio = self.ratio(view, around, *self.middle(view, row[:-1], column[:, :-1]), present, noise)
+        middle = self._on_ground(view, *self.middle(view, row[:-1], column[:, :-1]))
+        ratio = self.ratio(view, around, middle, present, noise, self.classifier.close)
         in_grid = (row[:-1] < view.rows) & (column[:, :-1] < view.columns)
         shown = (row <= view.rows) & (column <= view.columns)
         return Picture(
@@ -259,28 +203,38 @@ class Camera(Sensor):
         )
 
     def middle(self, view: View, row: Array, column: Array) -> tuple[Array, Array]:
-        """Return the pixels (x, y) of the centres of windows; row and column (...) are floating-point numbers."""
+        """Return pixel coordinates (x, y) of windows' centres, for their rows and columns (...) in the grid."""
         return view.left + (column + 0.5) * view.width, view.top + (row + 0.5) * view.height
 
-    def ratio(self, view: View, around: Surroundings, x: Array, y: Array, present: Array, noise: Array) -> Array:
+    def ratio(
+        self,
+        view: View,
+        around: Surroundings,
+        middle: Vec3,
+        present: Array,
+        noise: Array,
+        close: Callable[[Array], Close],
+    ) -> Array:
         """Return the log-likelihood ratios of windows of one picture.
 
         Args:
             view: of the camera.
             around: the world.
-            x, y: pixels of their middle.
+            middle: of their middle on the ground (...) [m].
             present: (...) bool, whether a missing person is in each.
             noise: normals (...).
+            close: ``PersonClassifier.close``; its result has no meaning beyond ``near``, but for a rise of 1.
         """
-        middle = self._on_ground(view, x, y)
         distance, ground = (middle - view.position).norm(), around.ground_class(middle)
-        means, stds = zip(self.classifier.person(distance, ground), self.classifier.none(distance, ground), strict=True)
-        score = jnp.where(present, means[0], means[1]) + jnp.where(present, stds[0], stds[1]) * noise
+        near = close(distance)
+        laws = self.classifier.person(distance, ground, near), self.classifier.none(distance, ground, near)
+        means, stds = zip(*laws, strict=True)
+        score = jnp.where(present, *means) + jnp.where(present, *stds) * noise
         # The picture of a vehicle that has stopped is NaN, because its pose is.
-        return self.classifier.ratio(score, distance, ground) + 0.0 * distance
+        return self.classifier.ratio(score, distance, ground, near) + 0.0 * distance
 
     def view(self, reading: CameraReading, around: Surroundings, size: Array) -> View:
-        """Return the projection of one camera onto the ground, with its grid of windows of about ``size`` [m]."""
+        """Return one camera's projection onto the ground, with its grid of windows of about ``size`` [m]."""
         position, direction = around.over_ground(reading.taken_at_ned), rotation(reading.taken_attitude)
         axis = position + direction.down * (-position.z / direction.down.z)
         pixels = [
@@ -293,7 +247,7 @@ class Camera(Sensor):
         side = jnp.sqrt(0.5 * jnp.abs(doubled))
 
         def cut(length: int, most: int) -> tuple[Array, Array, Array]:
-            """Return number and length of windows along one side of the picture, and the margin."""
+            """Return number and length [pixels] of windows along one side of a picture, and the margin."""
             count = jnp.clip(jnp.round(length / side), 1.0, most)
             window = jnp.floor(length / count)
             return count, window, jnp.floor(0.5 * (length - window * jnp.floor(length / window)))
@@ -303,7 +257,7 @@ class Camera(Sensor):
         return View(position, direction, rows, columns, width, height, left, top)
 
     def _in_picture(self, position: Vec3, direction: Rotation, north: Array, east: Array) -> tuple[Array, Array]:
-        """Return the pixels (x, y) of points on the ground."""
+        """Return pixel coordinates (x, y) of points on the ground, north and east [m]."""
         seen = direction.to_body(Vec3(north - position.x, east - position.y, -position.z + 0.0 * north))
         return (
             self.principal_x + self.focal_length * seen.y / seen.z,
@@ -312,19 +266,29 @@ class Camera(Sensor):
 
     def _on_ground(self, view: View, x: Array, y: Array) -> Vec3:
         """Return the points on the ground shown by pixels; x (1, C) or (R, C), y (R, 1) or (R, C)."""
-        right = (x - self.principal_x) / self.focal_length + 0.0 * y
-        ahead = -(y - self.principal_y) / self.focal_length + 0.0 * x
+        return self.shown(view, self.right(x) + 0.0 * y, self.ahead(y) + 0.0 * x)
+
+    def right(self, x: Array) -> Array:
+        """Return the slopes (...) to the right of the rays of pixels x (...)."""
+        return (x - self.principal_x) / self.focal_length
+
+    def ahead(self, y: Array) -> Array:
+        """Return the slopes (...) ahead of the rays of pixels y (...)."""
+        return -(y - self.principal_y) / self.focal_length
+
+    def shown(self, view: View, right: Array, ahead: Array) -> Vec3:
+        """Return the points (...) on the ground that rays with slopes (...) meet [m]."""
         ray = view.direction.to_ned(Vec3(ahead, right, jnp.ones_like(right)))
         reach = -view.position.z / ray.z
         return Vec3(view.position.x + reach * ray.x, view.position.y + reach * ray.y, jnp.zeros_like(reach))
 
     def shows(self, view: View, persons: PersonsState, tick: Array) -> Array:
-        """Return () bool: the centre of a person not found by ``tick`` is in the picture."""
+        """Return () bool: the picture shows the centre of a person who has not been found by ``tick``."""
         here = self._in_frame(*self._in_picture(view.position, view.direction, persons.north, persons.east))
         return jnp.any(here & persons.missing(tick))
 
     def winners(self, view: View, persons: PersonsState, tick: Array, size: Array) -> tuple[Array, Array, Array]:
-        """Return windows (Q,) by row and column, and (Q,) bool: the person nearest its centre is not found yet.
+        """Return windows (Q,) of persons, as row and column, and (Q,) bool: the person nearest its centre is missing.
 
         A window is named for each of nine points of each person; the nearest of them counts.
         """
@@ -334,7 +298,7 @@ class Camera(Sensor):
         return row, column, jnp.isfinite(nearness) & (nearness == nearest) & missing
 
     def _points(self, view: View, persons: PersonsState, tick: Array, size: Array) -> tuple[Array, Array, Array, Array]:
-        """Return row and column int32 of nine points of each person (Q,), squared distance to its centre, missing.
+        """Return row, column, squared distance to the window's centre, and missing (Q,), for nine points a person.
 
         Points that are in no window are infinitely far, in a row and a column beyond the last.
         """
@@ -364,7 +328,7 @@ class Camera(Sensor):
         return row, column, nearness, missing
 
     def _present(self, view: View, persons: PersonsState, tick: Array, size: Array) -> Array:
-        """Return (R, C) bool: the person nearest a window's centre is one not found by ``tick``."""
+        """Return (R, C) bool: the person nearest a window's centre has not been found by ``tick``."""
         row, column, nearness, missing = self._points(view, persons, tick, size)
         window = row, column
         nearest = jnp.full((self.most_rows, self.most_columns), jnp.inf, nearness.dtype)
@@ -374,7 +338,7 @@ class Camera(Sensor):
         return jnp.zeros(nearest.shape, bool).at[window].max(wins, mode="drop")
 
     def _in_frame(self, x: Array, y: Array) -> Array:
-        """Return whether pixel coordinates are inside the picture."""
+        """Return whether pixel coordinates are within the picture."""
         return (x >= 0.0) & (x < self.width) & (y >= 0.0) & (y < self.height)
 
 

@@ -7,6 +7,7 @@ takes as many turns as the pictures have pieces. The numbers are the same.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -15,9 +16,12 @@ from jax import Array, lax
 
 from qrsim.core.noise import Stream
 from qrsim.models.scene.contents import Surroundings
+from qrsim.models.sensors.person_classifier import Close
 
 # Windows that are computed at once. More of them do not fit into registers, and fewer leave the processor waiting.
 COLUMNS = 32
+# Beyond this times ``near`` no rounding makes a distance shorter than ``near``.
+MARGIN = 1.001
 
 
 class _Shown(NamedTuple):
@@ -31,7 +35,7 @@ class _Shown(NamedTuple):
 
 
 def ratios(camera: Any, reading: Any, around: Surroundings, stream: Stream, size: Array, to: Array) -> Any:
-    """Return the log-likelihood ratios (n, R, C) of the last pictures, as ``Camera.develop``, but 0 beyond the grid.
+    """Return the log-likelihood ratios (n, R, C) of the last pictures' ground windows; 0 outside a picture's grid.
 
     Args:
         camera: a ``Camera`` of vehicles (n,).
@@ -45,10 +49,15 @@ def ratios(camera: Any, reading: Any, around: Surroundings, stream: Stream, size
     finite = jnp.isfinite(view.rows + view.columns)
     rows, columns = (jnp.where(finite, part, 0.0).astype(jnp.int32) for part in (view.rows, view.columns))
     shown = _persons(own, view, around, tick, size)
+    every = jnp.arange(camera.most_columns).astype(to.dtype)
     vehicles, wide = to.shape[0], min(COLUMNS, camera.most_columns)
+    # No window is nearer than the height of the camera.
+    least = jnp.minimum(jnp.abs(view.position.z), own.classifier.range_limit)
+    low = least <= MARGIN * own.classifier.near
+    right = jax.vmap(lambda each, seen: each.right(each.middle(seen, 0.0, every)[0]))(own, view)
 
     def turn(now: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
-        """Return the loop's state with one block of one picture's row of windows computed."""
+        """Return the loop's state with one more block of windows computed, a part of a row of one picture."""
         vehicle, row, left, found = now
         # The last piece of the longest row ends with it.
         left_most = jnp.minimum(left, camera.most_columns - wide)
@@ -61,8 +70,9 @@ def ratios(camera: Any, reading: Any, around: Surroundings, stream: Stream, size
         present = jnp.zeros(wide, bool)
         if shown is not None:
             present = _present(_Shown(*(part[vehicle] for part in shown)), row, column)
-        x, y = one.middle(seen, row.astype(to.dtype), column.astype(to.dtype))
-        ratio = one.ratio(seen, around, x, y, present, noise)
+        ahead = one.ahead(one.middle(seen, row.astype(to.dtype), 0.0)[1]) + 0.0
+        middle = one.shown(seen, lax.dynamic_slice(right, (vehicle, left_most), (1, wide))[0], ahead)
+        ratio = one.ratio(seen, around, middle, present, noise, partial(_close, one.classifier, low[vehicle]))
         inside = (row < rows[vehicle]) & (column < columns[vehicle])
         ratio = jnp.where(inside & jnp.isfinite(ratio), ratio, 0.0)
         found = lax.dynamic_update_slice(found, ratio[None, None], (vehicle, row, left_most))
@@ -75,16 +85,22 @@ def ratios(camera: Any, reading: Any, around: Surroundings, stream: Stream, size
     return lax.while_loop(lambda now: now[0] < vehicles, turn, (zero, zero, zero, to))[3]
 
 
+def _close(classifier: Any, low: Array, distance: Array) -> Close:
+    """Return ``PersonClassifier.close``, computed only where the camera is so low () that it matters."""
+    beyond = Close(jnp.zeros_like(distance), jnp.ones_like(distance))
+    found: Close = lax.cond(low, classifier.close, lambda _: beyond, distance)
+    return found
+
+
 def _noise(stream: Stream, tick: Array, window: Array, like: Array, count: int) -> Array:
-    """Return the standard normals of windows, any shape, numbered as by ``Draw.normal_rows``."""
+    """Return standard normals for windows by their numbers, any shape, the same as ``Draw.normal_rows`` gives."""
     half = (count + 1) // 2
     pairs = jnp.where(window < half, window, window - half).astype(jnp.uint32)
-    cosine, sine = stream.normals_of(tick, pairs, like.dtype)
-    return jnp.where(window < half, cosine, sine)
+    return stream.normals_of(tick, pairs, window >= half, like.dtype)
 
 
 def _persons(own: Any, view: Any, around: Surroundings, tick: Array, size: Array) -> _Shown | None:
-    """Return the windows that show missing persons in each picture; None in a world without persons."""
+    """Return the windows in each picture that show persons not found yet; None in a world without persons."""
     persons = around.state.persons
     if persons is None:
         return None
@@ -93,7 +109,7 @@ def _persons(own: Any, view: Any, around: Surroundings, tick: Array, size: Array
     nothing = _Shown(none, none, none > 0, none[:, 0], none[:, 0])
 
     def look() -> _Shown:
-        """Return the windows of all persons."""
+        """Return, for each picture, the windows that show persons."""
         row, column, wins = jax.vmap(lambda each, seen, now: each.winners(seen, persons, now, size))(own, view, tick)
         first = jnp.min(jnp.where(wins, row, own.most_rows), axis=1)
         last = jnp.max(jnp.where(wins, row, -1), axis=1)
@@ -105,10 +121,10 @@ def _persons(own: Any, view: Any, around: Surroundings, tick: Array, size: Array
 
 
 def _present(shown: _Shown, row: Array, column: Array) -> Array:
-    """Return (C,) bool: in a window of row ``row`` () a missing person is the nearest object."""
+    """Return (C,) bool: in this window of row ``row`` () the nearest person has not been found yet."""
 
     def compare() -> Array:
-        """Return (C,) bool by comparing each window with those of all persons."""
+        """Return the flags (C,) of ``_present``, by comparing the row's windows with those of all persons."""
         here = shown.wins & (shown.row == row)
         return jnp.any(here[:, None] & (shown.column[:, None] == column[None]), axis=0)
 
