@@ -63,8 +63,6 @@ def draw_spacings(grids: dict[str, Any], closed: Callable[[float], dict[str, flo
         )
         for panel in (left, right):
             panel.set_xticks([1, 2, 5, 10, 20, 50], ["1", "2", "5", "10", "20", "50"])
-            panel.grid(alpha=0.25)
-            panel.legend(frameon=False, fontsize=8)
 
 
 def draw_gust(path: Path = GUST, lasts_s: float = LASTS_S) -> None:

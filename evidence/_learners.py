@@ -42,8 +42,7 @@ class Study:
         task: the scenario.
         learner: whether it is learned in its form for learners; scores are those of the task.
         scale: what rewards are multiplied by for the learner, by Gymnasium's ``TransformReward``; scores are not.
-        episodes: how many are flown side by side; 0: the one of the registered environment.
-        most: steps of agents at most.
+        most: steps at most.
         between: steps from one try to the next.
         tries: episodes of a try.
         until_whole: whether learning stops once all of these are flown to the end.
@@ -54,7 +53,6 @@ class Study:
     task: str
     learner: bool = False
     scale: float = 1.0
-    episodes: int = 0
     most: int = 1_000_000
     between: int = 100_000
     tries: int = 100
@@ -63,13 +61,11 @@ class Study:
     learners: int = 3
 
 
-# Agents of a team share a policy, which Stable-Baselines3 takes as environments side by side. Where a crash costs tens
-# of thousands, the value that a learner expects would grow to that too slowly.
+# Where a crash costs tens of thousands, the value that a learner expects would grow to that too slowly.
 STUDIES = {
     "keep_spot": Study("keep_spot"),
     "keep_spot_learner": Study("keep_spot", learner=True, between=50_000, learners=5),
     "goto_waypoint": Study("goto_waypoint", scale=0.01, most=600_000),
-    "cats_and_mouse": Study("cats_and_mouse/1A", scale=0.01, episodes=4, most=600_000),
 }
 
 

@@ -1,7 +1,6 @@
 """Learns a task by the PPO of Stable-Baselines3 with its defaults: ``python _ppo.py SETTINGS``, JSON, for _learners.py.
 
-Every agent of an episode is one environment of the learner, so that agents of a team share a policy. It prints a line
-for every try, and at the end one with the scores.
+It prints a line for every try, and at the end one with the scores.
 """
 
 from __future__ import annotations
@@ -21,72 +20,8 @@ from qrsim.envs import gymnasium_id, learner_id
 from qrsim.envs.batch import Batch
 from qrsim.envs.learner import LearnerTask
 from qrsim.envs.objective import objective_of
-from qrsim.envs.spaces import action_space
 from qrsim.envs.viewing import batch_of
 from qrsim.studies.learn.flights import Flights
-
-# Seeds of the episodes to learn from where agents share a policy, far from those of the scores.
-LEARNED = 10**7
-
-
-def shared(name: str, episodes: int, seed: int, scale: float) -> Any:
-    """Return the agents of many episodes as a vector environment of Stable-Baselines3."""
-    from stable_baselines3.common.vec_env import VecEnv
-
-    class Agents(VecEnv):  # type: ignore[misc]
-        """Each agent of each episode."""
-
-        def __init__(self) -> None:
-            self.batch = Batch(name, episodes)
-            self.agents = len(self.batch.functional.agents)
-            self.batch.reset(LEARNED + episodes * seed + np.arange(episodes))
-            self.render_mode = None
-            seen = gymnasium.spaces.Box(-np.inf, np.inf, self.batch.seen.shape[2:], np.float32)
-            super().__init__(episodes * self.agents, seen, action_space(self.batch))
-
-        def reset(self) -> Any:
-            """Begin, once."""
-            return self.seen()
-
-        def seen(self) -> Any:
-            """Return what each sees."""
-            return self.batch.seen.reshape(self.num_envs, -1).copy()
-
-        def step_async(self, actions: Any) -> None:
-            """Keep actions for ``step_wait``."""
-            self.actions = actions.reshape(episodes, self.agents, -1)
-
-        def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
-            """Advance, and begin the next episodes where one has ended."""
-            reward, terminated, truncated = self.batch.step(self.actions)
-            ended, last = np.repeat(terminated | truncated, self.agents), self.seen()
-            told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-            for i in np.flatnonzero(ended):
-                cut = bool(truncated[i // self.agents] and not terminated[i // self.agents])
-                told[i] = {"terminal_observation": last[i], "TimeLimit.truncated": cut}
-            if ended.any():
-                self.batch.again(np.flatnonzero(terminated | truncated))
-            return self.seen(), scale * reward.reshape(-1).astype(np.float32), ended, told
-
-        def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-            """Return what all have in common."""
-            return [getattr(self, attr_name, None) for _ in self._get_indices(indices)]
-
-        def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-            """Do nothing."""
-
-        def env_method(self, method_name: str, *args: Any, indices: Any = None, **options: Any) -> list[Any]:
-            """Do nothing."""
-            return []
-
-        def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-            """Return that none is."""
-            return [False for _ in self._get_indices(indices)]
-
-        def close(self) -> None:
-            """Do nothing."""
-
-    return Agents()
 
 
 def learn(settings: dict[str, Any]) -> dict[str, Any]:
@@ -97,13 +32,9 @@ def learn(settings: dict[str, Any]) -> dict[str, Any]:
     """
     from stable_baselines3 import PPO
 
-    name, episodes, seed, scale = (settings[each] for each in ("task", "episodes", "seed", "scale"))
-    world: Any
-    if episodes:
-        world = shared(name, episodes, seed, scale)
-    elif settings["learner"]:
-        world = gymnasium.make(learner_id(name))
-    else:
+    name, seed, scale = (settings[each] for each in ("task", "seed", "scale"))
+    world: Any = gymnasium.make(learner_id(name)) if settings["learner"] else None
+    if world is None:
         world = gymnasium.wrappers.TransformReward(gymnasium.make(gymnasium_id(name)), lambda reward: scale * reward)
     model = PPO("MlpPolicy", world, seed=seed, device="cpu")
 

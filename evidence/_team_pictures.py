@@ -26,7 +26,9 @@ TITLES = {
 
 def draw(points: dict[str, Any], path: Path) -> None:
     """Draw every number against the spacing; bars are intervals of 95 %."""
-    with picture(path, (11.0, 12.0), len(ROWS), len(TITLES), sharex=True, squeeze=False, dpi=90) as panels:
+    with picture(
+        path, (11.0, 12.0), len(ROWS), len(TITLES), sharex=True, squeeze=False, dpi=90, legends=False
+    ) as panels:
         for i, (metric, words, teams) in enumerate(ROWS):
             for j, (team, title) in enumerate(TITLES.items()):
                 axes = panels[i][j]
@@ -68,6 +70,5 @@ def _panel(axes: Any, team: dict[str, Any], metric: str) -> None:
                 label=f"{WORDS[gnss]}, {GUSTS[turbulence]}",
             )
             shift += 1.0
-    axes.grid(alpha=0.3)
     axes.set_ylim(bottom=0.0)
     axes.set_xticks([3, 5, 10])

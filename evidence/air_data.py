@@ -70,7 +70,6 @@ def draw(errors: dict[str, Floats]) -> None:
         for name in ("all", *ERRORS):
             axes.plot(time, errors[name][0, :, 0], label=name, linewidth=1.6 if name == "all" else 0.9)
         axes.set(xlabel="time [s]", ylabel="height error [m]")
-        axes.grid(True, alpha=0.3)
         axes.legend(fontsize=7, ncols=5)
 
 

@@ -155,6 +155,5 @@ def _draw(others: dict[str, FlightLog], start: dict[str, float], found: Any) -> 
                 values = np.degrees(simulated[:, 0, at] if simulated.shape[1] == 1 else simulated[0, :, at])
                 axes.plot(log.time[part], values[part], color=colour, lw=1.2, label=label)
             axes.set_ylabel(f"roll, {name} [deg]")
-            axes.grid(alpha=0.3)
         rows[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, fontsize=8, frameon=False)
         rows[-1].set_xlabel("time [s]")

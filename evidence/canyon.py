@@ -217,9 +217,6 @@ def _draw(sim: Any, flown: Values, fixes: dict[str, Values], satellites: list[An
         )
         panels[1].step(time, mirrored, color="0.6", lw=1.0, where="post", label="f9p_single: reflections alone")
         panels[1].set(xlabel="time [s]", ylim=(0.0, None))
-        for panel in panels:
-            panel.grid(alpha=0.3)
-            panel.legend(fontsize=8)
 
 
 def run(full: bool) -> dict[str, Any]:

@@ -132,5 +132,4 @@ def _draw(times: Floats, curves: dict[str, Floats], band: tuple[float, float]) -
         axes.axhspan(*band, color="gray", alpha=0.3, label="95 % of a filter of 15 errors that is right")
         axes.set_xlabel("time [s]")
         axes.set_ylabel("mean NEES per error [1]")
-        axes.grid(alpha=0.3, which="both")
         axes.legend(loc="center right")

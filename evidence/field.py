@@ -274,8 +274,6 @@ def draw_figure(worlds: int) -> None:
         axes.set_title(
             f"dryden_field, {HEIGHT:g} m above ground: lines are closed forms, dots {worlds} worlds", fontsize=10
         )
-        axes.legend(frameon=False, fontsize=9)
-        axes.grid(alpha=0.25)
 
 
 def draw_line(apart: float = 10.0, vehicles: int = 5) -> None:

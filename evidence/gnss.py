@@ -152,8 +152,6 @@ def _draw_fixes(time: Values, flown: receivers.Flown, horizontal: Values) -> Non
             panel.plot(time, np.median(horizontal[:, :, i], axis=1), lw=1.1, label=f"{name} km from the base")
         panel.axvspan(*SILENT, color="0.9", label="the base is silent")
         panel.set(xlabel="time [s]", ylabel="horizontal error, median [m]", yscale="log")
-        panel.grid(alpha=0.3, which="both")
-        panel.legend(fontsize=8)
 
 
 def _draw_jamming(rows: list[dict[str, Any]]) -> None:
@@ -174,8 +172,6 @@ def _draw_jamming(rows: list[dict[str, Any]]) -> None:
         panel.set(
             xscale="log", yscale="log", xlabel="power of the jammer [mW]", ylabel="distance [m]", ylim=(50.0, 5e4)
         )
-        panel.grid(alpha=0.3, which="both")
-        panel.legend(fontsize=8)
 
 
 def recorded_deviation(path: Path) -> Values:
@@ -254,9 +250,7 @@ def _draw_allan(recorded: Values, low: Values, middle: Values, high: Values, run
             panel.plot(windows, middle[:, i], color="tab:blue", lw=1.0, label="their median")
             panel.plot(windows, recorded[:, i], "o-", color="black", ms=3, lw=1.2, label="recorded")
             panel.set(xscale="log", yscale="log", xlabel="averaging time [s]", title=axis)
-            panel.grid(alpha=0.3, which="both")
         panels[0].set_ylabel("overlapping Allan deviation [m]")
-        panels[0].legend(fontsize=8)
 
 
 def _days(draw: bool) -> dict[str, Any]:
@@ -276,9 +270,6 @@ def _days(draw: bool) -> dict[str, Any]:
         found = {name: day(name, add) for name in systems}
         panels[0].set(xlabel="time of day [h]", ylabel="satellites above 10°")
         panels[1].set(xlabel="time of day [h]", ylabel="HDOP", ylim=(0.0, 3.0))
-        for panel in panels:
-            panel.grid(alpha=0.3)
-            panel.legend(fontsize=8)
     return found
 
 

@@ -61,14 +61,11 @@ def world_of(speed: float, names: Sequence[str], duration: float, precision: str
             start["waypoints_ned"] = [[north + n, east + e, -HEIGHT] for n, e in corners]
         parts = {**HELD, **SQUARES}[name]
         fleets[name] = {**parts, "sensors": PLAIN, "limits": {"rate": 8.0}, "vehicles": [start]}
-    area = {
-        "type": "box",
-        **{f"{axis}_{end}": sign * 4000.0 for axis in "xy" for end, sign in (("min", -1), ("max", 1))},
-    }
+    area = {"type": "box", "x_min": -4000.0, "x_max": 4000.0, "y_min": -4000.0, "y_max": 4000.0, "z_min": -300.0}
     wind = {"wind": {"type": "log_shear", "speed_20ft": speed, "wind_from_deg": FROM_DEG}, "turbulence": "dryden"}
     return qrsim.make_world(
         fleets=fleets,
-        area={**area, "z_min": -300.0},
+        area=area,
         duration=duration,
         name="hold",
         collision_distance=0.0,

@@ -171,8 +171,6 @@ def draw(rest: dict[str, Any]) -> None:
                     label=name,
                 )
             axes.set(title=kind, xlabel="window [s]", ylabel=f"Allan deviation [{unit}]")
-            axes.grid(True, which="major", alpha=0.3)
-        axes.legend(fontsize=7)
 
 
 def run(full: bool) -> dict[str, Any]:

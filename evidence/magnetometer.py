@@ -100,8 +100,6 @@ def draw(rest: dict[str, Any]) -> None:
             axes.loglog(row["windows_s"], row["expected"], color=f"C{number}", linewidth=1.0)
             axes.loglog(row["windows_s"], row["deviation"], ".", color=f"C{number}", markersize=5, label=name)
         axes.set(xlabel="window [s]", ylabel="Allan deviation [uT]")
-        axes.grid(True, which="major", alpha=0.3)
-        axes.legend(fontsize=7)
 
 
 def run(full: bool) -> dict[str, Any]:

@@ -120,5 +120,4 @@ def _draw(place: list[float], ranges: Values) -> None:
             place[1], place[0], "^", color="black", ms=7.0, label=f"scanner, {-place[2]:g} m high, heading north"
         )
         panel.set(xlabel="east [m]", ylabel="north [m]", aspect="equal", xlim=(-60, 125), ylim=(-45, 100))
-        panel.grid(alpha=0.3)
         panel.legend(fontsize=8, loc="upper left")

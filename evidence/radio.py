@@ -219,8 +219,6 @@ def draw(found: dict[str, Any]) -> None:
             (line,) = axes.plot(where, 1.0 - closed_form(preset, where), label=preset)
             axes.plot(far, 1.0 - np.array(list(values["loss"].values())), "o", color=line.get_color(), markersize=4)
         axes.set(xscale="log", xlabel="distance [m]", ylabel="part of packets that arrives", ylim=(-0.02, 1.02))
-        axes.legend(frameon=False, fontsize="small")
-        axes.grid(alpha=0.3)
 
 
 def run(full: bool) -> dict[str, Any]:

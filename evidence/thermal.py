@@ -13,11 +13,7 @@ from evidence._pictures import picture
 DOC = "height gained or lost by a fixed wing with its motor off, in a thermal and out of it"
 SEED = 1
 PICTURE = IMAGES / "thermal.png"
-GLIDES: dict[str, dict[str, Any]] = {
-    "centred": {},
-    "circling": {"centres": False},
-    "still_air": {"updrafts": []},
-}
+GLIDES: dict[str, dict[str, Any]] = {"centred": {}, "circling": {"centres": False}, "still_air": {"updrafts": []}}
 WORDS = {"centred": "centring", "circling": "circling, without centring", "still_air": "without a thermal"}
 COLOURS = {"centred": "tab:blue", "circling": "tab:orange", "still_air": "0.5"}
 
@@ -35,8 +31,6 @@ def draw(glides: dict[str, Any]) -> None:
             heights.plot(glide["time"], -glide["position"][:, 2], color=COLOURS[name], label=WORDS[name])
         heights.set(xlabel="time [s]", ylabel="height [m]", ylim=(0.0, None), title="motor off, from 300 m")
         heights.legend(loc="upper left")
-        for axes in (seen, heights):
-            axes.grid(alpha=0.3)
 
 
 def run(full: bool) -> dict[str, Any]:

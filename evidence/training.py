@@ -1,4 +1,4 @@
-"""What can be learned: keep_spot by examples/keep_spot_ppo.py, and three tasks by PPO of Stable-Baselines3 as it comes.
+"""What can be learned: keep_spot by examples/keep_spot_ppo.py, and two tasks by PPO of Stable-Baselines3 as it comes.
 
 Of the example learners of several seeds fly the same episodes to learn from. All are then tried, by the mean of their
 policy, in the same episodes that are new to them, as the hover command that they begin with and the waypoint controller

@@ -70,7 +70,7 @@ class Command(Protocol):
     """A subcommand."""
 
     def run(self) -> int | None:
-        """Do the work; return the exit code, None for 0."""
+        """Do the command's work; return the exit code, None for 0."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Version:
     """
 
     def run(self) -> None:
-        """Print one line per program."""
+        """Print the versions of qrsim, Python, JAX, jaxlib and NumPy, and the platform, one in a line."""
         import platform
         from importlib.metadata import version
 
@@ -159,7 +159,7 @@ COMMANDS: dict[str, type[Command] | Group] = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line ``argv`` (default: the process's own) and return the exit code; raises nothing."""
+    """Run the command line ``argv`` (default: that of the process) and return the exit code; never raises an error."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     if sys.stdout is None:  # the caller closed it
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (it stays open until the process ends)
@@ -195,13 +195,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _interrupted(error: BaseException) -> int:
-    """Print the word for an interruption and return its exit code."""
+    """Print why the program was stopped ("interrupted" or "terminated"), and return its exit code."""
     print(interruptions.word(error), file=sys.stderr)
     return interruptions.exit_code(error)
 
 
 def _plain_warnings() -> None:
-    """Show a warning as one line, not with the place in the code that gave it."""
+    """Make Python show warnings in one line, without the source line that gave them."""
     import warnings
 
     def show(message: Warning | str, *_: object, **__: object) -> None:
@@ -212,7 +212,7 @@ def _plain_warnings() -> None:
 
 
 def _dispatch(arguments: list[str]) -> int:
-    """Run the command that the arguments name and return the exit code."""
+    """Run the command that the arguments name, and return its exit code."""
     if arguments[:1] == ["--version"]:
         from importlib.metadata import version
 
@@ -232,7 +232,8 @@ def _dispatch(arguments: list[str]) -> int:
 def _parse(
     arguments: list[str], commands: Mapping[str, type[Command] | Group], program: str, description: str
 ) -> Command:
-    """Return the chosen command with its options filled in; raises SystemExit where tyro printed something."""
+    """Parse the arguments to one of ``commands`` with its options; raises SystemExit once tyro has printed something,
+    such as help."""
     name = arguments[0] if arguments else ""
     entry = commands.get(name)
     if isinstance(entry, Group):
@@ -247,7 +248,7 @@ def _parse(
         description = _with_the_only(commands, description)
 
     def parse() -> Any:
-        """Parse the arguments with all commands."""
+        """Parse the arguments with all commands as choices."""
         return tyro.cli(_menu(commands), prog=program, description=description, args=arguments, config=_TYRO_CONFIG)
 
     with in_a_sentence(program, ("--help",), parse):
@@ -255,12 +256,12 @@ def _parse(
 
 
 def _filled_in(entry: type[Command], program: str, arguments: list[str]) -> Command:
-    """Return a command with its options."""
+    """Return a command of the class ``entry`` with its options filled in from the arguments."""
     given = completed(arguments) if entry is Run else arguments
     options = list(_options(entry))
 
     def parse() -> Command:
-        """Parse the options of one command."""
+        """Parse the arguments as options of the one command."""
         description = _help_text(inspect.getdoc(entry) or "")
         return tyro.cli(entry, prog=program, description=description, args=given, config=_TYRO_CONFIG)
 
@@ -269,7 +270,7 @@ def _filled_in(entry: type[Command], program: str, arguments: list[str]) -> Comm
 
 
 def _options(entry: Any) -> Iterator[str]:
-    """Yield the options of a command, with those of its groups of options."""
+    """Yield the names of a command's options, those of its nested groups of options too."""
     for each in fields(entry):
         if is_dataclass(each.default_factory):
             yield from _options(each.default_factory)
@@ -278,14 +279,15 @@ def _options(entry: Any) -> Iterator[str]:
 
 
 def _with_the_only(commands: Mapping[str, type[Command] | Group], description: str) -> str:
-    """Return a description with the command of a group of one, which tyro takes for no choice and does not list."""
+    """Return a description with the only command of a group added, since tyro does not list a single choice."""
     ((name, entry),) = commands.items()
     text = entry.description if isinstance(entry, Group) else inspect.getdoc(entry) or ""
     return f"{description}\n\nCommand:\n  {name}  {text.partition(chr(10))[0]}"
 
 
 def _help_text(docstring: str) -> str:
-    """Lay out a docstring for the terminal: tyro drops Example sections, joins lines and does not wrap."""
+    """Lay out a docstring as help text for the terminal, because tyro drops Example sections, joins lines and does not
+    wrap."""
     import shutil
     import textwrap
 
@@ -301,7 +303,7 @@ def _help_text(docstring: str) -> str:
 
 
 def _menu(commands: Mapping[str, type[Command] | Group]) -> Any:
-    """Return a type whose tyro help lists the commands with the first line of their descriptions."""
+    """Return a union type from which tyro makes help that lists the commands, each with its first line."""
     choices: list[object] = []
     for name, entry in commands.items():
         text = entry.description if isinstance(entry, Group) else inspect.getdoc(entry) or ""
@@ -311,7 +313,7 @@ def _menu(commands: Mapping[str, type[Command] | Group]) -> Any:
 
 
 def _print_error(message: str) -> None:
-    """Print an error message in colour to standard error."""
+    """Print an error message on standard error, in colour on a terminal."""
     from rich.console import Console
     from rich.text import Text
 
@@ -320,12 +322,12 @@ def _print_error(message: str) -> None:
 
 
 def _visible_lines(text: str) -> str:
-    """Return a text of several lines without control characters; those of qrsim's own errors have none already."""
+    """Return a text with the control characters of each line written as escapes, so that it is safe to print."""
     return "\n".join(map(visible, text.split("\n")))
 
 
 def _discard_output() -> None:
-    """Point standard output at the null device, so that the flush at exit does not complain again."""
+    """Redirect standard output to the null device, so that flushing it at exit raises no second error."""
     try:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (OSError, ValueError):  # standard output has no descriptor (it was replaced, as in tests)

@@ -94,11 +94,11 @@ class Estimator(Protocol):
 
     @abstractmethod
     def init(self, reading: Reading) -> Any:
-        """Return the memory at the start, any tree of arrays."""
+        """Return the estimator's initial memory (any tree of arrays) from the first reading."""
 
     @abstractmethod
     def step(self, reading: Reading, memory: Any) -> tuple[Estimate, Any]:
-        """Return the estimate (n,) at a tick, position [m], velocity [m/s] and attitude [rad], and the new memory."""
+        """Return the estimate (n,) at a tick (position [m], velocity [m/s], attitude [rad]), and the new memory."""
 
 
 class Metric(Protocol):
@@ -109,15 +109,15 @@ class Metric(Protocol):
 
     @abstractmethod
     def init(self, world: World, state: State) -> object:
-        """Return the memory at the start, a tree of arrays, each (n,) or ()."""
+        """Return the metric's accumulators at the start: a tree of arrays, each (n,) or ()."""
 
     @abstractmethod
     def update(self, memory: object, world: World, state: State, tick: Array) -> object:
-        """Return the memory after the state at a tick ()."""
+        """Return the metric's accumulators updated by the state at a tick."""
 
     @abstractmethod
     def finish(self, memory: object, world: World, state: State) -> Mapping[str, npt.NDArray[np.generic]]:
-        """Return metrics by name, each (W, n), from the memory and the last state of W worlds, on the host."""
+        """Return metrics by name, each (W, n), from the accumulators and last states of W worlds, as NumPy arrays."""
 
 
 # The contract of each kind of component, and of what links hand to the world that they share.
@@ -137,11 +137,12 @@ class Description(Tabled):
 
     @property
     def required(self) -> tuple[str, ...]:
-        """Names of the attributes and methods without a default."""
+        """Names of the attributes and methods that have no default, so that a component must define them."""
         return tuple(name.partition("(")[0] for name, needed, _ in self._members() if needed)
 
     def _members(self) -> list[tuple[str, bool, str]]:
-        """Return name, whether it is required, and first paragraph of each attribute and method."""
+        """Return, for each attribute and method of the contract, its name, whether it is required, and its first
+        paragraph."""
         contract, found = self.contract, []
         own = vars(contract)
         for name, words in _attributes(inspect.getdoc(contract) or "").items():
@@ -157,14 +158,15 @@ class Description(Tabled):
         return found
 
     def _table(self) -> Table:
-        """Return the table of the contract's members that is shown for this description."""
+        """Return the contract as a table for display: a row for each attribute and method."""
         rows = [(name, "required" if needed else "default", words) for name, needed, words in self._members()]
         title = f"a {self.kind}: {self.contract.__module__}.{self.contract.__qualname__}"
         return Table(title, ("name", "", "meaning"), rows, widest=400)
 
 
 def describe(kind: str) -> Description:
-    """Return the attributes and methods of a kind of component as text, with shapes and units.
+    """Describe what a kind of component ("sensor", "wind", ...) has to implement: attributes, methods, shapes and
+    units.
 
     Args:
         kind: one of ``KINDS``, such as "sensor".
@@ -178,13 +180,13 @@ def describe(kind: str) -> Description:
 
 
 def _abstract(contract: type) -> frozenset[str]:
-    """Return the names of the methods that a contract requires."""
+    """Return the names of the methods that a contract (a Protocol class) leaves abstract, so that they are required."""
     names: frozenset[str] = vars(contract).get("__abstractmethods__", frozenset())
     return names
 
 
 def _attributes(doc: str) -> dict[str, str]:
-    """Return attribute -> its description in a docstring."""
+    """Return attribute -> description, parsed from the "Attributes" section of a docstring."""
     _, _, section = doc.partition("\nAttributes:\n")
     found: dict[str, str] = {}
     names: list[str] = []

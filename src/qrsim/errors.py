@@ -76,7 +76,8 @@ class ScenarioError(UsageError):
 
 
 def _told(problems: list[str]) -> Iterator[tuple[str, int]]:
-    """Yield the lines for some faults, each with how many it is of: of those that differ in numbers only, a few."""
+    """Yield lines that list faults, each with the number of faults it covers; many that differ only in numbers are
+    summed up."""
     groups: dict[str, list[str]] = {}
     for problem in problems:
         groups.setdefault(_NUMBER.sub("0", problem), []).append(problem)
@@ -122,19 +123,19 @@ class BusyError(RunError, RuntimeError):
 
 
 def shortened(text: str, most: int = LONGEST_PROBLEM) -> str:
-    """Shorten a text to ``most`` characters by cutting its middle."""
+    """Return a text of at most ``most`` characters, with its middle cut out if it is longer."""
     return text if len(text) <= most else f"{text[: most // 2]} ... {text[len(text) - most // 2 :]}"
 
 
 def visible(text: str) -> str:
-    """Return a text in one line: line ends and control characters, except tabs, are written as escapes."""
+    """Return a text as one line, with line ends and control characters, except tabs, written as escapes."""
     return "".join(
         character if character.isprintable() or character == "\t" else ascii(character)[1:-1] for character in text
     )
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
-    """Return the known name closest to ``name``, None if none is close."""
+    """Return the name in ``known`` that is most similar to ``name``, None if none is similar."""
     if len(name) > LONGEST_NAME:
         return None
     known = list(known)
@@ -150,7 +151,7 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return ``"; did you mean 'x'?"``, or the list of what is known where nothing is close."""
+    """Return the hint ``"; did you mean 'x'?"`` for a wrong name, or a list of the known names if none is similar."""
     known = list(known)
     match = nearest(name, known)
     if match is not None:
@@ -160,7 +161,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 
 def did_you_mean_file(path: Path) -> str:
-    """Return ``"; did you mean 'x'?"`` where a file of the same kind in the same folder has a similar name, else ""."""
+    """Return the hint ``"; did you mean 'x'?"`` with a file of a similar name in the same folder; "" without one."""
     try:
         known = sorted(found.name for found in path.parent.glob(f"*{path.suffix}"))
     except OSError:
@@ -171,7 +172,8 @@ def did_you_mean_file(path: Path) -> str:
 
 @contextmanager
 def os_error_as(kind: type[QrsimError], what: str) -> Iterator[None]:
-    """Raise an ``OSError`` of the context as an error of a kind: what failed, and why."""
+    """In the context, raise every OSError as an error of the class ``kind``; the message says ``what`` failed, and
+    why."""
     try:
         yield
     except OSError as error:
@@ -180,7 +182,7 @@ def os_error_as(kind: type[QrsimError], what: str) -> Iterator[None]:
 
 @contextmanager
 def readable(path: str | Path) -> Iterator[None]:
-    """Raise an ``OSError`` of the context, which reads a user's file, as a ``UsageError`` with the nearest name."""
+    """In the context, raise an OSError from reading a user's file as a UsageError that names the most similar file."""
     try:
         yield
     except OSError as error:
@@ -189,7 +191,7 @@ def readable(path: str | Path) -> Iterator[None]:
 
 
 def warn_user(message: str) -> None:
-    """Warn of something unusual, in one line; the warning names the line outside qrsim that led here."""
+    """Give a warning in one line, attributed to the user's line of code that called into qrsim."""
     depth = 1
     while sys._getframe(depth).f_globals.get("__name__", "").partition(".")[0] == "qrsim":
         if sys._getframe(depth).f_back is None:

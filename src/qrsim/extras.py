@@ -44,7 +44,8 @@ class MissingExtraError(UsageError):
 
 
 def require(extra: str, purpose: str, *modules: str) -> None:
-    """Raise an error if a module of an extra is missing.
+    """Raise an error, beginning with ``purpose``, if modules of an optional dependency group (``extra``) are not
+    installed.
 
     Args:
         extra: a key of EXTRAS.
@@ -66,7 +67,7 @@ def require(extra: str, purpose: str, *modules: str) -> None:
 
 
 def load(extra: str, purpose: str, module: str) -> ModuleType:
-    """Return a module of an extra.
+    """Import and return a module of an optional dependency group (``extra``); raises an error if it is not installed.
 
     Raises:
         MissingExtraError: it is not installed.
@@ -76,7 +77,7 @@ def load(extra: str, purpose: str, module: str) -> ModuleType:
 
 
 def _package(module: str) -> str:
-    """Return the name of the package that has a module."""
+    """Return the name of the distribution on PyPI that provides a module."""
     if module == "zenoh":
         return "eclipse-zenoh"
     if module == "rerun":

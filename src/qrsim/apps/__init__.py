@@ -26,7 +26,7 @@ _UNITS = {"": 1.0, "ms": 1e-3, "s": 1.0, "sec": 1.0, "min": 60.0, "h": 3600.0}
 
 
 def seconds_of(text: str) -> float:
-    """Parse a time such as ``20``, ``20s``, ``2min`` or ``1.5h`` to seconds.
+    """Convert a time such as ``20``, ``20s``, ``2min`` or ``1.5h`` to seconds; raises an error for other texts.
 
     Raises:
         ValueError: the text is not a time.
@@ -43,12 +43,12 @@ def seconds_of(text: str) -> float:
 
 
 def _optional(words: list[str]) -> float | None:
-    """Parse the word of a time option to seconds; "None" gives None."""
+    """Convert the one word of a time option to seconds, or "None" to None."""
     return None if words == ["None"] else seconds_of(words[0])
 
 
 def _spec(parse: Any) -> object:
-    """Return tyro's specification of a time option: one word, parsed to seconds by ``parse``."""
+    """Return the command-line parser's (tyro's) specification of a time option, converted by ``parse``."""
     return tyro.constructors.PrimitiveConstructorSpec(
         nargs=1,
         metavar="SECONDS",
@@ -67,13 +67,15 @@ Duration = Annotated[float | None, OPTIONAL_SECONDS, tyro.conf.arg(help_behavior
 
 
 def check_seed(seed: int, option: str = "--seed", runs: int = 0) -> None:
-    """Raise UsageError for a seed out of range, also once the seeds of ``runs`` further runs are added."""
+    """Raise UsageError unless ``seed``, and the seeds of ``runs`` further runs after it, are in range; ``option`` names
+    it."""
     if not 0 <= seed < 2**63 - runs:
         raise UsageError(f"{option} {seed}: expected an integer from 0 to 2**63 - 1{' - --seeds' if runs else ''}")
 
 
 def with_duration(overrides: list[str], duration: float | None) -> list[str]:
-    """Return scenario overrides with the duration [s] appended if given; raises UsageError unless it is above 0."""
+    """Return scenario overrides (NAME=VALUE) with one for the duration [s] appended, if given; raises UsageError unless
+    above 0."""
     if duration is None:
         return list(overrides)
     if not (math.isfinite(duration) and duration > 0):
@@ -83,7 +85,8 @@ def with_duration(overrides: list[str], duration: float | None) -> list[str]:
 
 @contextmanager
 def progress_bar(name: str, total: float, *texts: str, **fields: Any) -> Iterator[Callable[..., None]]:
-    """Show a progress bar in the context, on a terminal only; yield its update function, as Rich's.
+    """Show a progress bar up to ``total`` while the context lasts, on a terminal only; yield Rich's function that
+    updates it.
 
     Args:
         name: in front of the bar.

@@ -87,7 +87,7 @@ class Brief:
     """Print the JSON instead of the summary."""
 
     def run(self) -> int:
-        """Check the operation, fly it, write the page, and print the verdict."""
+        """Run ``qrsim brief``: check the operation, fly it, write the page, print the verdict; return the exit code."""
         self._check()
         operation = self._operation()
         if self.write is not None:
@@ -119,7 +119,7 @@ class Brief:
             raise UsageError(f"--seed {self.seed}: expected an integer from 0 to 2**62 - 1")
 
     def _operation(self) -> OperationSpec:
-        """Return the operation of the command line, noting an assumed time if none was given."""
+        """Return the operation (mission, vehicle, time, wind) that the options describe; notes an assumed time."""
         from qrsim.studies.brief.operation import FAULTS, checked, read_operation
         from qrsim.studies.brief.words import NEEDED, battery_of, now_rounded, time_of, vehicles_of
 
@@ -148,7 +148,7 @@ class Brief:
         return checked({"operation": name or "brief", "missions": missions, **changes}, str(files[0]))
 
     def _wind(self) -> dict[str, object]:
-        """Return the wind of the command line."""
+        """Return the wind that the options describe, as entries of the operation."""
         from qrsim.studies.brief.words import WEATHER_FILES, wind_of
 
         assert self.wind is not None
@@ -179,7 +179,7 @@ class Brief:
         return 0
 
     def _check_precision(self, flights: Flights) -> None:
-        """Raise UsageError for a precision that needs far more runs than the time allows."""
+        """Raise UsageError for a --precision that needs far more runs than the time limit allows."""
         from qrsim.studies.brief.statistics import runs_for
 
         if self.precision is None:
@@ -193,7 +193,7 @@ class Brief:
             )
 
     def _clear(self, folder: Path, operation: OperationSpec) -> None:
-        """Empty the folder with --again; otherwise raise UsageError if it holds another operation."""
+        """Empty the output folder with --again; otherwise raise UsageError if it holds another operation's results."""
         import shutil
 
         from qrsim.files.yaml_text import parse_yaml
@@ -218,7 +218,7 @@ class Brief:
         )
 
     def _refuse_other_versions(self, folder: Path) -> None:
-        """Raise UsageError if other versions of the packages wrote the runs in a folder."""
+        """Raise UsageError if the runs in a folder were written by other versions of the packages."""
         from qrsim.studies.brief.studying import other_versions
 
         if other := other_versions(folder):
@@ -228,7 +228,7 @@ class Brief:
             )
 
     def _brief(self, operation: OperationSpec, flights: Flights, folder: Path) -> int:
-        """Fly and judge the operation's stages and print the brief; return the exit code of its verdict."""
+        """Fly and judge all stages of the operation and print the brief; return the verdict's exit code."""
         from qrsim.studies.brief.briefing import STAGES, exit_code, fly, keep, prepared, record_worst
 
         with os_error_as(RunError, f"{folder}: cannot write there"):
@@ -253,7 +253,8 @@ class Brief:
         return exit_code(brief.verdict[0])
 
     def _flyer(self, opened: ExitStack, folder: Path, told: Callable[[str, int, int], None]) -> Flyer:
-        """Return the flyer of the studies; ``opened`` ends its worker processes."""
+        """Return the Flyer of the studies, with worker processes that ``opened`` ends; it calls ``told(study, done,
+        planned)``."""
         from qrsim.engine.settings import available_cores
         from qrsim.studies.brief.studying import Flyer
         from qrsim.studies.sweep.cluster import workers_of
@@ -263,7 +264,7 @@ class Brief:
         return Flyer(folder, client, self.minutes, told)
 
     def _tell(self, brief: Briefing, folder: Path) -> None:
-        """Write the page and its numbers, and print the verdict."""
+        """Write the briefing as a page and as JSON, and print the verdict."""
         import json
 
         from qrsim.files.atomic import write_atomically
@@ -296,7 +297,7 @@ class Brief:
 
 
 def _differing(mine: object, theirs: object, path: str = "") -> Iterator[str]:
-    """Yield "path: mine, theirs" for the keys in which two operations differ."""
+    """Yield "path: mine, theirs" for each entry in which two operations, as nested dicts, differ."""
     if isinstance(mine, Mapping) and isinstance(theirs, Mapping):
         for key in dict.fromkeys([*mine, *theirs]):
             yield from _differing(mine.get(key), theirs.get(key), f"{path}.{key}".lstrip("."))
@@ -305,7 +306,7 @@ def _differing(mine: object, theirs: object, path: str = "") -> Iterator[str]:
 
 
 def _print_flights(operation: OperationSpec, flights: Flights) -> None:
-    """Print the wind, the planned duration of each mission, and, for many vehicles, the expected computing time."""
+    """Print the wind, each mission's planned duration and, for many vehicles, the expected computing time."""
     from qrsim.studies.brief.statistics import first_look
 
     wind = flights.wind
@@ -323,7 +324,7 @@ def _print_flights(operation: OperationSpec, flights: Flights) -> None:
 
 
 def _print_verdict(brief: Briefing) -> None:
-    """Print the verdict, the table of criteria, and how to view the worst run."""
+    """Print the verdict, the table of criteria, and the command that shows the worst run."""
     verdict, why = brief.verdict
     print(f"\n{verdict.upper()}: {why}\n")
     width = max((len(row.name) for row in brief.rows), default=0)
@@ -338,11 +339,12 @@ def _print_verdict(brief: Briefing) -> None:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[str, int, int], None]]:
-    """Show a bar of the present study in the context, on a terminal only; yield its update function."""
+    """Show a progress bar while the context lasts, on a terminal only; yield its update function (study, runs done,
+    planned)."""
     with progress_bar("starting", 1.0, "{task.completed:.0f} of {task.total:.0f} runs") as update:
 
         def told(study: str, done: int, planned: int) -> None:
-            """Show the study's name and the number of runs done in the progress bar."""
+            """Show a study's name and its number of runs done in the progress bar."""
             update(description=study, completed=done, total=planned)
 
         yield told

@@ -22,7 +22,7 @@ class Info:
     """Print JSON."""
 
     def run(self) -> None:
-        """Print a line for each kind of program."""
+        """Print a line on the cached programs of each kind: number and size."""
         import json
 
         from qrsim.engine import packing
@@ -50,7 +50,7 @@ class Clear:
     """
 
     def run(self) -> None:
-        """Delete the cached programs, and print their number and size."""
+        """Delete the cached compiled programs, and print their number and size."""
         from qrsim.engine import packing
 
         found = packing.clear().values()
@@ -70,7 +70,7 @@ class Pack:
     """File to write; compressed if its name ends in .gz or .tgz."""
 
     def run(self) -> None:
-        """Write the archive of cached programs, and print how many it has."""
+        """Write the cached compiled programs to an archive, and print their number."""
         from qrsim.engine import packing
 
         count = packing.pack(self.archive)
@@ -89,7 +89,7 @@ class Unpack:
     """File that 'qrsim cache pack' wrote on a machine with the same processor."""
 
     def run(self) -> None:
-        """Unpack an archive into the cache, and print how many programs it had."""
+        """Unpack an archive of compiled programs into the cache, and print their number."""
         from qrsim.engine import packing
 
         print(f"unpacked {packing.unpack(self.archive)} programs")

@@ -48,7 +48,7 @@ class Compare:
     """Print the result as JSON."""
 
     def run(self) -> int:
-        """Compare two runs, and print or draw the differences."""
+        """Run ``qrsim compare``: print or draw the differences of two runs; return the exit code."""
         if not (math.isfinite(self.tolerance) and self.tolerance >= 0):
             raise UsageError(f"--tolerance {self.tolerance:g}: expected a number from 0")
         from qrsim.runs import open_run

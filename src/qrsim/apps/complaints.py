@@ -21,7 +21,8 @@ _WIDE = "100000"
 
 @contextlib.contextmanager
 def in_a_sentence(program: str, options: Sequence[str], again: Callable[[], object]) -> Iterator[None]:
-    """Context manager: raise UsageError with one sentence in place of the parser's box and exit.
+    """In the context, turn the command-line parser's error box and exit into a one-sentence UsageError; ``again``
+    parses once more.
 
     Args:
         program: what is parsed for, such as "qrsim run".
@@ -38,7 +39,7 @@ def in_a_sentence(program: str, options: Sequence[str], again: Callable[[], obje
 
 
 def _box(parse: Callable[[], object]) -> str:
-    """Return the text that tyro prints on standard error while it parses, with wrapped lines joined."""
+    """Return the text that the command-line parser (tyro) prints on standard error while it parses, lines joined."""
     columns, said = os.environ.get("COLUMNS"), io.StringIO()
     os.environ["COLUMNS"] = _WIDE
     try:
@@ -53,7 +54,7 @@ def _box(parse: Callable[[], object]) -> str:
 
 
 def sentence(box: str, options: Sequence[str]) -> str:
-    """Return the message in tyro's box as one sentence, without frame, help and Python terms."""
+    """Convert the command-line parser's error box to one sentence, without frame, help and Python terms."""
     lines = list(filter(None, (line.strip("│ \t") for line in box.splitlines())))
     # The frame has the title; where characters are ASCII the title is underlined and there is no frame.
     begin = 2 if len(lines) > 1 and set(lines[1]) == {"-"} else int(box.startswith("╭"))
@@ -77,7 +78,7 @@ def sentence(box: str, options: Sequence[str]) -> str:
 
 
 def _no_value(option: str, words: str) -> str:
-    """Return the error for a value that an option cannot parse, from tyro's words."""
+    """Return the error for a value that an option cannot take; ``words``: the parser's explanation."""
     for pattern, expected in _NO_NUMBERS:
         if found := re.fullmatch(pattern, words):
             return f"{option} {shortened(found[1], 100)}: expected {expected}"
@@ -85,7 +86,7 @@ def _no_value(option: str, words: str) -> str:
 
 
 def _unknown(word: str, options: Sequence[str]) -> str:
-    """Return the error for an unknown option, with the nearest one, or for a surplus word."""
+    """Return the error for an unknown option, with the nearest known one, or for a word too many."""
     if word.startswith("-"):
         return f"no such option '{shortened(word, 100)}'{did_you_mean(word.partition('=')[0], options)}"
     return f"'{shortened(word, 100)}' is one word too many; a value with spaces goes in quotes"

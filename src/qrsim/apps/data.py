@@ -37,7 +37,7 @@ class Fetch:
     """Folder to save to."""
 
     def run(self) -> None:
-        """Fetch the recordings file by file and print the outcome of each."""
+        """Download the recordings file by file, and print the outcome of each."""
         import shlex
 
         folder = recordings.data_folder() if self.dest is None else Path(os.path.expanduser(self.dest)).absolute()
@@ -64,7 +64,7 @@ class Where:
     """Print JSON: the folder, and for each file its condition and sha256."""
 
     def run(self) -> None:
-        """Print the table or the JSON."""
+        """Print where the recordings are and the state of each file, as a table or JSON."""
         folder = recordings.data_folder()
         statuses = [recordings.file_status(name) for name in recordings.RECORDINGS]
         complete = all(status.condition == "good" for status in statuses)
@@ -79,7 +79,7 @@ class Where:
 
 
 def _bring(status: recordings.FileStatus, wanted: list[str]) -> None:
-    """Fetch a file unless it is complete; ``wanted`` lists all incomplete files, for the advice on failure."""
+    """Download a file unless it is complete; ``wanted``: all incomplete files, for the advice if it fails."""
     if status.condition == "good":
         print(f"kept     {status.name}")
         return
@@ -99,7 +99,7 @@ def _bring(status: recordings.FileStatus, wanted: list[str]) -> None:
 
 
 def _print_json(folder: Path, statuses: list[recordings.FileStatus], complete: bool) -> None:
-    """Print the state of each file of a folder as JSON."""
+    """Print the state of each recording in a folder as JSON; ``complete``: all are good."""
     import json
 
     files = [
@@ -116,7 +116,7 @@ def _print_json(folder: Path, statuses: list[recordings.FileStatus], complete: b
 
 @contextmanager
 def _progress_bar(name: str) -> Iterator[_RichBar | None]:
-    """Show a bar while the context lasts, on a terminal only."""
+    """Show the progress bar of a download while the context lasts, on a terminal only; yield it, or None."""
     if not sys.stderr.isatty():
         yield None
         return
@@ -138,7 +138,7 @@ class _RichBar:
 
     @property
     def total(self) -> int:
-        """Number of bytes to fetch."""
+        """Size of the download [bytes], 0 if it is unknown."""
         return self._total
 
     @total.setter
@@ -149,11 +149,11 @@ class _RichBar:
         self._progress.update(self._task, total=count or None)
 
     def update(self, count: int) -> None:
-        """Add ``count`` fetched bytes."""
+        """Add ``count`` downloaded bytes to the bar."""
         self._progress.advance(self._task, count)
 
     def reset(self) -> None:
-        """Set the count back to zero."""
+        """Set the number of downloaded bytes back to 0."""
         self._progress.update(self._task, completed=0)
 
     def close(self) -> None:

@@ -57,7 +57,7 @@ class Discover:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check the options, read the log, evolve the laws, and write and print the result."""
+        """Run ``qrsim discover``: read the log, search for equations of motion, and write and print the result."""
         self._check()
         from qrsim.files.atomic import write_atomically
         from qrsim.runs.picture import save_picture
@@ -110,7 +110,7 @@ class Discover:
 
 
 def _summary(found: Discovery) -> dict[str, object]:
-    """Return the results as a dict for JSON: laws, delay, trims and held-out errors."""
+    """Return the results as a dict for JSON: equations, delay, trims and errors on held-out data."""
     laws = {
         name: {
             "equation": law.text,
@@ -130,7 +130,7 @@ def _summary(found: Discovery) -> dict[str, object]:
 
 
 def _print(found: Discovery, out: Path) -> None:
-    """Print the discovered laws, delay, trims and held-out errors."""
+    """Print the discovered equations, delay, trims and errors on held-out data."""
     from qrsim.studies.discover.flight import TRIM_UNITS
 
     for law in found.laws.values():

@@ -80,7 +80,7 @@ class Export:
     """Print what was written as JSON."""
 
     def run(self) -> None:
-        """Check, write, and print the files written."""
+        """Run ``qrsim export``: check the options, write the files, and print their paths."""
         from qrsim.runs import open_run
         from qrsim.runs.layout import LARGEST_EVERY
         from qrsim.tasks.learned import is_policy_file
@@ -108,7 +108,7 @@ class Export:
         self._report(written, every)
 
     def _write_policy(self) -> None:
-        """Write a learned policy as a C file or an ONNX model.
+        """Write the learned policy of a file as C source or an ONNX model.
 
         Raises:
             UsageError: another format, options of runs, or no policy.
@@ -135,13 +135,13 @@ class Export:
         self._report([Written(target, {"inputs": policy.view.inputs, "layers": len(policy.layers)})], 1)
 
     def _usual_every(self, recorded: Run) -> int:
-        """Return the default of --every, the interval in ticks: 1 for logs, larger for tracks."""
+        """Return the default of --every (keep every Nth tick): 1 for logs, larger for tracks."""
         if self.format in ("csv", "mcap", "rerun", "rosbag2"):
             return 1
         return max(1, round(TRACK_PERIOD_S / recorded.info.time_step))
 
     def _write_tables(self, recorded: Run, every: int) -> list[Written]:
-        """Write a CSV file for each stream, or for the chosen one."""
+        """Write a CSV file for each stream of the run, or for the chosen one."""
         from qrsim.runs.export.csv_files import write_stream
         from qrsim.runs.export.output import check_target, readable_streams
 
@@ -207,7 +207,7 @@ class Export:
         return (geojson.write if self.format == "geojson" else gpx.write)(tracks, target)
 
     def _report(self, written: list[Written], every: int) -> None:
-        """Print which files were written and what they hold, as text or JSON."""
+        """Print which files were written and what they contain, as text or JSON."""
         import json
 
         if self.json:

@@ -83,7 +83,7 @@ class Identify:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check the options, read the logs, fit the parameters, and write and print the result."""
+        """Run ``qrsim identify``: read the logs, fit the parameters, and write and print the result."""
         if self.imu:
             from qrsim.studies.identify.imu_noise import checked_imu, identify_imu
 
@@ -138,7 +138,7 @@ class Identify:
             raise UsageError(f"--from {self.begin:g} is not before --to {self.end:g}")
 
     def _question(self) -> Question:
-        """Return the problem to fit, from the options: start values, priors, constants and logs."""
+        """Return the fitting problem that the options describe: start values, priors, constants and logs."""
         from qrsim.scenarios.vehicle_checks import grams_hint
         from qrsim.studies.identify.constants import CHANNELS, CONSTANTS, PITCH, check_names
         from qrsim.studies.identify.fit import Question
@@ -172,14 +172,14 @@ class Identify:
         return Question(names, start, self.separate, priors, self.delay, self.loss == "robust", ignored)
 
     def _say(self, *lines: str) -> None:
-        """Print progress lines at once, unless --quiet or --json is given."""
+        """Print lines on progress at once, unless --quiet or --json is given."""
         if not (self.quiet or self.json):
             for line in lines:
                 print(line, flush=True)
 
 
 def _number(option: str, text: str) -> float:
-    """Parse the finite number of an option; raises UsageError for other texts."""
+    """Convert an option's text to a finite number; raises UsageError for other texts."""
     try:
         value = float(text)
     except ValueError:
@@ -190,7 +190,7 @@ def _number(option: str, text: str) -> float:
 
 
 def _prior(option: str, text: str, form: str) -> Prior:
-    """Parse a prior VALUE:STD; raises UsageError that shows the expected ``form``."""
+    """Convert an option's text VALUE:STD to a prior; raises UsageError that shows the expected ``form``."""
     from qrsim.studies.identify.fit import Prior
 
     value, colon, std = text.partition(":")
@@ -203,7 +203,7 @@ def _prior(option: str, text: str, form: str) -> Prior:
 
 
 def _print(found: Result, out: Path, folder: Path) -> None:
-    """Print the fitted constants with intervals, verdicts and held-out errors."""
+    """Print the fitted parameters with intervals, verdicts and errors on held-out data."""
     print(f"\n{'constant':<10} {'value':>13} {'95 % interval':>29}   {'start':>13}  unit")
     for name, each in found.constants().items():
         print(
@@ -233,7 +233,7 @@ def _print(found: Result, out: Path, folder: Path) -> None:
 
 
 def _print_signals(found: Result, i: int) -> None:
-    """Print how much each signal of log ``i`` moves compared with its noise."""
+    """Print, for log ``i``, how much each measured signal varies compared with its noise."""
     print(f"\n{found.pieces[i].log.source.name}, fitted part: how much its signals move")
     print(f"  {'signal':<17} {'std':>10} {'noise':>10} {'std/noise':>10}  unit")
     for name, each in found.channels(i).items():

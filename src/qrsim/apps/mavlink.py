@@ -89,7 +89,7 @@ class Mavlink:
     """Let clients request HIL_STATE_QUATERNION, the true state; without it they get only estimates and readings."""
 
     def run(self) -> None:
-        """Check the scenario, compile it, and serve MAVLink until the end."""
+        """Run ``qrsim mavlink``: check the scenario, compile it, and serve MAVLink until interrupted."""
         self._check()
         ground = self._address()
         from qrsim.files.interruptions import run_until_signal
@@ -150,7 +150,7 @@ class Mavlink:
                 raise UsageError(f"{name} {value}: expected {' or '.join(allowed)}{did_you_mean(value, allowed)}")
 
     def _address(self) -> str:
-        """Return the address of the ground station."""
+        """Return the IP address to which messages for the ground station go first."""
         try:
             address = socket.gethostbyname(self.gcs)
         except (OSError, UnicodeError):
@@ -167,7 +167,7 @@ class Mavlink:
         return address
 
     def _describe(self, world: FlownWorld, ports: Ports, ground: str, say: Callable[[str], None]) -> None:
-        """Print the systems, and the UDP and TCP ports on which they are reached."""
+        """Print the vehicles' system ids, and the UDP and TCP ports on which they can be reached."""
         from qrsim.links.mavlink.ports import GROUND, GROUND_PEER, ONBOARD, TCP
 
         systems = world.systems
@@ -189,7 +189,7 @@ class Mavlink:
 
 
 def _warn() -> None:
-    """Warn that other machines can fly the vehicles."""
+    """Warn that other machines can command the vehicles."""
     print(
         "warning: every machine that can reach this one can fly these vehicles; nothing is encrypted", file=sys.stderr
     )

@@ -73,7 +73,7 @@ class Plot:
     """Print the quantities, or the path of the picture, as JSON."""
 
     def run(self) -> None:
-        """Check, draw, and print the path of the picture."""
+        """Run ``qrsim plot``: check the options, draw the figure, and print its path."""
         self._check()
         from qrsim.runs import open_run
 
@@ -142,7 +142,7 @@ class Plot:
 
 
 def _print_quantities(recorded: Run, as_json: bool) -> None:
-    """Print the quantities of a run with unit and meaning, as a table or JSON."""
+    """Print the quantities that a run recorded, with unit and meaning, as a table or JSON."""
     from qrsim.runs.quantities import quantities
 
     found = quantities(recorded)

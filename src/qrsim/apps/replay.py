@@ -34,7 +34,8 @@ class Replay:
     """Load the Python files and modules that the recorded scenario names; only if you trust its author."""
 
     def run(self) -> int:
-        """Fly the run again, compare it with the recording, and print the differences."""
+        """Run ``qrsim replay``: fly a run again, compare it with the recording, print differences; return the exit
+        code."""
         from qrsim.links.shared.replay import replay
         from qrsim.runs import open_run
         from qrsim.runs.compare import compare_runs

@@ -101,7 +101,8 @@ class Ros2:
     """End after this simulated time."""
 
     def run(self) -> None:
-        """Check the scenario, compile it, and serve ROS 2 until the end."""
+        """Run ``qrsim ros2``: check the scenario, compile it, and serve ROS 2 until interrupted or --duration has
+        passed."""
         self._check()
         domain = self._domain()
         require("ros2", "'qrsim ros2'")
@@ -145,7 +146,8 @@ class Ros2:
             log.close()
 
     def _world(self, scenario: Scenario, say: Callable[[str], None]) -> tuple[Types, Simulation, Flown | None]:
-        """Return the message types, the simulation, and the vehicles flown by flight stacks (None without)."""
+        """Return the ROS message types, the simulation, and the vehicles flown by flight stacks, or None with --api
+        qrsim."""
         from qrsim.links.ros2.typestore import Types
 
         if self.api == "qrsim":
@@ -165,7 +167,7 @@ class Ros2:
         return types, world.simulation, Flown(types, world, self.api, self.namespaces, self.rate)  # type: ignore[arg-type]
 
     def _node(self, types: Types, domain: int, say: Callable[[str], None]) -> Node:
-        """Return the node of the chosen transport, zenoh or DDS."""
+        """Return the ROS node of the chosen transport, zenoh or DDS."""
         if self.transport == "zenoh":
             from qrsim.links.ros2.zenoh_node import ZenohNode
 
@@ -205,7 +207,7 @@ class Ros2:
             raise UsageError(f"--duration {self.duration:g}: expected more than 0 seconds")
 
     def _domain(self) -> int:
-        """Return the ROS domain: the option's, else that of ROS_DOMAIN_ID."""
+        """Return the ROS domain number of --domain, else that of the variable ROS_DOMAIN_ID."""
         import os
 
         if self.domain is not None:

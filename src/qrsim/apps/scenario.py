@@ -26,7 +26,7 @@ class List:
     """Print JSON: name, description, duration and number of vehicles; for components kind, name, class and origin."""
 
     def run(self) -> None:
-        """Print one line per scenario or component."""
+        """Run ``qrsim list``: print a line for each scenario or component."""
         if self.components:
             self._components()
             return
@@ -50,7 +50,7 @@ class List:
             print(f"{row['name']:<{width}}  {counts}  {row['description']}")
 
     def _components(self) -> None:
-        """Print the components that scenarios can name, and the origin of each."""
+        """Print the components that scenarios can name, and where each comes from."""
         from qrsim.scenarios.registry import components
 
         rows = components()
@@ -94,7 +94,7 @@ class Show:
     their order ('steps'), or the text that LLVM compiles ('llvm')."""
 
     def run(self) -> None:
-        """Print the resolved scenario, and quantities derived from its vehicles."""
+        """Run ``qrsim show``: print the resolved scenario and quantities derived from its vehicles."""
         import json
 
         from qrsim.scenarios.derived import derived_of, heights_line
@@ -145,7 +145,7 @@ class Schema:
     """
 
     def run(self) -> None:
-        """Print the JSON schema of scenario files."""
+        """Run ``qrsim schema``: print the JSON schema of scenario files."""
         import json
 
         from qrsim.scenarios.scenario import json_schema

@@ -67,7 +67,7 @@ class Score:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Fly the episodes of all policies, then print and draw the scores."""
+        """Run ``qrsim score``: fly episodes of a task by each policy, then print and draw the scores."""
         if not 1 <= self.seeds <= MOST_SEEDS:
             raise UsageError(f"--seeds {self.seeds}: expected 1 to {MOST_SEEDS}")
         if not 0 <= self.first_seed < 2**62:
@@ -94,7 +94,7 @@ class Score:
         self._tell(batch.functional.name, found, kept)
 
     def _makers(self, functional: Functional) -> Content:
-        """Return policy name -> function that builds the policy."""
+        """Return policy name -> function that builds the policy, for the task's functions."""
         from qrsim.envs import VERSION
         from qrsim.envs.scoring import BASELINE, BUILT_IN, HOVER, maker
         from qrsim.interface.policies import load_function
@@ -114,7 +114,7 @@ class Score:
         return makers if HOVER in makers else {**makers, HOVER: maker(HOVER, play)}
 
     def policy_missing(self, play: Play) -> bool:
-        """Return whether the task has no baseline."""
+        """Return whether the task of a ``Play`` lacks a baseline policy."""
         from qrsim.tasks.baselines import baseline
 
         try:
@@ -124,7 +124,7 @@ class Score:
         return False
 
     def _tell(self, task: str, found: list[Scored], kept: Path | None) -> None:
-        """Print the policies' scores as a table or JSON."""
+        """Print the policies' scores as a table or JSON; ``kept``: folder of the dataset, if one was written."""
         rows = [_row(each, found[0]) for each in found]
         if self.json:
             import json
@@ -169,7 +169,7 @@ class Score:
 
 
 def _row(each: Scored, first: Scored) -> Content:
-    """Return the scores of a policy as a dict for JSON, with the difference from the first policy."""
+    """Return a policy's scores as a dict for JSON, with the difference from the ``first`` policy."""
     from qrsim.envs.scoring import Interval
 
     less = None if each is first else _told(each.less(first))
@@ -194,24 +194,25 @@ def _row(each: Scored, first: Scored) -> Content:
 
 
 def _told(interval: Interval) -> dict[str, float | None]:
-    """Return an interval as a dict for JSON, with NaN as None."""
+    """Return a confidence interval as a dict for JSON, with None in place of NaN."""
     numbers = {"mean": interval.mean, "low": interval.low, "high": interval.high}
     return {name: value if value == value else None for name, value in numbers.items()}
 
 
 def _span(row: Mapping[str, object]) -> str:
-    """Return the interval of a score in brackets as text; "" without one."""
+    """Return a score's confidence interval in brackets as text; "" without one."""
     return "" if row["low"] is None else f"({row['low']:.4g} to {row['high']:.4g})"
 
 
 @contextmanager
 def _progress(policies: int, steps: int) -> Iterator[Callable[[str, int], None]]:
-    """Show a bar of the flights in the context, on a terminal only; yield its update function."""
+    """Show a progress bar of the flights in the context, on a terminal only; yield its update function (policy's name,
+    steps done)."""
     with progress_bar("", policies * steps) as update:
         names: list[str] = []
 
         def told(name: str, step: int) -> None:
-            """Show the policy that flies and its steps."""
+            """Show the policy that flies now and the steps done in the progress bar."""
             if name not in names:
                 names.append(name)
             update(description=name, completed=(len(names) - 1) * steps + step)

@@ -101,7 +101,7 @@ class Serve:
     is needed to view and control the page; nothing is encrypted."""
 
     def run(self) -> None:
-        """Check the scenarios, compile them, and serve clients until the end."""
+        """Run ``qrsim serve``: check the scenarios, compile them, and serve until interrupted or told to quit."""
         options = self._options()
         scenario = self._scenario()
         import asyncio
@@ -117,7 +117,7 @@ class Serve:
         log = Log()
 
         def ready(host: str, port: int) -> None:
-            """Tell the operator where the server and its page are."""
+            """Print the server's address and that of its 3-D page."""
             log.say(f"qrsim serves on {host}:{port}")
             if options.view is not None:
                 if options.pace == "owner":
@@ -136,7 +136,7 @@ class Serve:
             log.close()
 
     def _options(self) -> Options:
-        """Return the server's options; raises UsageError for values out of range."""
+        """Return the server's options from the command line; raises UsageError for values out of range."""
         from qrsim.links.pacing import checked_factor
         from qrsim.links.reference.roles import Options
         from qrsim.links.reference.seeds import EPISODES
@@ -176,7 +176,7 @@ class Serve:
         )
 
     def _shared(self) -> Content:
-        """Return the options of a shared world as keyword arguments."""
+        """Return the options of a world that all clients share, as keyword arguments of ``Options``."""
         from qrsim.links.contracts import PACES
         from qrsim.links.shared.plant import checked_silence
 
@@ -199,7 +199,7 @@ class Serve:
         return {"pace": self.pace, "silence": silence, "barrier_timeout": self.timeout}
 
     def _page(self) -> LiveView | None:
-        """Return the 3-D page that shows the simulation; None without --view."""
+        """Return the 3-D page of the simulation; None without --view."""
         if not self.view:
             return None
         if self.sessions:
@@ -210,7 +210,7 @@ class Serve:
         return LiveView(self.view_port, host=self.view_host)
 
     def _check_host(self) -> None:
-        """Raise UsageError for a host that other machines reach, unless --allow-remote; then warn."""
+        """Raise UsageError for a host that other machines can reach, unless --allow-remote is given; then warn."""
         if self.host == "localhost":
             return
         try:
@@ -229,7 +229,7 @@ class Serve:
         )
 
     def _scenario(self) -> Scenario | None:
-        """Return the scenario to serve; None if none is named, after refusing options that need one."""
+        """Return the scenario to serve; None if none is named, unless another option needs one (UsageError)."""
         if self.scenario is None:
             if self.set:
                 raise UsageError("--set: there is no SCENARIO to change")
@@ -249,7 +249,7 @@ class Serve:
 
 
 def _prepare(tasks: object, options: Options) -> None:
-    """Compile the operator's scenario, so that its first client does not wait."""
+    """Compile the operator's scenario in advance, so that the first client does not wait."""
     from qrsim.links.reference.protocol.framing import LARGEST_FOR_REFERENCE_CLIENT
     from qrsim.links.reference.readout import largest_fleet, state_size
     from qrsim.links.reference.seeds import Seeds

@@ -74,7 +74,7 @@ class SlamCommand:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check the options, fly, solve for the trajectory and landmarks, and report the errors."""
+        """Run ``qrsim slam``: fly, or read a run, estimate trajectory and landmarks, and report the errors."""
         self._check()
         if self.run_folder is not None:
             self._solve_run(self.run_folder)
@@ -113,7 +113,7 @@ class SlamCommand:
             raise UsageError("--sweep: takes the size of the errors from coloured flights; leave out --noise white")
 
     def _solve_run(self, folder: Path) -> None:
-        """Estimate the trajectory and landmarks of a recorded run, print errors, write files."""
+        """Estimate trajectory and landmarks of a recorded run in ``folder``; print the errors and write the files."""
         from qrsim.runs import open_run
         from qrsim.runs.picture import save_picture
         from qrsim.studies.slam.estimate import from_run
@@ -140,7 +140,7 @@ class SlamCommand:
             print(f"\nfigure and numbers: {self.out}")
 
     def _solve_together(self, folder: Path) -> None:
-        """Estimate several vehicles of a recorded run in one graph, print and draw."""
+        """Estimate several vehicles of a recorded run in one factor graph; print and draw the result."""
         from qrsim.runs import open_run
         from qrsim.studies.slam.team_report import solve_run_together, text_of_run
 
@@ -153,7 +153,7 @@ class SlamCommand:
         self._report(result, text_of_run(found, result))
 
     def _team(self) -> None:
-        """Fly a team with each seed, compare joint with separate estimates, print and draw."""
+        """Fly a team with each seed, compare joint and separate estimates, print and draw them."""
         from qrsim.studies.slam.team_report import text_of_study
         from qrsim.studies.slam.team_study import CASES, compare
 
@@ -173,7 +173,7 @@ class SlamCommand:
         self._report(result, text_of_study(result))
 
     def _report(self, result: Mapping[str, object], text: str) -> None:
-        """Write the numbers next to the figures, and print them."""
+        """Write the numeric result next to the figures, and print it as ``text`` or JSON."""
         if self.out is not None:
             _write(self.out / "result.json", result)
         if self.json:
@@ -184,7 +184,7 @@ class SlamCommand:
             print(f"\nfigures and numbers: {self.out}")
 
     def _study(self) -> None:
-        """Fly with each seed and kind of noise, estimate, print and draw the errors."""
+        """Fly with each seed and kind of noise, estimate, and print and draw the errors."""
         from qrsim.studies.slam import example
         from qrsim.studies.slam import study as studies
         from qrsim.studies.slam.estimate import BIAS_TIME_CONSTANT
@@ -217,7 +217,7 @@ class SlamCommand:
 
 
 def _draw(found: Study, swept: Sweep | None, folder: Path) -> None:
-    """Save the figures of a study in its folder."""
+    """Save a study's figures in a folder; ``swept``: results by correlation time of the GNSS error, if any."""
     from qrsim.runs.picture import save_picture
     from qrsim.studies.slam import figures
 
@@ -230,7 +230,7 @@ def _draw(found: Study, swept: Sweep | None, folder: Path) -> None:
 
 
 def _of_run(found: Slam) -> Content:
-    """Return the numbers of a run's estimate as a dict, None for undefined ones."""
+    """Return the errors of a run's estimate as a dict for JSON, None for undefined ones."""
     import math
 
     import numpy as np
@@ -256,7 +256,7 @@ def _of_run(found: Slam) -> Content:
 
 
 def _print_study(result: Content) -> None:
-    """Print the errors of a study, its paired tests and its remedy."""
+    """Print a study's errors, paired tests and remedy."""
     from qrsim.studies.slam.estimate import MOST_ITERATIONS
     from qrsim.studies.slam.study import ARMS
 
@@ -293,19 +293,19 @@ def _print_study(result: Content) -> None:
 
 
 def _metres(value: float | None, width: int = 8) -> str:
-    """Return a length [m] as text, a dash for None."""
+    """Return a length [m] as text ``width`` wide, a dash for None."""
     return f"{'-':>{width}}" if value is None else f"{value:{width}.3f}"
 
 
 def _interval(found: dict[str, float], name: str = "mean", unit: float = 1.0) -> str:
-    """Return a mean times ``unit`` with its 95 % interval, if it has one, as text."""
+    """Return a mean (``found[name]``) times the factor ``unit`` as text, with its 95 % interval if it has one."""
     if "low" not in found:
         return f"{unit * found[name]:.3g}"
     return f"{unit * found[name]:.3g} (95 %: {unit * found['low']:.3g} to {unit * found['high']:.3g})"
 
 
 def _write(path: Path, result: Mapping[str, object]) -> None:
-    """Write a result as JSON in one step; raise RunError if it cannot be written."""
+    """Write a result as a JSON file, complete or not at all; raises RunError if it cannot be written."""
     import json
 
     from qrsim.files.atomic import write_atomically
@@ -323,6 +323,7 @@ def _print_json(result: Mapping[str, object]) -> None:
 
 @contextmanager
 def _progress(solves: int) -> Iterator[Callable[[], None]]:
-    """Show a bar while the context lasts, on a terminal only."""
+    """Show a progress bar while the context lasts, on a terminal only; yield the function that counts one solved
+    flight."""
     with progress_bar("flights solved", solves, "{task.completed:.0f} of {task.total:.0f}") as update:
         yield lambda: update(advance=1)

@@ -68,7 +68,7 @@ class Sweep:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check the study, fly the missing batches, and print the path of the store."""
+        """Run ``qrsim sweep``: check the study, fly the batches that are missing, and print the store's path."""
         study = self._study()
         from qrsim.extras import require
 
@@ -83,7 +83,7 @@ class Sweep:
         self._fly(plan, out)
 
     def _study(self) -> Study:
-        """Load the study with the options that change it; raise UsageError for options out of range."""
+        """Load the study, changed by options; raises UsageError for options out of range."""
         from qrsim.studies.sweep.study import load_study
 
         for name in ("workers", "seeds", "points", "values"):
@@ -102,7 +102,7 @@ class Sweep:
         return load_study(self.study, changes, self.set, self.values or 0)
 
     def _fly(self, plan: Plan, out: Path) -> None:
-        """Fly the batches that the store does not have yet, and print the result."""
+        """Fly the batches that are missing in the store ``out``, and print the result."""
         from qrsim.engine.settings import available_cores
         from qrsim.studies.sweep.cluster import Tls, workers_of
         from qrsim.studies.sweep.store import Store
@@ -143,7 +143,7 @@ class Sweep:
         )
 
     def _tell(self, result: Mapping[str, object], text: str) -> None:
-        """Print a result as JSON with --json, or its text."""
+        """Print a result as JSON with --json, else its text."""
         if self.json:
             import json
 
@@ -153,7 +153,7 @@ class Sweep:
 
 
 def _planned(plan: Plan) -> dict[str, object]:
-    """Return the sizes of a plan as a dict for JSON."""
+    """Return a plan's name, dimensions and numbers of points, episodes and batches as a dict for JSON."""
     return {
         "study": plan.study.spec.name,
         "digest": plan.study.digest,
@@ -166,13 +166,13 @@ def _planned(plan: Plan) -> dict[str, object]:
 
 
 def _sentence(plan: Plan) -> str:
-    """Return a sentence with the number of episodes and batches of a plan."""
+    """Return a sentence on a plan's number of episodes and batches."""
     sizes = " x ".join(f"{size} {name}" for name, size in zip(plan.dims, plan.shape, strict=True))
     return f"{plan.study.spec.name}: {plan.episodes} episodes ({sizes}) in {plan.batches} batches"
 
 
 def _episodes(plan: Plan, done: NumpyArray) -> int:
-    """Return the number of episodes in the batches marked in ``done``."""
+    """Return the number of episodes in the batches that are done (bool array)."""
     import math
 
     import numpy as np
@@ -182,20 +182,21 @@ def _episodes(plan: Plan, done: NumpyArray) -> int:
 
 
 def _simulated(plan: Plan) -> float:
-    """Return the simulated time [s] of all episodes together."""
+    """Return the simulated time [s] of all episodes of a plan together."""
     durations = [group.ticks * group.time_step for group in plan.groups.values()]
     return plan.episodes * sum(durations) / len(durations)
 
 
 @contextmanager
 def _progress(plan: Plan, before: int) -> Iterator[Callable[[Batch], None]]:
-    """Show a bar with episodes and the real-time factor while the context lasts, on a terminal only."""
+    """Show a bar of episodes and real-time factor in the context, on a terminal only; yield a function that adds a
+    batch. ``before``: episodes done earlier."""
     begun, simulated = time.perf_counter(), 0.0
     texts = "{task.completed:.0f} of {task.total:.0f} episodes", "{task.fields[factor]}"
     with progress_bar(plan.study.spec.name, plan.episodes, *texts, completed=before, factor="starting") as update:
 
         def show(batch: Batch) -> None:
-            """Add a batch to the bar and update the real-time factor."""
+            """Add a batch to the progress bar and update the real-time factor."""
             nonlocal simulated
             group = plan.groups[batch.group]
             simulated += batch.episodes * group.ticks * group.time_step

@@ -47,7 +47,7 @@ class SweepReport:
     """Print the tables as JSON."""
 
     def run(self) -> None:
-        """Analyse the store of a study, write the report, and print the tables."""
+        """Run ``qrsim sweep-report``: analyse a study's store, write the report, and print the tables."""
         from qrsim.extras import require
 
         require("sweep", "qrsim sweep-report")

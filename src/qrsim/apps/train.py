@@ -46,12 +46,14 @@ class Train:
     """Decisions of all agents, after which the training ends."""
     minutes: Annotated[float | None, tyro.conf.arg(help_behavior_hint="(default: no limit)")] = None
     """Wall time, after which the training ends earlier."""
-    envs: Annotated[int | None, tyro.conf.arg(help_behavior_hint="(default: 512; in a pursuit 128)")] = None
+    envs: Annotated[int | None, tyro.conf.arg(help_behavior_hint="(default: as suits the task, 64 to 512)")] = None
     """Number of episodes side by side, 1 to 65536."""
     set: Annotated[Repeated, tyro.conf.arg(metavar="PATH=VALUE", help_behavior_hint="(default: none)")] = field(
         default_factory=list
     )
     """Change one value of the scenario; can be given several times."""
+    integral: bool = False
+    """Add the integral of the offset to the goal to the inputs, which makes up for a steady wind."""
     out: Annotated[
         Path | None,
         tyro.conf.arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(default: runs/TASK-policy-seedSEED)"),
@@ -65,7 +67,7 @@ class Train:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check the options, train the policy, and print the result."""
+        """Run ``qrsim train``: check the options, train a policy for a task, and print the result."""
         self._check()
         require("learn", "qrsim train")
         if self.tensorboard:
@@ -75,7 +77,15 @@ class Train:
         from qrsim.studies.learn.training import Training
 
         seconds = None if self.minutes is None else 60.0 * self.minutes
-        plan = plan_of(self.task, tuple(self.set), self.envs, seed=self.seed, steps=self.steps, seconds=seconds)
+        plan = plan_of(
+            self.task,
+            tuple(self.set),
+            self.envs,
+            seed=self.seed,
+            steps=self.steps,
+            seconds=seconds,
+            integral=self.integral,
+        )
         folder = self.out or Path("runs") / f"{_name_of(plan)}-policy-seed{self.seed}"
         if folder.exists() and not self.resume and not (folder.is_dir() and not any(folder.iterdir())):
             raise UsageError(f"{folder} exists and is never overwritten; choose another --out, or add --resume")
@@ -105,7 +115,7 @@ class Train:
         self._tell(training, folder)
 
     def _board(self, folder: Path, steps: int) -> Board | None:
-        """Return the event files of --tensorboard, None without it."""
+        """Return the writer of TensorBoard event files with --tensorboard, None without it."""
         from qrsim.studies.learn.board import Board
 
         return Board(folder, steps) if self.tensorboard else None
@@ -126,14 +136,14 @@ class Train:
             raise UsageError(f"--envs {self.envs}: expected 1 to {MOST_ENVS}")
 
     def _tell_row(self, row: Tried) -> None:
-        """Print one row of the training's progress: a cycle."""
+        """Print a row of the training's progress: one cycle and its scores."""
         if self.json:
             return
         text = f"cycle {row.cycle}, {row.steps} steps, {row.seconds:.0f} s: mean return {row.mean_return:.4g}, "
         print(f"{text}flown to the end {row.flown_to_the_end:.3g}", flush=True)
 
     def _tell(self, training: Training, folder: Path) -> None:
-        """Print the result of the training as text or JSON."""
+        """Print the result of the training, as text or JSON."""
         policy = folder / "policy.npz"
         if self.json:
             best = None if training.best is None else asdict(training.best[1])
@@ -151,14 +161,14 @@ class Train:
 
 
 def _name_of(plan: Plan) -> str:
-    """Return a task's name for a folder; raises as ``Functional.of`` for a task that cannot be learned."""
+    """Return the task's name for a folder; raises UsageError for a task that cannot be learned."""
     from qrsim.envs.functional import Functional
 
     return Functional.of(plan.task, plan.overrides).name.replace("/", "_")
 
 
 def _shown(best: tuple[object, Tried] | None) -> str:
-    """Return the scores of the best policy as text."""
+    """Return the best policy's scores as text."""
     if best is None:
         return "none yet"
     row = best[1]

@@ -49,7 +49,8 @@ class Validate:
     """Print the JSON of every number instead of the summary."""
 
     def run(self) -> int:
-        """Check the recordings, run the comparisons, write the report, and print a summary."""
+        """Run ``qrsim validate``: compare the models with recordings, write the report, print a summary; return the
+        exit code."""
         from qrsim.engine.settings import use_compilation_cache
         from qrsim.studies.validate.parts import choose, find_recordings, run_parts
 
@@ -66,7 +67,7 @@ class Validate:
         return 0 if report["passed"] else 1
 
     def _write(self, results: list[Result], report: Mapping[str, object]) -> None:
-        """Write the report as page, PDF, JSON and figures."""
+        """Write the report as web page, PDF, JSON and figures."""
         from qrsim.files.atomic import write_atomically
         from qrsim.studies.validate.page import write_page
         from qrsim.studies.validate.pdf import figures, write_pdf
@@ -93,7 +94,7 @@ class Validate:
 
 
 def to_json(results: list[Result]) -> dict[str, object]:
-    """Return the report as a dict for JSON, without pictures."""
+    """Return the results as a dict for JSON, without pictures."""
     import datetime
     import platform
     from importlib.metadata import version
@@ -120,7 +121,7 @@ def _dump(report: Mapping[str, object]) -> str:
 
 
 def _print_part(result: Result) -> None:
-    """Print the outcome of a part: its checks, those that failed, findings and what was skipped."""
+    """Print the outcome of one part of the validation: its checks, those that failed, findings and what was skipped."""
     outcome = result.outcome
     if outcome is None:
         print(f"skipped  {result.part.title}: {result.skipped}\n")
@@ -141,7 +142,7 @@ def _print_part(result: Result) -> None:
 
 
 def _check_folder(folder: Path) -> None:
-    """Create the folder and test that it is writable, before anything is computed.
+    """Create the folder and check that it can be written, before anything is computed.
 
     Raises:
         RunError: this is not possible.
@@ -156,7 +157,8 @@ def _check_folder(folder: Path) -> None:
 
 @contextmanager
 def _progress(parts: list[Part]) -> Iterator[Callable[[Part], None] | None]:
-    """Show which part runs while the context lasts, on a terminal only."""
+    """Show which part of the validation runs in the context, on a terminal only; yield the function that marks a part
+    as done, or None."""
     if not sys.stderr.isatty():
         yield None
         return
@@ -169,7 +171,7 @@ def _progress(parts: list[Part]) -> Iterator[Callable[[Part], None] | None]:
         task = bar.add_task(names[0], total=len(parts))
 
         def done(part: Part) -> None:
-            """Add a part to the bar and show the next one."""
+            """Mark a part as done in the progress bar and show the next one."""
             bar.advance(task)
             bar.update(task, description=names[min(names.index(part.name) + 1, len(names) - 1)])
 

@@ -85,7 +85,7 @@ class View:
     """Load the Python files and modules that the recorded scenario names; only if you trust its author."""
 
     def run(self) -> None:
-        """Check, then serve the page, save a picture or write a film."""
+        """Run ``qrsim view``: check the options, then serve the 3-D page, save a picture or write a film."""
         from qrsim.view.server import require_viser
 
         require_viser()
@@ -105,7 +105,7 @@ class View:
             with progress_bar(recording.heading, 1, "{task.completed} of {task.total} frames") as update:
 
                 def told(done: int, total: int) -> None:
-                    """Show how much of the film is written."""
+                    """Show how much of the film has been written."""
                     update(completed=done, total=total)
 
                 page = export(recording, self.export, told, self.colour)
@@ -114,7 +114,7 @@ class View:
             self._film(recording, self.video, self.at or 0.0)
 
     def _opened(self) -> Recording | Several:
-        """Open the runs, print what does not fit, and add picture and colours."""
+        """Open the recorded runs, print warnings about what is not shown as flown, and add image and colours."""
         from qrsim.runs import open_run
         from qrsim.view.several import open_several
 
@@ -169,7 +169,7 @@ class View:
             require_browser()
 
     def _photograph(self, recording: Recording | Several, path: Path, time: float) -> None:
-        """Save a picture of the recording at a time [s], by the options for camera, size and layers."""
+        """Save a picture of the recording at a time [s], with the camera, size and layers of the options."""
         from qrsim.files.atomic import write_atomically
         from qrsim.view.picture import photograph
 
@@ -180,7 +180,7 @@ class View:
         print(path)
 
     def _film(self, recording: Recording | Several, path: Path, start: float) -> None:
-        """Save a video of the recording from a time [s] on, as camera, size and layers ask for."""
+        """Save a video of the recording from a time [s] on, with the camera, size and layers of the options."""
         from qrsim.view.replay import remember_paths
         from qrsim.view.video import record_video, times_of_video
 
@@ -192,26 +192,27 @@ class View:
         ):
 
             def draw(time: float) -> str:
-                """Draw a frame and return its caption."""
+                """Draw the video's frame at a time [s], and return its caption."""
                 scene.stage.sky = lambda vehicle: recording.sky(vehicle, time)
                 frame = recording.frame(time)
                 remember_paths(scene, recording, frame.time)
                 scene.draw(frame)
-                return f"{recording.heading}, {frame.time:.1f} s"
+                return f"{recording.heading}, {frame.time:.2f} s"
 
             record_video(server, path, times, self._pixels, draw, lambda done: update(completed=done, total=len(times)))
         print(path)
 
     @property
     def _pixels(self) -> tuple[int, int]:
-        """Width and height of the picture or video."""
+        """Width and height [pixels] of the picture or video."""
         from qrsim.view.shots import HEIGHT, WIDTH, parsed_size
 
         return (WIDTH, HEIGHT) if self.size is None else parsed_size(self.size)
 
     @contextmanager
     def _staged(self, recording: Recording | Several, time: float) -> Iterator[tuple[ViserServer, Scene]]:
-        """Serve a scene of the recording at a time [s], as camera, layers, colour and image ask for."""
+        """In the context, serve a 3-D scene of the recording at a time [s], with the options' camera, layers, colour
+        and image; yield its server and scene."""
         from qrsim.view.replay import remember_paths
         from qrsim.view.scene import Scene
         from qrsim.view.server import start_server
@@ -244,11 +245,9 @@ class View:
             server.stop()
 
     def _serve(self) -> None:
-        """Serve the page of the runs until Ctrl-C; it is there, and says so, while they are being loaded."""
+        """Serve the 3-D page of the runs until Ctrl-C; the page shows a note while they are being loaded."""
         from qrsim.view.clock import SPEEDS, Clock
         from qrsim.view.loading import show_loading
-        from qrsim.view.page import Page
-        from qrsim.view.replay import Replay
         from qrsim.view.server import address, start_server
 
         # Options can be wrong for these runs, which is an error before there is a page.
@@ -265,12 +264,16 @@ class View:
                 if sys.stdout.isatty():
                     print(f"loading {names}: {address(server)}", flush=True)
                 recording = self._opened()
+            # These take most of the time of a start, which the page is there for already.
+            from qrsim.view.page import Page
+            from qrsim.view.replay import Replay
+
             page = Page(server, recording.cast, recording.world, recording.heading, clock, recording.imagery)
             replay = Replay(recording, page, clock, self.at or 0.0, self.colour)
             stop = threading.Event()
 
             def end() -> None:
-                """Stop the page and wake its clock."""
+                """Stop the page, and wake the thread that waits for its clock."""
                 stop.set()
                 clock.close()
 

@@ -97,7 +97,7 @@ class CascadeController(Controller):
     gives: ClassVar[type] = object
 
     def fitted(self, vehicle: Vehicle) -> CascadeController:
-        """Return the controller with the mass, thrust and command responses of a nominal vehicle.
+        """Return the controller fitted to a nominal vehicle, of which it uses mass, thrust and command responses.
 
         Raises:
             UsageError: the vehicle takes no tilt and throttle.
@@ -110,17 +110,17 @@ class CascadeController(Controller):
         return replace(self, nominal=vehicle)
 
     def estimator(self) -> Estimator | None:
-        """Return the controller's filter if ``feed`` is "filter", else None."""
+        """Return the controller's own state estimator if ``feed`` is "filter", else None."""
         return self.filter if self.feed == "filter" else None
 
     def init(self, estimate: Estimate) -> CascadeState:
-        """Return the initial state of the controller."""
+        """Return the controller's initial state for vehicles (n,); the estimate only gives the shape."""
         none = jnp.zeros_like(estimate.position_ned.z)
         zero, never = Vec3(none, none, none), jnp.full_like(none, NEVER)
         return CascadeState(zero, Vec3(never, never, never), zero)
 
     def shown(self, setpoint: Setpoint) -> PathSetpoint:
-        """Return a set-point as stored in a world's state: the fields of a path, NaN in free ones."""
+        """Return any kind of set-point as a ``PathSetpoint``, which a world's state keeps; NaN in unset fields."""
         zero = jnp.zeros_like(setpoint.yaw)
         none = jnp.full_like(zero, jnp.nan)
         nothing, still = Vec3(none, none, none), Vec3(zero, zero, zero)
@@ -139,7 +139,7 @@ class CascadeController(Controller):
         return PathSetpoint(height, nothing, nothing, setpoint.yaw)
 
     def step(self, state: CascadeState, estimate: Estimate, setpoint: Any, dt: float) -> tuple[CascadeState, object]:
-        """Return the new state and the vehicle's own command (n,)."""
+        """Return the state after a tick of dt [s], and the vehicle command (n,) that follows the set-point."""
         vehicle, known = self._vehicle()
         turn = yaw_rate(estimate.attitude.yaw, setpoint.yaw, self.yaw_gain, self.yaw_rate_limit) / known.yaw_rate_gain
         if isinstance(setpoint, AttitudeSetpoint):
@@ -179,14 +179,14 @@ class CascadeController(Controller):
         return state, vehicle.tilt_command(pitch, roll, throttle, turn)
 
     def _vehicle(self) -> tuple[Vehicle, Handling]:
-        """Return the vehicle that the controller was fitted to; raise UsageError if not fitted."""
+        """Return the nominal vehicle and its handling data; raise UsageError if the controller is not fitted."""
         known = None if self.nominal is None else self.nominal.handling()
         if self.nominal is None or known is None:
             raise UsageError("this cascade knows no vehicle; fit it first: controller.fitted(vehicle)")
         return self.nominal, known
 
     def _wanted_velocity(self, estimate: Estimate, setpoint: Any) -> tuple[Vec3, Vec3]:
-        """Return the wanted velocity [m/s] and the feed-forward acceleration [m/s^2], each (n,) NED (C10)."""
+        """Return the velocity [m/s] and feed-forward acceleration [m/s^2], (n,) NED, of a set-point (eq. C10)."""
         none = jnp.zeros_like(estimate.position_ned.z)
         acceleration = Vec3(none, none, none)
         if isinstance(setpoint, WaypointSetpoint | PathSetpoint):
@@ -206,12 +206,12 @@ class CascadeController(Controller):
         return Vec3(north, east, jnp.clip(down, -self.climb_limit, self.sink_limit)), acceleration
 
     def _differentiated(self, state: CascadeState, velocity: Vec3, dt: float) -> CascadeState:
-        """Return the state with the filtered derivative of the velocity (n,) brought up to date."""
+        """Return the state with the filtered time derivative of the velocity (n,) updated by its value now."""
         ran = state.velocity.x != NEVER
         share = dt / (self.derivative_lag + dt)
 
         def filtered(new: Array, old: Array, before: Array) -> Array:
-            """Return the low-pass filtered rate of a value, from its new and old number and the rate before."""
+            """Return the low-pass filtered derivative, from the value now, the last one, and the last derivative."""
             return before + share * (jnp.where(ran, (new - old) * (1.0 / dt), 0.0) - before)
 
         parts = [
@@ -221,7 +221,7 @@ class CascadeController(Controller):
         return replace(state, velocity=velocity, acceleration=Vec3(*parts))
 
     def _acceleration(self, state: CascadeState, error: Vec3) -> Vec3:
-        """Return the acceleration (n,) [m/s^2] NED commanded for a velocity error (n,) [m/s] (C11)."""
+        """Return the acceleration (n,) [m/s^2] NED commanded for a velocity error (n,) [m/s] (eq. C11)."""
         level = [
             self.velocity_gain * getattr(error, axis)
             + getattr(state.integral, axis)
@@ -231,7 +231,7 @@ class CascadeController(Controller):
         return Vec3(level[0], level[1], self.climb_gain * error.z + state.integral.z)
 
     def _specific_thrust(self, asked: Vec3, known: Handling) -> tuple[Vec3, Array]:
-        """Return the specific thrust (n,) [m/s^2] NED, clipped, and the limit of its horizontal part (C12)."""
+        """Return the limited thrust over mass (n,) [m/s^2] NED, and its largest horizontal part (eq. C12)."""
         most = known.thrust_max / known.mass
         z = jnp.clip(asked.z - known.gravity, -self.thrust_fraction * most, -self.least_lift * known.gravity)
         sine, cosine = sincos(jnp.asarray(self.tilt_limit))
@@ -242,7 +242,7 @@ class CascadeController(Controller):
         return Vec3(north, east, z), limit
 
     def _integrated(self, integral: Vec3, error: Vec3, asked: Vec3, limit: Array, known: Handling, dt: float) -> Vec3:
-        """Return the integral (n,), held while the error would drive a saturated thrust further (C13)."""
+        """Return the velocity loop's integral after dt [s], held while the thrust saturates that way (eq. C13)."""
         beyond = asked.x * asked.x + asked.y * asked.y > limit * limit
         held = beyond & (asked.x * error.x + asked.y * error.y > 0.0)
         gain = self.velocity_integral_gain * dt
@@ -257,12 +257,12 @@ class CascadeController(Controller):
 
 
 def _within(value: Array, limit: Array) -> Array:
-    """Return values clipped to [-limit, limit]."""
+    """Return values clipped elementwise to [-limit, limit]."""
     return jnp.clip(value, -limit, limit)
 
 
 def _shortened(x: Array, y: Array, limit: Array) -> tuple[Array, Array]:
-    """Return a horizontal vector (n,) shortened to at most ``limit``, its direction kept."""
+    """Return a horizontal vector (n,) scaled down to a length of at most ``limit``, its direction kept."""
     square = x * x + y * y
     longer = square > limit * limit
     scale = jnp.where(longer, limit / jnp.sqrt(jnp.where(longer, square, 1.0)), 1.0)
@@ -270,7 +270,7 @@ def _shortened(x: Array, y: Array, limit: Array) -> tuple[Array, Array]:
 
 
 def _tilt(force: Vec3, size: Array, attitude: Euler, known: Handling) -> tuple[Array, Array]:
-    """Return the pitch and roll commands (n,) [rad] that point the thrust along a specific force (n,) NED (C14)."""
+    """Return pitch and roll commands (n,) [rad] that point the thrust along ``force`` (n,) [m/s^2] NED (eq. C14)."""
     sine, cosine = sincos(attitude.yaw)
     ahead, right = cosine * force.x + sine * force.y, cosine * force.y - sine * force.x
     down = -force.z

@@ -47,7 +47,7 @@ class Consistency:
 
 
 def normalised(covariance: Array, errors: Array) -> Array:
-    """Return the normalised squared error e' P^-1 e divided by the number m of errors, (..., n).
+    """Return the normalised estimation error squared e' P^-1 e, divided by the number m of errors, (..., n).
 
     Args:
         covariance: P, (..., m, m, n).
@@ -68,17 +68,17 @@ def normalised(covariance: Array, errors: Array) -> Array:
 
 
 def turned(true: Euler, estimated: Quaternion) -> Vec3:
-    """Return the small rotation vector (n,) in NED [rad] from the estimated to the true attitude."""
+    """Return the small rotation vector (n,) NED [rad] that takes the estimated attitude to the true one."""
     between = Quaternion.of(true) * estimated.conjugate()
     twice = jnp.where(between.w < 0.0, -2.0, 2.0)
     return Vec3(twice * between.x, twice * between.y, twice * between.z)
 
 
 def of_blocks(covariance: Array, errors: list[Array], known_biases: bool) -> Consistency:
-    """Return normalised squared errors (..., n): of all errors, position, velocity, attitude and biases."""
+    """Return the NEES (..., n) of all errors, and of position, velocity, attitude and sensor biases separately."""
 
     def block(first: int, end: int) -> Array:
-        """Return the normalised squared error (...) of the errors from ``first`` to ``end``."""
+        """Return the NEES (..., n) of the errors with indices from ``first`` up to ``end``, exclusive."""
         return normalised(covariance[..., first:end, first:end, :], jnp.stack(errors[first:end], axis=-2))
 
     bias = block(9, 15) if known_biases else jnp.full_like(errors[0], jnp.nan)

@@ -36,27 +36,27 @@ class Controller(Protocol):
     feed: Literal["measurements", "truth", "filter"] = "measurements"
 
     def fitted(self, vehicle: Any) -> Controller:
-        """Return the controller fitted to a nominal vehicle; the vehicle that it flies may differ."""
+        """Return the controller fitted to a nominal vehicle model; the vehicle that it flies may differ."""
         return self
 
     def estimator(self) -> Estimator | None:
-        """Return the estimator that the controller runs in flight; None if it has none."""
+        """Return the estimator that the controller runs itself in flight; None if it runs none."""
         return None
 
     def idle_command(self, command: Any) -> object:
-        """Return the command (n,) before the first one, made from the vehicle's idle ``command``."""
+        """Return the command (n,) applied before the first ``step``, made from the vehicle's idle ``command``."""
         return command
 
     @abstractmethod
     def init(self, estimate: Estimate) -> object:
-        """Return the initial state of a controller of n vehicles."""
+        """Return the controller's initial state, for vehicles (n,) with this first estimate."""
 
     @abstractmethod
     def step(self, state: Any, estimate: Estimate, setpoint: Any, dt: float) -> tuple[object, object]:
-        """Return the new state and the command (n,) for an estimate and a set-point (n,); dt in [s]."""
+        """Return the state after a tick of dt [s], and the vehicle command (n,) that follows the set-point (n,)."""
 
     def shown(self, setpoint: Any) -> object:
-        """Return a set-point as stored in a world's state: one structure for all kinds."""
+        """Return a set-point of any kind as the one record type in which a world's state keeps set-points."""
         return setpoint
 
 
@@ -85,15 +85,15 @@ class Guidance(Protocol):
 
     @abstractmethod
     def init(self, route: Any) -> Any:
-        """Return the state at the start of each route (n,)."""
+        """Return the guidance's state of vehicles (n,) at the start of their routes."""
 
     @abstractmethod
     def step(self, state: Any, route: Any, position_ned: Vec3, others_ned: Vec3 | None = None) -> tuple[Any, object]:
-        """Return the new state and the set-point (n,) for vehicles at estimated positions position_ned (n,) [m]."""
+        """Return the state after a tick, and the set-point (n,), for estimated positions ``position_ned`` (n,) [m]."""
 
     @abstractmethod
     def setpoint(self, state: Any, route: Any) -> object:
-        """Return the set-point (n,) that vehicles fly to in this state of the guidance."""
+        """Return the set-point (n,) to fly to in a state of the guidance, without advancing the state."""
 
 
 @record
@@ -123,7 +123,7 @@ class Estimator(Protocol):
     first_normals: int = 0
 
     def fitted(self, ages: Mapping[str, int], earth_field_ned: Vec3 | None = None) -> Estimator:
-        """Return the estimator fitted to a fleet's sensors; ``ages``: delay [ticks] of each sensor's readings.
+        """Return the estimator for a fleet's sensors; ``ages`` gives each sensor's delay [ticks] by its name.
 
         ``earth_field_ned`` [uT] is the magnetic field of the site; None where no sensor knows it.
         """
@@ -131,7 +131,7 @@ class Estimator(Protocol):
 
     @abstractmethod
     def init(self, readings: Mapping[str, object], start: Estimate) -> tuple[Any, Estimate]:
-        """Return the state and the estimate (n,) at the start.
+        """Return the estimator's state and the estimate (n,) at the start of a flight.
 
         Args:
             readings: the first reading (n,) of each sensor, by its name in the fleet.
@@ -139,14 +139,14 @@ class Estimator(Protocol):
         """
 
     def begin(self, readings: Mapping[str, object], start: Estimate, preflight: Preflight) -> tuple[Any, Estimate]:
-        """Return state and estimate (n,) at the start, for an estimator that draws ``first_normals``."""
+        """Return state and estimate (n,) at the start, for an estimator with random initial errors (``preflight``)."""
         return self.init(readings, start)
 
     @abstractmethod
     def step(
         self, state: Any, readings: Mapping[str, Any], fresh: Mapping[str, Array], dt: float
     ) -> tuple[Any, Estimate]:
-        """Return the state dt [s] later, and the estimate (n,).
+        """Return the estimator's state after a tick of dt [s], and the estimate (n,).
 
         Args:
             state: before it.
@@ -155,17 +155,17 @@ class Estimator(Protocol):
         """
 
     def std(self, state: Any) -> Estimate | None:
-        """Return the standard deviations (n,) that the estimator reports; None if it reports none."""
+        """Return the standard deviations (n,) of the estimate by the estimator's own covariance; None without one."""
         return None
 
     def inner(self, state: Any) -> tuple[object, object] | None:
-        """Return further estimated quantities as a record of (n,), and their standard deviations; None without."""
+        """Return other estimated quantities, such as biases, as a record of (n,), and their stds; None without any."""
         return None
 
     def consistency(self, state: Any, truth: Truth) -> Consistency | None:
-        """Return squared errors (n,) normalised by the reported covariance; None without a covariance."""
+        """Return the squared estimation errors (n,) over the reported covariance (NEES); None without a covariance."""
         return None
 
     def innovations(self, state: Any) -> object | None:
-        """Return the innovations of the last readings as a record of (n,); None without."""
+        """Return the innovations of the last readings, in standard deviations, as a record of (n,); None without."""
         return None

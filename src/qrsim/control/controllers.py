@@ -29,34 +29,34 @@ Feed = Literal["measurements", "truth"]
 
 
 def _tilt_limit() -> Array:
-    """Return the declaration of the parameter for the tilt limit [rad]."""
+    """Return the field declaration of the parameter ``tilt_limit`` [rad], shared by several controllers."""
     return parameter(default=0.34, unit="rad", doc="largest commanded tilt per axis", above=0.0, maximum=0.9)
 
 
 def _yaw_gain() -> Array:
-    """Return the declaration of the parameter yaw gain [1/s]."""
+    """Return the field declaration of the parameter ``yaw_gain`` [1/s], shared by several controllers."""
     return parameter(default=6.0, unit="1/s", doc="yaw rate per heading error")
 
 
 def _yaw_rate_limit() -> Array:
-    """Return the declaration of the parameter yaw rate limit [rad/s]."""
+    """Return the field declaration of the parameter ``yaw_rate_limit`` [rad/s], shared by several controllers."""
     return parameter(default=4.4, unit="rad/s", doc="largest commanded yaw rate", above=0.0, maximum=4.5)
 
 
 def _battery() -> Array:
-    """Return the declaration of the parameter battery voltage [V]."""
+    """Return the field declaration of the parameter ``battery`` (voltage) [V], shared by several controllers."""
     return parameter(default=12.0, unit="V", doc="battery voltage", minimum=9.0, maximum=12.0)
 
 
 def _feed() -> Any:
-    """Return the declaration of the setting that chooses the controller's input, readings or truth."""
+    """Return the field declaration of the setting ``feed``: a controller's input is sensor readings or the truth."""
     return setting(default="measurements", doc="input of the controller: the sensors' readings, or the truth")
 
 
 def _hold(
     loop: HeightLoop, state: HeightState, estimate: Estimate, z_wanted: Array, dt: float
 ) -> tuple[HeightState, Array]:
-    """Return the new state of the height loop, and the throttle (n,) that holds ``z_wanted`` (n,) [m]."""
+    """Return the height loop's new state, and the throttle (n,), 0 to 1, to hold down coordinate ``z_wanted`` [m]."""
     low = estimate.position_low_ned
     return loop.step(state, estimate.position_ned.z, z_wanted, dt, None if low is None else low.z)
 
@@ -70,10 +70,10 @@ class QuadrotorController(Controller):
     @property
     @abstractmethod
     def hover_throttle(self) -> Array:
-        """Throttle, 0 to 1, that carries the weight."""
+        """Throttle, 0 to 1, at which the vehicle hovers."""
 
     def idle_command(self, command: Command) -> Command:
-        """Return the vehicle's idle command with this controller's hover throttle and voltage."""
+        """Return a vehicle's idle command ``command`` with this controller's hover throttle and battery voltage."""
         own = (self.hover_throttle, self.battery)
         throttle, battery = (jnp.broadcast_to(jnp.asarray(value), command.throttle.shape) for value in own)
         return replace(command, throttle=throttle, battery=battery)
@@ -86,7 +86,7 @@ class HeightController(QuadrotorController):
 
     @property
     def hover_throttle(self) -> Array:
-        """Throttle, 0 to 1, that carries the weight."""
+        """Throttle, 0 to 1, at which the vehicle hovers."""
         return self.height.hover_throttle
 
 
@@ -109,18 +109,18 @@ class WaypointController(HeightController):
     setpoints: ClassVar[tuple[type, ...]] = (WaypointSetpoint,)
 
     def init(self, estimate: Estimate) -> HeightState:
-        """Return the initial state of the controller."""
+        """Return the controller's initial state (n,), that of its height loop."""
         return self.height.init(estimate.position_ned.z)
 
     def step(
         self, state: HeightState, estimate: Estimate, setpoint: WaypointSetpoint, dt: float
     ) -> tuple[HeightState, Command]:
-        """Return the new state and the command (n,)."""
+        """Return the state after a tick of dt [s], and the command (n,) that flies to the waypoint."""
         error = -estimate.offset_from(setpoint.position_ned)
         sine, cosine = sincos(estimate.attitude.yaw)
 
         def to_heading(north: Array, east: Array) -> tuple[Array, Array]:
-            """Return the components of a horizontal vector along the heading and to its right."""
+            """Return the forward and right components of a vector (north, east), by the estimated heading."""
             return cosine * north + sine * east, cosine * east - sine * north
 
         ahead, right = to_heading(error.x, error.y)
@@ -158,18 +158,18 @@ class VelocityController(QuadrotorController):
 
     @property
     def hover_throttle(self) -> Array:
-        """Throttle, 0 to 1, that carries the weight."""
+        """Throttle, 0 to 1, at which the vehicle hovers."""
         return self.climb.hover_throttle
 
     def init(self, estimate: Estimate) -> VelocityControllerState:
-        """Return the initial state of the controller."""
+        """Return the initial states of the controller's loops for vehicles (n,)."""
         z = estimate.position_ned.z
         return VelocityControllerState(self.velocity.init(z), jnp.zeros_like(z))
 
     def step(
         self, state: VelocityControllerState, estimate: Estimate, setpoint: VelocitySetpoint, dt: float
     ) -> tuple[VelocityControllerState, Command]:
-        """Return the new state and the command (n,)."""
+        """Return the state after a tick of dt [s], and the command (n,) that flies at the wanted velocity."""
         error = _body_error(estimate, setpoint.velocity_ned, self.velocity.speed_limit)
         horizontal, (forward, right) = self.velocity.step(
             state.horizontal, (error.x, error.y), setpoint.velocity_ned, self.tilt_limit, dt
@@ -210,14 +210,14 @@ class VelocityHeightController(HeightController):
     setpoints: ClassVar[tuple[type, ...]] = (VelocityHeightSetpoint,)
 
     def init(self, estimate: Estimate) -> VelocityHeightState:
-        """Return the initial state of the controller."""
+        """Return the initial states of the controller's loops for vehicles (n,)."""
         z = estimate.position_ned.z
         return VelocityHeightState(self.velocity.init(z), self.height.init(z))
 
     def step(
         self, state: VelocityHeightState, estimate: Estimate, setpoint: VelocityHeightSetpoint, dt: float
     ) -> tuple[VelocityHeightState, Command]:
-        """Return the new state and the command (n,)."""
+        """Return the state after a tick of dt [s], and the command (n,) that flies at the velocity and height."""
         north, east = setpoint.velocity_north, setpoint.velocity_east
         # The height loop controls the climb: the vertical velocity set-point is the present velocity, without an error.
         wanted = Vec3(north, east, estimate.velocity_ned.z)
@@ -246,13 +246,13 @@ class AttitudeHeightController(HeightController):
     setpoints: ClassVar[tuple[type, ...]] = (AttitudeHeightSetpoint,)
 
     def init(self, estimate: Estimate) -> HeightState:
-        """Return the initial state of the controller."""
+        """Return the controller's initial state (n,), that of its height loop."""
         return self.height.init(estimate.position_ned.z)
 
     def step(
         self, state: HeightState, estimate: Estimate, setpoint: AttitudeHeightSetpoint, dt: float
     ) -> tuple[HeightState, Command]:
-        """Return the new state and the command (n,)."""
+        """Return the state after a tick of dt [s], and the command (n,) with the wanted tilt, at the wanted height."""
         state, throttle = _hold(self.height, state, estimate, setpoint.z, dt)
         turn = yaw_rate(estimate.attitude.yaw, setpoint.yaw, self.yaw_gain, self.yaw_rate_limit)
         pitch = jnp.clip(setpoint.pitch, -self.tilt_limit, self.tilt_limit)
@@ -283,7 +283,7 @@ class AttitudeController(QuadrotorController):
         """Return None: the controller has no state."""
 
     def step(self, state: None, estimate: Estimate, setpoint: AttitudeSetpoint, dt: float) -> tuple[None, Command]:
-        """Return None as state, and the command (n,)."""
+        """Return None as state, and the command (n,): the set-point's tilt and throttle, clipped, and a yaw rate."""
         turn = yaw_rate(estimate.attitude.yaw, setpoint.yaw, self.yaw_gain, self.yaw_rate_limit)
         pitch = jnp.clip(setpoint.pitch, -self.tilt_limit, self.tilt_limit)
         roll = jnp.clip(setpoint.roll, -self.tilt_limit, self.tilt_limit)
@@ -327,16 +327,16 @@ class OffboardController(HeightController):
     )
 
     def init(self, estimate: Estimate) -> OffboardState:
-        """Return the initial state of the controller."""
+        """Return the initial states of the controller's loops for vehicles (n,)."""
         z = estimate.position_ned.z
         return OffboardState(self.height.init(z), self.velocity.init(z), jnp.zeros_like(z))
 
     def shown(self, setpoint: Setpoint) -> OffboardSetpoint:
-        """Return a set-point as stored in a world's state: the same fields for all kinds."""
+        """Return any kind of set-point as an ``OffboardSetpoint``, which a world's state keeps; NaN if unused."""
         return OffboardSetpoint.of(setpoint)
 
     def step(self, state: OffboardState, estimate: Estimate, setpoint: Any, dt: float) -> tuple[OffboardState, Command]:
-        """Return the new state and the command (n,)."""
+        """Return the state after a tick of dt [s], and the command (n,) for a set-point of any kind."""
         fresh = self.init(estimate)
         shared: dict[str, Any] = {
             "tilt_limit": self.tilt_limit,

@@ -43,13 +43,13 @@ class Measured(NamedTuple):
 
 
 def variances(covariance: Covariance) -> list[Array]:
-    """Return the variance (..., n) of each of m errors; NumPy for a NumPy covariance."""
+    """Return the variance (..., n) of each of m errors, the diagonal of a half-stored covariance; NumPy for NumPy."""
     size = size_of(covariance.shape[-2])
     return [covariance[..., place_of(i, i, size), :] for i in range(size)]
 
 
 def matrix(covariance: Covariance) -> Array:
-    """Return the covariance as full matrices (..., m, m, n)."""
+    """Return a half-stored covariance as full symmetric matrices (..., m, m, n)."""
     size = size_of(covariance.shape[-2])
     rows, zero = [], jnp.zeros_like(covariance[..., :size, :])
     for i in range(size):
@@ -61,14 +61,14 @@ def matrix(covariance: Covariance) -> Array:
 
 
 def independent(variances: Sequence[Array]) -> Covariance:
-    """Return the covariance of independent errors with these variances (n,)."""
+    """Return the half-stored diagonal covariance of independent errors with these variances (n,)."""
     size, zero = len(variances), jnp.zeros((len(variances) - 1, *variances[0].shape), variances[0].dtype)
     rows = [part for i, variance in enumerate(variances) for part in (variance[None], zero[: size - 1 - i])]
     return jnp.concatenate(rows)
 
 
 def propagated(covariance: Covariance, moves: Moves, noise: Sequence[Array]) -> Covariance:
-    """Return the covariance one step later, F P F' + Q.
+    """Return the covariance P one step later, F P F' + Q: ``moves`` is F, and ``noise`` the diagonal of Q.
 
     Args:
         covariance: P.
@@ -79,7 +79,7 @@ def propagated(covariance: Covariance, moves: Moves, noise: Sequence[Array]) -> 
 
 
 def variance_of(covariance: Covariance, sensitivity: Sparse) -> Array:
-    """Return the variance H P H' (n,) of a scalar measurement with the sensitivities H, without its noise."""
+    """Return the variance H P H' (n,) of a scalar measurement with derivatives H {index: (n,)}, without its noise."""
     size, given = size_of(covariance.shape[-2]), list(sensitivity.items())
     parts = []
     for a, (i, first) in enumerate(given):
@@ -90,7 +90,7 @@ def variance_of(covariance: Covariance, sensitivity: Sparse) -> Array:
 
 
 def crossed(covariance: Covariance, scalars: Sequence[Measured]) -> list[Array]:
-    """Return the covariance (m, n) of all errors with each measurement, P H'."""
+    """Return, for each scalar measurement, its covariance P H' (m, n) with all m error states."""
     return [times(covariance, scalar.sensitivity) for scalar in scalars]
 
 
@@ -101,7 +101,7 @@ def corrected(
     used: Array,
     known: Sequence[Array] | None = None,
 ) -> tuple[Covariance, Array]:
-    """Return covariance and mean errors after a sequence of scalar measurements (Kalman 1960).
+    """Return covariance and mean errors after a sequence of scalar Kalman updates, where ``used`` (n,) is True.
 
     Args:
         covariance: before.
@@ -126,12 +126,12 @@ def corrected(
 
 
 def expected(errors: Array, sensitivity: Sparse) -> Array:
-    """Return the first-order change (n,) of a scalar measurement caused by errors (m, n)."""
+    """Return the first-order change (n,) of a scalar measurement for errors (m, n), by derivatives ``sensitivity``."""
     return _sum([factor * errors[k] for k, factor in sensitivity.items()])
 
 
 def forgotten(covariance: Covariance, variances: Sparse, where: Array) -> Covariance:
-    """Return the covariance with chosen errors made independent, with new variances, where ``where`` (n,) is True."""
+    """Return the covariance with errors in ``variances`` {index: (n,)} decorrelated and reset where ``where`` (n,)."""
     size = size_of(covariance.shape[-2])
     rows, columns = np.triu_indices(size)
     gone = np.isin(rows, list(variances)) | np.isin(columns, list(variances))
@@ -140,5 +140,5 @@ def forgotten(covariance: Covariance, variances: Sparse, where: Array) -> Covari
 
 
 def widened(covariance: Covariance, variances: Sparse) -> Covariance:
-    """Return the covariance with ``variances`` (n,) added to the errors with these numbers."""
+    """Return the covariance with ``variances`` {index of the error: (n,)} added on its diagonal."""
     return transformed(covariance, (), (), variances)

@@ -73,22 +73,22 @@ class ErrorStateKalmanFilter(KalmanParameters):
     """
 
     def _delay_ticks(self, readings: Mapping[str, object]) -> int:
-        """Return the delay [ticks] of the readings of position, 0 without."""
+        """Return the delay [ticks] of the readings with a position, 0 without such readings."""
         return dict(self.ages).get(source_of(readings, "position_ned"), 0)
 
     @computed
     def first_normals(self) -> int:
-        """Number of standard normals of a start for each vehicle."""
+        """Number of standard normals that the filter draws for each vehicle at the start of an episode."""
         return NORMALS if self.start == "aligned" or self.calibration_time > 0.0 else 0
 
     def init(self, readings: Mapping[str, object], start: Estimate) -> tuple[KalmanState, Estimate]:
-        """Return state and estimate (n,) from the first readings, without calibration and random errors."""
+        """Return state and estimate (n,) from the first readings, without gyroscope calibration or random errors."""
         return self.begin(readings, start, None)
 
     def begin(
         self, readings: Mapping[str, object], start: Estimate, preflight: Preflight | None
     ) -> tuple[KalmanState, Estimate]:
-        """Return state and estimate (n,) from the first readings, and from ``start`` where one is missing (F7)."""
+        """Return state and estimate (n,) from the first readings, or from ``start`` where one is missing (eq. F7)."""
         fix, velocity = field_of(readings, "position_ned"), field_of(readings, "velocity_ned")
         height, rates = field_of(readings, "height"), field_of(readings, "rates_body")
         position = start.position_ned if fix is None else known(fix, start.position_ned)
@@ -124,7 +124,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
     def _first_attitude(
         self, readings: Mapping[str, object], true: Euler, zero: Array, preflight: Preflight | None
     ) -> tuple[Quaternion, list[Array]]:
-        """Return the first attitude (n,) in flight, and the variance [rad^2] of its error about each axis."""
+        """Return the initial attitude (n,) for a start in flight, and its error variance [rad^2] about NED axes."""
         attitude = field_of(readings, "attitude")
         heading = self.heading_std if attitude is None else self.yaw_std
         begun = Quaternion.of(true if attitude is None else replace(true, yaw=known(attitude.yaw, true.yaw)))
@@ -135,14 +135,14 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return begun, [self._as(zero, std) for std in (self.tilt_std, self.tilt_std, heading)]
 
     def _slow(self, place: tuple[Array, ...], by_height: bool, zero: Array) -> Vec3:
-        """Return the variance (n,) [m^2] of slowly varying position errors of each axis, 0 for white errors."""
+        """Return the variance (n,) [m^2] of each axis' slow position error, which the covariance omits; 0 for white."""
         level, _, down = place if self.gnss_errors == "coloured" else (zero, zero, zero)
         return Vec3(level, level, self._as(zero, self.height_drift_std) if by_height else down)
 
     def _first_inner(
         self, readings: Mapping[str, object], turned: Quaternion, none: Vec3, preflight: Preflight | None
     ) -> Inner:
-        """Return the first estimates (n,) other than motion, with the parts that the sensors make observable."""
+        """Return the initial values (n,) of biases, magnetic field, wind and height error that sensors observe."""
         field, zero = field_of(readings, FIELD), none.x
         inner = Inner(none, none)
         if field is not None and self.magnetometer == "field":
@@ -157,7 +157,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return inner
 
     def _earth_field(self, field: Vec3, turned: Quaternion) -> Vec3:
-        """Return the site's magnetic field (n,) NED [uT] if known, else the first reading turned to NED."""
+        """Return the site's magnetic field (n,) NED [uT] if known, else the first reading rotated to NED."""
         if self.earth_field_ned is None:
             return turned.rotation().to_ned(field)
         return self.earth_field_ned.map(lambda axis: jnp.zeros_like(field.x) + axis)
@@ -165,14 +165,14 @@ class ErrorStateKalmanFilter(KalmanParameters):
     def step(
         self, state: KalmanState, readings: Mapping[str, object], fresh: Mapping[str, Array], dt: float
     ) -> tuple[KalmanState, Estimate]:
-        """Return the state dt [s] later, corrected by new readings (n,), and the estimate (n,)."""
+        """Return the state after prediction by dt [s] and correction by new readings (n,), and the estimate (n,)."""
         past = (*state.past, Past(state.position_ned, state.position_low_ned, state.velocity_ned))
         state = replace(self._predicted(state, readings, dt), past=past[1:] if state.past else ())
         state = self._measured(state, readings, fresh, dt)
         return state, _estimate(state)
 
     def std(self, state: KalmanState) -> Estimate:
-        """Return the standard deviations (n,) of the estimate."""
+        """Return the standard deviations (n,) of position, velocity and attitude, as the filter reports them."""
         one = jnp.ones_like(state.since_fix)
         unseen = self._unseen(state)
         own = variances(state.covariance)[:TURN]
@@ -182,12 +182,12 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return Estimate(Vec3(*own[:SPEED]), Vec3(*own[SPEED:]), Euler(*angles))
 
     def inner(self, state: KalmanState) -> tuple[Inner, Inner]:
-        """Return the estimates other than motion, and their standard deviations."""
+        """Return the estimated biases, magnetic field and wind (n,), and their standard deviations."""
         unseen = self._unseen(state)
         return state.inner, inner_std(state, [along(unseen, {k: 1.0}) for k in range(GYROSCOPE, SIZE)])
 
     def consistency(self, state: KalmanState, truth: Truth) -> Consistency:
-        """Return squared errors (n,) normalised by the covariance, without magnetic field and wind."""
+        """Return the NEES (n,) of position, velocity, attitude and biases: squared errors over the covariance."""
         biases = (truth.gyroscope_bias, truth.accelerometer_bias)
         known_biases = None not in biases
         position_error = truth.position_ned - state.position_ned - state.position_low_ned
@@ -201,21 +201,21 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return of_blocks(whole, [axis for part in parts for axis in part.axes], known_biases)
 
     def _unseen(self, state: KalmanState) -> list[Unseen]:
-        """Return the unobservable errors, which the covariance does not contain."""
+        """Return the errors that no sensor can observe, kept outside the covariance."""
         return unseen(state, self.accelerometer_scale, self.gyroscope_g_sensitivity, self.gravity)
 
     def innovations(self, state: KalmanState) -> Innovations:
-        """Return the innovations of the last readings, in standard deviations."""
+        """Return the last innovation of each kind of reading (n,), in standard deviations."""
         return state.innovations
 
     def _as(self, like: Array, std: Array) -> Array:
-        """Return the square of ``std``, shaped as ``like``."""
+        """Return the variance ``std`` squared, broadcast to the shape of ``like``."""
         return jnp.zeros_like(like) + std * std
 
     def _variances(
         self, readings: Mapping[str, object], what: str, like: Array, by_height: bool = False
     ) -> tuple[Array, Array, Array]:
-        """Return the variance (n,) of each axis of a fix, from its stated accuracy or else from parameters."""
+        """Return the variance (n,) of each axis of a fix's field ``what``, by its reported accuracy if it has one."""
         if what == "velocity_ned":
             stated = field_of(readings, "speed_accuracy")
             level = down = self._as(like, self.velocity_std)
@@ -234,7 +234,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return level, level, down
 
     def _predicted(self, state: KalmanState, readings: Mapping[str, object], dt: float) -> KalmanState:
-        """Return the state dt [s] later, by body rates and mean specific force (F1)."""
+        """Return the state dt [s] later by body rates and mean specific force, with its covariance (eq. F1)."""
         zero = jnp.zeros_like(state.since_fix)
         rates, force = field_of(readings, "rates_body"), field_of(readings, "specific_force")
         rates = state.rates_body if rates is None else known(rates, state.rates_body)
@@ -264,7 +264,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         )  # fmt: skip
 
     def _noise(self, inner: Inner, turning: Vec3, swing: Vec3, change: Vec3, leant: Array, dt: float) -> list[Array]:
-        """Return the variance that one tick adds to each error (F1)."""
+        """Return the process noise variance that one tick of dt [s] adds to each error state (eq. F1)."""
         # Roll and pitch mostly turn back, and with them the errors of scale and misalignment.
         turned = (jnp.abs(turning.z) + BACK * (jnp.abs(turning.x) + jnp.abs(turning.y))) * dt
         missed = self.sampling * dt
@@ -286,7 +286,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
     def _measured(
         self, state: KalmanState, readings: Mapping[str, object], fresh: Mapping[str, Array], dt: float
     ) -> KalmanState:
-        """Return the state corrected by new readings (F2)."""
+        """Return the state corrected by all new readings (eq. F2)."""
         none = jnp.zeros((state.places.size, *state.since_fix.shape), state.since_fix.dtype)
         carry: Corrected = (state.covariance, none, state.since_fix, state.innovations, state.slow)
         for what, scalars, new, due in self._groups(state, readings, fresh, dt):
@@ -298,7 +298,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return injected(state, errors, dt)
 
     def _believed(self, what: str, scalars: list[Measured], new: Array, carry: Corrected) -> Corrected:
-        """Return ``carry`` updated by the scalars of one kind of reading, if they pass the gate."""
+        """Return ``carry`` updated by the measurements of one kind of reading, where they pass the innovation gate."""
         covariance, errors, since_fix, innovations, slow = carry
         for scalar in scalars:
             new = new & jnp.isfinite(scalar.innovation)
@@ -319,11 +319,11 @@ class ErrorStateKalmanFilter(KalmanParameters):
     def _groups(
         self, state: KalmanState, readings: Mapping[str, object], fresh: Mapping[str, Array], dt: float
     ) -> Iterator[tuple[str, list[Measured], Array, Array]]:
-        """Yield (kind, scalars, new (n,) bool, sensor is due () or (n,) bool) for each kind of measurement."""
+        """Yield (kind, scalar measurements, (n,) bool: reading is new, bool: sensor is due), by kind of reading."""
         one = jnp.ones_like(state.since_fix)
 
         def new(field: str) -> tuple[Array, Array]:
-            """Return whether readings of a field are new (n,), and whether their sensor is due."""
+            """Return (n,) bool: the reading with ``field`` is new, and its sensor's flag, from which that follows."""
             due = fresh[source_of(readings, field)]
             return due & (one > 0.0), due
 
@@ -346,7 +346,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
     def _by_fix(
         self, state: KalmanState, readings: Mapping[str, object], new: Callable[[str], tuple[Array, Array]], dt: float
     ) -> Iterator[tuple[str, list[Measured], Array, Array]]:
-        """Yield the measurements of position and velocity by a fix, for the tick at which it was taken (F2)."""
+        """Yield the measurements of a GNSS fix's position and velocity, of the tick at which it was taken (eq. F2)."""
         one = jnp.ones_like(state.since_fix)
         late = dt * len(state.past)
         fix, velocity = field_of(readings, "position_ned"), field_of(readings, "velocity_ned")
@@ -361,7 +361,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
 
 
 def _worst(known: list[Array], errors: Array, scalars: list[Measured]) -> Array:
-    """Return the largest squared innovation (n,) of several scalars, each divided by its variance."""
+    """Return the largest squared innovation (n,) of some scalar measurements, each over its predicted variance."""
     worst = jnp.zeros_like(scalars[0].innovation)
     for scalar, column in zip(scalars, known, strict=True):
         left = scalar.innovation - expected(errors, scalar.sensitivity)
@@ -371,7 +371,7 @@ def _worst(known: list[Array], errors: Array, scalars: list[Measured]) -> Array:
 
 
 def _with_accuracy(covariance: Covariance, slow: Vec3, stated: list[Array], where: Array) -> tuple[Covariance, Vec3]:
-    """Return covariance and slow-error variances updated to a fix's stated variances, where ``where`` (n,) is True.
+    """Return covariance and slow variances [m^2] updated to a fix's reported variances, where ``where`` (n,) is True.
 
     Accuracies that change are those of another slow error, of which a part of the position is not known.
     """
@@ -384,7 +384,7 @@ def _with_accuracy(covariance: Covariance, slow: Vec3, stated: list[Array], wher
 
 
 def _shares(readings: Mapping[str, object]) -> tuple[Array | float, Array | float]:
-    """Return the shares of a fix's variance on each horizontal axis and on down, 1/3 each without dilutions."""
+    """Return the share of a fix's variance on each horizontal axis and on down, by HDOP and VDOP; else 1/3 each."""
     level, down = field_of(readings, "hdop"), field_of(readings, "vdop")
     if level is None or down is None:
         return 1.0 / 3.0, 1.0 / 3.0
@@ -393,5 +393,5 @@ def _shares(readings: Mapping[str, object]) -> tuple[Array | float, Array | floa
 
 
 def _estimate(state: KalmanState) -> Estimate:
-    """Return position, velocity and attitude of the filter's state."""
+    """Return position, velocity and attitude (n,) of the filter's state as an estimate."""
     return Estimate(state.position_ned, state.velocity_ned, state.attitude.euler(), state.position_low_ned)

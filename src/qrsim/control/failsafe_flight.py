@@ -94,12 +94,12 @@ class FailsafeState:
 
     @property
     def safe_ned(self) -> Vec3:
-        """Landing place of a return (n,) [m]."""
+        """Position (n,) [m] at which a return lands: the rally point chosen, or home."""
         return self.home_ned if self.rally_ned is None else self.rally_ned
 
     @staticmethod
     def start(home_ned: Vec3, yaw: Array, rally: bool = False) -> FailsafeState:
-        """Return the state of vehicles without any failure so far.
+        """Return the failsafe state of vehicles (n,) at the start of an episode, without any failure.
 
         Args:
             home_ned: home positions (n,) [m].
@@ -192,7 +192,7 @@ class Failsafes:
     def step(
         self, state: FailsafeState, seen: Watched, setpoint: PathSetpoint, dt: float
     ) -> tuple[FailsafeState, PathSetpoint]:
-        """Return the new state and the set-point (n,): the given one, or a failsafe's where one acts.
+        """Return the new state and the set-point (n,): the guidance's own, or the failsafe's where one is active.
 
         Args:
             state: state of the last tick.
@@ -207,7 +207,7 @@ class Failsafes:
         acts = state.action > NOTHING
 
         def taken_over() -> tuple[FailsafeState, PathSetpoint]:
-            """Return state and set-point, from the failsafe for vehicles in which one acts."""
+            """Return state and set-point with those of the failsafe for vehicles in which one is active."""
             away = acts & ((state.place_ned - seen.estimate.position_ned).norm() > BEGINS_AGAIN)
             begun = select(begins | away, self._begun(state, seen.estimate), state)
             flown, asked = self._flown(begun, seen, dt)
@@ -217,7 +217,7 @@ class Failsafes:
         return result
 
     def _decided(self, state: FailsafeState, seen: Watched, dt: float) -> tuple[FailsafeState, Array]:
-        """Return the state with the present action, and (n,) bool: the vehicle begins a new action."""
+        """Return the state with each vehicle's failsafe action decided, and (n,) bool: it begins a new action."""
         flies = ~seen.standing & ~state.landed
         latched, lost = state.latched, jnp.zeros_like(state.landed)
         if seen.charge is not None:
@@ -244,7 +244,7 @@ class Failsafes:
         return replace(state, latched=latched, action=action), begins
 
     def _begun(self, state: FailsafeState, estimate: Estimate) -> FailsafeState:
-        """Return the state (n,) as if each vehicle began its action now."""
+        """Return the state (n,) reset to begin each vehicle's failsafe action at its estimated position now."""
         here, going, home = estimate.position_ned, estimate.velocity_ned, state.home_ned
         level = root(going.x * going.x + going.y * going.y)
         braking = 0.5 * level / self.MPC_ACC_HOR
@@ -277,7 +277,7 @@ class Failsafes:
         )
 
     def _nearest(self, home: Vec3, here: Vec3) -> tuple[Vec3, Array]:
-        """Return the place (n,) where a return lands, and the largest down coordinate [m] allowed on the way."""
+        """Return where a return lands (n,), at home or a nearer rally point, and the lowest flight level, down [m]."""
         safe, least, distance = home, home.z, _level_distance(home, here)
         for point in self.rally:
             away = _level_distance(point.place_ned, here)
@@ -288,7 +288,7 @@ class Failsafes:
         return safe, least
 
     def _flown(self, state: FailsafeState, seen: Watched, dt: float) -> tuple[FailsafeState, PathSetpoint]:
-        """Return the state and the set-point (n,) of the failsafe's path."""
+        """Return the state and the set-point (n,) of the failsafe's own path, advanced by dt [s]."""
         here, going, home = seen.estimate.position_ned, seen.estimate.velocity_ned, state.safe_ned
         blind = state.action == DESCEND
         state = self._next_phase(state, here, dt)
@@ -320,7 +320,7 @@ class Failsafes:
         return state, PathSetpoint(place, along, Vec3(zero, zero, zero), yaw, idle, level, blind)
 
     def _next_phase(self, state: FailsafeState, here: Vec3, dt: float) -> FailsafeState:
-        """Return the state with the phase (n,) of a return advanced where the present phase is done."""
+        """Return the state with a return's phase (n,) (climb, fly home, descend, land) advanced where complete."""
         phase, home, top = state.phase, state.safe_ned, state.goal_ned.z
         up = (phase == CLIMB) & (here.z - top < CLIMBED)
         there = (phase == FLY) & (_level_distance(home, here) < ABOVE)
@@ -332,7 +332,7 @@ class Failsafes:
         return replace(state, phase=jnp.where(moved, phase + 1, phase), since=jnp.where(moved, 0, since))
 
     def _speed(self, state: FailsafeState, goal: Vec3, down: Array, sinks: Array, dt: float) -> Vec3:
-        """Return the velocity (n,) [m/s] NED of the path point, braking before its goal."""
+        """Return the velocity (n,) [m/s] NED at which the path's point moves to ``goal``, braking before it."""
         place, before, most = state.place_ned, state.speed_ned, self.MPC_ACC_HOR
         north, east, below = goal.x - place.x, goal.y - place.y, goal.z - place.z
         distance = root(north * north + east * east)
@@ -354,12 +354,12 @@ class Failsafes:
 
 
 def _seconds(ticks: Array, state: FailsafeState, dt: float) -> Array:
-    """Return ticks (n,) as times [s], plus half a tick so that rounding never delays a comparison."""
+    """Return tick counts (n,) as times [s], plus half a tick so that rounding never delays a comparison."""
     return (ticks.astype(state.yaw.dtype) + 0.5) * dt
 
 
 def _level_distance(one: Vec3, other: Vec3) -> Array:
-    """Return the horizontal distance (n,) [m] between two places."""
+    """Return the horizontal distance (n,) [m] between two positions."""
     north, east = one.x - other.x, one.y - other.y
     return root(north * north + east * east)
 
@@ -367,7 +367,7 @@ def _level_distance(one: Vec3, other: Vec3) -> Array:
 def _on_the_ground(
     state: FailsafeState, seen: Watched, down: Array, share: Array, dt: float
 ) -> tuple[FailsafeState, Array, Array]:
-    """Return the state with its time on the ground, and flags ``idle`` and ``level`` (n,) as for missions.
+    """Return the state with its time on the ground, and two flags (n,): the motors idle, the vehicle stays level.
 
     Args:
         state: state after this step.

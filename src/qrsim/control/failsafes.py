@@ -31,7 +31,7 @@ _ON_FIX = {1: RETURN, 2: LAND}
 
 
 def battery_level(charge: Any, low: Any, critical: Any, emergency: Any) -> Any:
-    """Return a battery's level, an index of ``LEVELS``, by its charge; 0 if the charge is NaN.
+    """Return a battery's level by its charge: 0 normal, 1 low, 2 critical, 3 emergency; 0 if the charge is NaN.
 
     Args:
         charge: charge of the battery, 0 to 1.
@@ -41,36 +41,36 @@ def battery_level(charge: Any, low: Any, critical: Any, emergency: Any) -> Any:
 
 
 def battery_action(level: Any, low_bat_act: int) -> Any:
-    """Return the failsafe action at a battery level, for a value of COM_LOW_BAT_ACT."""
+    """Return the failsafe action (an index of ``ACTIONS``) at a battery level, for a value of COM_LOW_BAT_ACT."""
     at_critical, at_emergency = _ON_BATTERY.get(low_bat_act, (NOTHING, NOTHING))
     return _as_int(level == CRITICAL) * at_critical + _as_int(level >= EMERGENCY) * at_emergency
 
 
 def link_action(lost: object, dll_act: int) -> Any:
-    """Return the failsafe action if a link is ``lost``, for a value of NAV_DLL_ACT or NAV_RCL_ACT."""
+    """Return the failsafe action (an index of ``ACTIONS``) if a link is lost, for a NAV_DLL_ACT or NAV_RCL_ACT."""
     return _as_int(lost) * _ON_LINK.get(dll_act, NOTHING)
 
 
 def fix_action(lost: object, gnssloss_act: int) -> Any:
-    """Return the failsafe action if the GNSS fix is ``lost``, for a value of COM_GNSSLOSS_ACT."""
+    """Return the failsafe action (an index of ``ACTIONS``) if the GNSS fix is lost, for a value of COM_GNSSLOSS_ACT."""
     return _as_int(lost) * _ON_FIX.get(gnssloss_act, NOTHING)
 
 
 def position_action(lost: object) -> Any:
-    """Return the failsafe action if the position is ``lost``: a descent, which needs none."""
+    """Return the failsafe action (an index of ``ACTIONS``) if the position estimate is lost: descend, else 0."""
     return _as_int(lost) * DESCEND
 
 
 def is_lost(silence: Any, after: Any) -> Any:
-    """Return whether a source has been silent for longer than ``after`` [s]."""
+    """Return whether a source has been silent, for ``silence`` [s], longer than ``after`` [s]."""
     return silence > after
 
 
 def graver(one: Any, other: Any) -> Any:
-    """Return the more severe of two actions, the one with the larger number."""
+    """Return the more severe of two failsafe actions, the one with the larger number, elementwise."""
     return one + _as_int(other > one) * (other - one)
 
 
 def _as_int(flag: Any) -> Any:
-    """Return 1 for true and 0 for false, as an int or an array of int32."""
+    """Return a bool or a bool array as an int 0 or 1, or an int32 array."""
     return int(flag) if isinstance(flag, bool) else flag.astype(np.int32)

@@ -96,11 +96,11 @@ class ComplementaryFilter(Estimator):
     instead: ClassVar[Mapping[str, str]] = {"attitude_estimator": "gyroscope"}
 
     def fitted(self, ages: Mapping[str, int], earth_field_ned: Vec3 | None = None) -> ComplementaryFilter:
-        """Return the filter with the site's magnetic field (3 axes, NED) [uT]; ``ages`` is not used."""
+        """Return the filter for a site's magnetic field NED [uT]; ``ages``, the sensors' delays, are not used."""
         return replace(self, earth_field_ned=earth_field_ned)
 
     def init(self, readings: Mapping[str, object], start: Estimate) -> tuple[FilterState, Estimate]:
-        """Return state and estimate (n,) from the first readings, and from ``start`` where one is missing."""
+        """Return state and estimate (n,) from the first readings, or from ``start`` where one is missing."""
         place, velocity = field_of(readings, "position_ned"), field_of(readings, "velocity_ned")
         height, rate, attitude = (field_of(readings, name) for name in ("height", "height_rate", "attitude"))
         position = start.position_ned if place is None else place
@@ -126,7 +126,7 @@ class ComplementaryFilter(Estimator):
     def step(
         self, state: FilterState, readings: Mapping[str, object], fresh: Mapping[str, Array], dt: float
     ) -> tuple[FilterState, Estimate]:
-        """Return the state dt [s] later, corrected by new readings (n,), and the estimate (n,)."""
+        """Return the state after prediction by dt [s] and correction by new readings (n,), and the estimate (n,)."""
         attitude = field_of(readings, "attitude")
         if attitude is not None:
             state = replace(state, attitude=known(attitude, state.attitude))
@@ -141,7 +141,7 @@ class ComplementaryFilter(Estimator):
     def _turned(
         self, turning: Turning, readings: Mapping[str, object], fresh: Mapping[str, Array], dt: float
     ) -> Turning:
-        """Return the attitude filter dt [s] later (docs/explanation/models/estimators.md, F8)."""
+        """Return the attitude filter's state after dt [s], by gyroscope, accelerometer and heading (eq. F8)."""
         turning = turning.waited(dt)
         velocity, force = field_of(readings, "velocity_ned"), field_of(readings, "specific_force")
         rates = known(field_of(readings, "rates_body"), turning.rates_body)
@@ -161,7 +161,7 @@ class ComplementaryFilter(Estimator):
     def _heading_error(
         self, turning: Turning, readings: Mapping[str, object], fresh: Mapping[str, Array]
     ) -> tuple[Array, Array]:
-        """Return the heading error (n,) [rad] of the attitude filter, and (n,) bool: the error is new."""
+        """Return the heading error (n,) [rad] by magnetometer or course, and (n,) bool: it is from a new reading."""
         nothing = jnp.full_like(turning.since_fix, jnp.nan)
         field, velocity = field_of(readings, FIELD), field_of(readings, "velocity_ned")
         if self.heading == "course" and velocity is not None:
@@ -174,7 +174,7 @@ class ComplementaryFilter(Estimator):
         return turning.compass_error(field, declination), fresh[source_of(readings, FIELD)] & (nothing != 0.0)
 
     def _predicted(self, state: FilterState, force: Vec3 | None, dt: float) -> FilterState:
-        """Return the state dt [s] later, by the mean specific force (n,) of the tick (C16)."""
+        """Return the state dt [s] later by the tick's mean specific force (n,) [m/s^2], body axes (eq. C16)."""
         change = Vec3(*(jnp.zeros_like(state.since_fix),) * 3)
         if force is not None:
             felt = rotation(state.attitude).to_ned(force)
@@ -193,7 +193,7 @@ class ComplementaryFilter(Estimator):
         )
 
     def _by_fix(self, state: FilterState, readings: Mapping[str, object], fresh: Mapping[str, Array]) -> FilterState:
-        """Return the state corrected by horizontal position and velocity, where a fix is new (C17)."""
+        """Return the state corrected by a GNSS fix's horizontal position and velocity, where it is new (eq. C17)."""
         place, velocity = field_of(readings, "position_ned"), field_of(readings, "velocity_ned")
         if place is None:
             return state
@@ -214,7 +214,7 @@ class ComplementaryFilter(Estimator):
         return replace(state, since_fix=jnp.where(new, 0.0, state.since_fix))
 
     def _by_height(self, state: FilterState, readings: Mapping[str, object], fresh: Mapping[str, Array]) -> FilterState:
-        """Return the state corrected by height and climb rate, where new (C17)."""
+        """Return the state corrected by the barometer's height and climb rate, where they are new (eq. C17)."""
         height, rate = field_of(readings, "height"), field_of(readings, "height_rate")
         if height is None:
             return state
@@ -233,7 +233,7 @@ class ComplementaryFilter(Estimator):
     def _corrections(
         self, gains: tuple[Array, Array], error: Array, slip: Array, span: Array
     ) -> tuple[Array, Array, Array]:
-        """Return the corrections (n,) of position [m], velocity [m/s] and bias [m/s^2] along one axis (C17).
+        """Return the corrections (n,) of position [m], velocity [m/s] and bias [m/s^2] along one axis (eq. C17).
 
         Args:
             gains: of the position and of the velocity [1/s].
@@ -249,12 +249,12 @@ class ComplementaryFilter(Estimator):
 
 
 def _estimate(state: FilterState) -> Estimate:
-    """Return position, velocity and attitude of the filter's state."""
+    """Return position, velocity and attitude (n,) of the filter's state as an estimate."""
     return Estimate(state.position_ned, state.velocity_ned, state.attitude, state.position_low_ned)
 
 
 def _corrected(state: FilterState, moved: Vec3, gained: Vec3, learned: Vec3) -> FilterState:
-    """Return the state with corrections added to position [m], velocity [m/s] and bias [m/s^2]."""
+    """Return the state with corrections added to position [m], velocity [m/s] and accelerometer bias [m/s^2], NED."""
     position, low = added(state.position_ned, state.position_low_ned + moved)
     return replace(
         state,

@@ -87,7 +87,7 @@ class FixedWingController(Controller):
     reads_airspeed: ClassVar[bool] = True
 
     def fitted(self, vehicle: object) -> FixedWingController:
-        """Return the controller with the trim (level flight) of a nominal vehicle.
+        """Return the controller fitted to a nominal vehicle, of which it uses the trim for level flight.
 
         Raises:
             UsageError: the vehicle has no wings.
@@ -99,12 +99,12 @@ class FixedWingController(Controller):
         return replace(self, nominal=vehicle)
 
     def init(self, estimate: Estimate) -> FixedWingControllerState:
-        """Return the initial state of the controller."""
+        """Return the controller's initial state for vehicles (n,), with their estimated airspeed."""
         zero = jnp.zeros_like(estimate.position_ned.z)
         return FixedWingControllerState(self._airspeed_of(estimate), zero, zero, zero)
 
     def shown(self, setpoint: Any) -> TrackSetpoint:
-        """Return a set-point as stored in a world's state; a waypoint becomes a circle around it."""
+        """Return a set-point as a ``TrackSetpoint``, which a world's state keeps; a waypoint becomes a circle."""
         if isinstance(setpoint, TrackSetpoint):
             return setpoint
         place, zero = setpoint.position_ned, jnp.zeros_like(setpoint.yaw)
@@ -113,21 +113,21 @@ class FixedWingController(Controller):
     def step(
         self, state: FixedWingControllerState, estimate: Estimate, setpoint: object, dt: float
     ) -> tuple[FixedWingControllerState, AttitudeCommand]:
-        """Return the new state and the command (n,)."""
+        """Return the state after a tick of dt [s], and the command (n,) that follows the line or circle."""
         track = self.shown(setpoint)
         roll = self._roll(estimate, track)
         state, pitch, throttle = self._energy(state, estimate, track, dt)
         return state, AttitudeCommand(roll, pitch, throttle)
 
     def _vehicle(self) -> Aeroplane:
-        """Return the vehicle that the controller was fitted to; raise UsageError if not fitted."""
+        """Return the nominal vehicle; raise UsageError if the controller is not fitted."""
         if self.nominal is None:
             raise UsageError("this controller knows no vehicle; fit it first: controller.fitted(vehicle)")
         found: Aeroplane = self.nominal
         return found
 
     def _airspeed_of(self, estimate: Estimate) -> Array:
-        """Return the airspeed (n,) [m/s], the cruise airspeed while it is unknown."""
+        """Return the estimated airspeed (n,) [m/s], or the cruise airspeed where it is unknown."""
         usual = jnp.zeros_like(estimate.position_ned.z) + self._vehicle().cruise_airspeed
         if estimate.airspeed is None:
             return usual
@@ -136,7 +136,7 @@ class FixedWingController(Controller):
     def _energy(
         self, state: FixedWingControllerState, estimate: Estimate, track: TrackSetpoint, dt: float
     ) -> tuple[FixedWingControllerState, Array, Array]:
-        """Return the new state, pitch [rad] and throttle (n,) commands for height and airspeed (W12)."""
+        """Return the state, pitch [rad] and throttle [0, 1] (n,) for height and airspeed, by total energy (eq. W12)."""
         vehicle = self._vehicle()
         trim_pitch, _, trim_throttle = cruise(vehicle, jnp.asarray(vehicle.cruise_airspeed))
         usual = jnp.where(jnp.asarray(self.airspeed) > 0.0, self.airspeed, vehicle.cruise_airspeed)
@@ -163,22 +163,22 @@ class FixedWingController(Controller):
         return FixedWingControllerState(speed, grown, integral, leant), pitch, jnp.clip(throttle, 0.0, 1.0)
 
     def _roll(self, estimate: Estimate, track: TrackSetpoint) -> Array:
-        """Return the roll command (n,) [rad] that tracks a line or circle (W11)."""
+        """Return the roll command (n,) [rad] that follows a line or circle (eq. W11)."""
         acceleration = jnp.where(track.radius == 0.0, self._on_line(estimate, track), self._on_circle(estimate, track))
         roll = jnp.arctan(acceleration / self._vehicle().gravity)
         return jnp.clip(roll, -self.roll_limit, self.roll_limit)
 
     def _reach(self, over_ground: Array) -> Array:
-        """Return the L1 distance (n,) [m] at a speed over ground (n,) [m/s]."""
+        """Return the look-ahead distance (n,) [m] of L1 guidance at a ground speed (n,) [m/s]."""
         return self.l1_period * self.l1_damping / math.pi * over_ground
 
     def _turned(self, speed: Array, eta: Array) -> Array:
-        """Return the lateral acceleration (n,) [m/s^2], right positive, of the L1 law for an angle (n,) [rad]."""
+        """Return L1 guidance's lateral acceleration (n,) [m/s^2], right positive, for an angle eta [rad] off course."""
         sine = sincos(jnp.clip(eta, -0.5 * math.pi, 0.5 * math.pi))[0]
         return 4.0 * self.l1_damping * self.l1_damping * speed * speed / self._reach(speed) * sine
 
     def _on_line(self, estimate: Estimate, track: TrackSetpoint) -> Array:
-        """Return the acceleration (n,) [m/s^2] to the right that follows a line, or leads to it if it is one point."""
+        """Return the lateral acceleration (n,) [m/s^2], right positive, to follow a line, or reach its single point."""
         v, away = estimate.velocity_ned, estimate.offset_from(track.position_ned)
         speed = jnp.maximum(root(v.x * v.x + v.y * v.y), SLOWEST)
         way_north, way_east = (track.position_ned.x - track.begin_ned.x, track.position_ned.y - track.begin_ned.y)
@@ -194,7 +194,7 @@ class FixedWingController(Controller):
         return self._turned(speed, wrap_angle(bearing - _course(v.x, v.y)))
 
     def _on_circle(self, estimate: Estimate, track: TrackSetpoint) -> Array:
-        """Return the lateral acceleration (n,) [m/s^2], right positive, on a circle; far outside, to its centre."""
+        """Return the lateral acceleration (n,) [m/s^2], right positive, to follow a circle or, far off, to reach it."""
         v, out = estimate.velocity_ned, estimate.offset_from(track.position_ned)
         speed = jnp.maximum(root(v.x * v.x + v.y * v.y), SLOWEST)
         side = jnp.where(track.radius < 0.0, -1.0, 1.0)
@@ -215,5 +215,5 @@ class FixedWingController(Controller):
 
 
 def _course(north: Array, east: Array) -> Array:
-    """Return the direction [rad] of a horizontal vector; 0 for a zero vector."""
+    """Return the direction [rad] of a horizontal vector, clockwise from north; 0 for a zero vector."""
     return arctan2(east, jnp.where((north == 0.0) & (east == 0.0), 1.0, north))

@@ -29,7 +29,7 @@ class FleeGuidance(RouteGuidance):
     def step(
         self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
     ) -> tuple[RouteState, VelocityHeightSetpoint]:
-        """Return the state unchanged, and the velocity set-point (n,) away from pursuers.
+        """Return the state unchanged, and the velocity set-point (n,) away from pursuers at ``others_ned`` (m,) [m].
 
         Args:
             state, route: as of every guidance.
@@ -50,6 +50,6 @@ class FleeGuidance(RouteGuidance):
         return state, VelocityHeightSetpoint(scale * away_north, scale * away_east, still.z, still.yaw)
 
     def setpoint(self, state: RouteState, route: Route) -> VelocityHeightSetpoint:
-        """Return the set-point (n,) for no pursuer in sight: hold position."""
+        """Return the set-point (n,) used without pursuers: hold position, at the height of the route."""
         zero = jnp.zeros_like(route.yaw[0])
         return VelocityHeightSetpoint(zero, zero, route.position_ned.z[0], route.yaw[0])

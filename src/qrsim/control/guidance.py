@@ -41,7 +41,7 @@ class RouteState:
 
     @staticmethod
     def start(route: Route) -> RouteState:
-        """Return the state at the start of each route (n,)."""
+        """Return the state of vehicles (n,) at the first waypoint of their routes."""
         zero = jnp.zeros(route.count.shape, jnp.int32)
         return RouteState(zero, zero)
 
@@ -50,18 +50,18 @@ class RouteGuidance(Guidance):
     """Base of guidances with a ``RouteState``; by default ``step`` returns the same set-point at every tick."""
 
     def init(self, route: Route) -> RouteState:
-        """Return the state at the start of each route (n,)."""
+        """Return the state of vehicles (n,) at the first waypoint of their routes."""
         return RouteState.start(route)
 
     def step(
         self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
     ) -> tuple[RouteState, object]:
-        """Return the state unchanged, and its set-point (n,)."""
+        """Return the state unchanged, and its set-point (n,); positions are not used."""
         return state, self.setpoint(state, route)
 
 
 def after_arrival(state: RouteState, route: Route, arrived: Array, repeat: bool) -> RouteState:
-    """Return the state with vehicles that have ``arrived`` (n,) sent on to the next waypoint; ``repeat`` restarts."""
+    """Return the state with ``arrived`` vehicles (n,) sent to the next waypoint; ``repeat``: from last to first."""
     following = state.index + 1
     last = jnp.zeros_like(following) if repeat else route.count - 1
     following = jnp.where(following >= route.count, last, following)
@@ -84,26 +84,26 @@ class RouteFollower(RouteGuidance):
     def step(
         self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
     ) -> tuple[RouteState, WaypointSetpoint]:
-        """Return the new state and the set-point for vehicles with estimated positions position_ned (n,)."""
+        """Return the state, moved on where a waypoint is reached, and the present waypoint (n,) as set-point."""
         arrived = (self.setpoint(state, route).position_ned - position_ned).norm() < self.acceptance_radius
         moved = after_arrival(state, route, arrived, self.repeat)
         return moved, self.setpoint(moved, route)
 
     def setpoint(self, state: RouteState, route: Route) -> WaypointSetpoint:
-        """Return the current waypoint of each vehicle (n,)."""
+        """Return the present waypoint of each vehicle (n,) as set-point."""
         # A sum over a one-hot mask, because gathers are slow on a CPU and routes are short.
         rows = jnp.arange(route.yaw.shape[0], dtype=jnp.int32)[:, None]
         chosen = rows == state.index[None, :]
 
         def pick(values: Array) -> Array:
-            """Return the value of each vehicle's current waypoint."""
+            """Return each vehicle's entry (n,) of values (P, n) at its present waypoint."""
             return jnp.sum(jnp.where(chosen, values, 0.0), axis=0)
 
         return WaypointSetpoint(route.position_ned.map(pick), pick(route.yaw))
 
 
 def _per_vehicle(value: Array, route: Route) -> Array:
-    """Return a parameter broadcast to each vehicle (n,)."""
+    """Return a parameter () or (n,) broadcast to one value for each vehicle (n,) of a route."""
     return jnp.broadcast_to(jnp.asarray(value), route.count.shape)
 
 
@@ -118,7 +118,7 @@ class VelocityGuidance(RouteGuidance):
     gives: ClassVar[type] = VelocitySetpoint
 
     def setpoint(self, state: RouteState, route: Route) -> VelocitySetpoint:
-        """Return the set-point of each vehicle (n,)."""
+        """Return the constant velocity set-point of each vehicle (n,), with its route's first heading."""
         wanted = Vec3(self.velocity_north, self.velocity_east, self.velocity_down)
         return VelocitySetpoint(wanted.map(lambda axis: _per_vehicle(axis, route)), route.yaw[0])
 
@@ -133,7 +133,7 @@ class VelocityHeightGuidance(RouteGuidance):
     gives: ClassVar[type] = VelocityHeightSetpoint
 
     def setpoint(self, state: RouteState, route: Route) -> VelocityHeightSetpoint:
-        """Return the set-point of each vehicle (n,)."""
+        """Return the constant velocity set-point (n,), with height and heading of the route's first waypoint."""
         north, east = _per_vehicle(self.velocity_north, route), _per_vehicle(self.velocity_east, route)
         return VelocityHeightSetpoint(north, east, route.position_ned.z[0], route.yaw[0])
 
@@ -148,7 +148,7 @@ class AttitudeHeightGuidance(RouteGuidance):
     gives: ClassVar[type] = AttitudeHeightSetpoint
 
     def setpoint(self, state: RouteState, route: Route) -> AttitudeHeightSetpoint:
-        """Return the set-point of each vehicle (n,)."""
+        """Return the constant tilt set-point (n,), with height and heading of the route's first waypoint."""
         roll, pitch = _per_vehicle(self.roll_rad, route), _per_vehicle(self.pitch_rad, route)
         return AttitudeHeightSetpoint(roll, pitch, route.position_ned.z[0], route.yaw[0])
 
@@ -164,6 +164,6 @@ class AttitudeGuidance(RouteGuidance):
     gives: ClassVar[type] = AttitudeSetpoint
 
     def setpoint(self, state: RouteState, route: Route) -> AttitudeSetpoint:
-        """Return the set-point of each vehicle (n,)."""
+        """Return the constant tilt and thrust set-point (n,), with the heading of the route's first waypoint."""
         roll, pitch = _per_vehicle(self.roll_rad, route), _per_vehicle(self.pitch_rad, route)
         return AttitudeSetpoint(roll, pitch, route.yaw[0], _per_vehicle(self.throttle, route))

@@ -18,7 +18,7 @@ Filter = TypeVar("Filter", bound="KalmanParameters")
 
 
 def _sensed(default: float, unit: str, doc: str, *, positive: bool = False) -> Array:
-    """Return the declaration of a parameter that is derived from the sensors if a scenario leaves it out."""
+    """Return the declaration of a filter parameter; if a scenario omits it, its value is derived from the sensors."""
     least, above = (None, 0.0) if positive else (0.0, None)
     return parameter(default=default, unit=unit, doc=doc, of_sensors=True, minimum=least, above=above)
 
@@ -118,18 +118,18 @@ class KalmanParameters(Estimator):
     reads: ClassVar[tuple[str, ...]] = ("gnss_receiver", "accelerometer", "gyroscope")
 
     def fitted(self: Filter, ages: Mapping[str, int], earth_field_ned: Vec3 | None = None) -> Filter:
-        """Return the filter with each sensor's delay [ticks], and the Earth's field NED [uT]."""
+        """Return the filter for sensors with delays ``ages`` [ticks] by name, and the Earth's field NED [uT]."""
         return replace(self, ages=tuple(sorted(ages.items())), earth_field_ned=earth_field_ned)
 
     @property
     def declination(self) -> Array:
-        """Declination of magnetic north [rad]; 0 if the Earth's field is unknown."""
+        """Declination [rad] of magnetic north from true north; 0 if the Earth's field is unknown."""
         if self.earth_field_ned is None:
             return jnp.zeros_like(self.yaw_std)
         return arctan2(self.earth_field_ned.y, self.earth_field_ned.x)
 
     def first_inner(self, inner: Inner, calibrated: bool) -> list[Array]:
-        """Return the initial standard deviation of each error other than motion."""
+        """Return the initial std of biases, magnetic field and wind errors, smaller for a calibrated gyroscope."""
         gyroscope = self.gyroscope_calibrated_std if calibrated else self.gyroscope_bias_std
         stds = (
             gyroscope,
@@ -142,7 +142,7 @@ class KalmanParameters(Estimator):
         return _std_of_each_error(inner, stds)
 
     def walks(self, inner: Inner) -> list[Array]:
-        """Return the random walk (noise density) of each error other than motion."""
+        """Return the random-walk noise density of each bias, magnetic field and wind error that the filter has."""
         stds = (
             self.gyroscope_walk,
             self.accelerometer_walk,
@@ -155,7 +155,7 @@ class KalmanParameters(Estimator):
 
 
 def _std_of_each_error(inner: Inner, stds: tuple[Array, ...]) -> list[Array]:
-    """Return a standard deviation for each error other than motion that the filter has; 0 for unused ones."""
+    """Return the std of ``stds`` for each error state in ``inner``, in the covariance's order; 0 for unused ones."""
     *first, wind, height = stds
     own = first[:2] if inner.earth_field_ned is None else first
     found = [std for std in own for _ in range(3)]

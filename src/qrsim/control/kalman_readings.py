@@ -15,7 +15,7 @@ from qrsim.core.vectors import Euler, Vec3
 
 
 def places(state: KalmanState, fix: Vec3, variances: tuple[Array, ...], axes: str, late: float) -> list[Measured]:
-    """Return a scalar measurement for each letter of ``axes``: a fix's position, ``late`` [s] ago (F2)."""
+    """Return scalar measurements of a fix's position along ``axes`` ("xyz" or "xy"), made ``late`` [s] ago (eq. F2)."""
     then = _then(state)
     scalars = []
     for i, axis in enumerate(axes):
@@ -28,7 +28,7 @@ def places(state: KalmanState, fix: Vec3, variances: tuple[Array, ...], axes: st
 
 
 def velocities(state: KalmanState, velocity: Vec3, variances: tuple[Array, ...], late: float) -> list[Measured]:
-    """Return a scalar measurement for each axis of a fix's velocity, ``late`` [s] ago (F2)."""
+    """Return the scalar measurements of the three axes of a fix's velocity, taken ``late`` [s] ago (eq. F2)."""
     then, turns = _then(state), swung(state.force_ned)
     body = zip(*(axis.axes for axis in body_axes(state.rotation)), strict=True)
     scalars = []
@@ -41,12 +41,12 @@ def velocities(state: KalmanState, velocity: Vec3, variances: tuple[Array, ...],
 
 
 def _then(state: KalmanState) -> Past:
-    """Return the estimated position and velocity at the tick at which a fix arriving now was taken."""
+    """Return the estimated position and velocity at the tick when the fix that arrives now was taken."""
     return state.past[0] if state.past else Past(state.position_ned, state.position_low_ned, state.velocity_ned)
 
 
 def heights(state: KalmanState, height: Array, variance: Array) -> list[Measured]:
-    """Return the scalar measurement of a barometer's height (n,) [m], including its bias if estimated."""
+    """Return the scalar measurement, in a list, of a barometer's height (n,) [m], with its bias if estimated."""
     miss = -height - state.position_ned.z - state.position_low_ned.z
     one = jnp.ones_like(miss)
     at = state.places.height
@@ -57,13 +57,13 @@ def heights(state: KalmanState, height: Array, variance: Array) -> list[Measured
 
 
 def headings(state: KalmanState, attitude: Euler, variance: Array) -> list[Measured]:
-    """Return the scalar measurement of the yaw of an attitude reading (n,) [rad]."""
+    """Return the scalar measurement, in a list, of the yaw (n,) [rad] in an attitude reading."""
     miss = wrap_angle(attitude.yaw - state.attitude.euler().yaw)
     return [Measured(miss, variance, of_angles(state.rotation)[2])]
 
 
 def fields(state: KalmanState, measured: Vec3, variance: Array) -> list[Measured]:
-    """Return three scalar measurements of a magnetic field in body axes (n,) [uT] (F3)."""
+    """Return three scalar measurements of a magnetometer reading (n,) [uT] in body axes (eq. F3)."""
     earth, bias, at = state.inner.earth_field_ned, state.inner.field_bias, state.places
     assert earth is not None
     assert bias is not None
@@ -80,7 +80,7 @@ def fields(state: KalmanState, measured: Vec3, variance: Array) -> list[Measured
 
 
 def gravities(state: KalmanState, force: Vec3, gravity: Array, variance: Array) -> list[Measured]:
-    """Return scalar measurements of tilt and accelerometer bias by the specific force (n,) [m/s^2] at rest (F7)."""
+    """Return scalar measurements of tilt and accelerometer bias by the specific force (n,) [m/s^2] at rest (eq. F7)."""
     zero = jnp.zeros_like(force.x)
     up = Vec3(zero, zero, zero - gravity)
     scalars = []
@@ -92,7 +92,7 @@ def gravities(state: KalmanState, force: Vec3, gravity: Array, variance: Array) 
 
 
 def compass(state: KalmanState, measured: Vec3, declination: Array, variance: Array) -> list[Measured]:
-    """Return the scalar measurement of yaw by the level part of a magnetic field in body axes (n,) [uT] (F4)."""
+    """Return the scalar measurement, in a list, of yaw by a magnetometer reading's level part (n,) (eq. F4)."""
     x, y, z = state.rotation.to_ned(measured).axes
     miss = wrap_angle(declination - arctan2(y, x))
     # Of a wrong tilt the vertical part of the field makes a wrong heading: by the direction that is known, because that
@@ -103,7 +103,7 @@ def compass(state: KalmanState, measured: Vec3, declination: Array, variance: Ar
 
 
 def airspeeds(state: KalmanState, airspeed: Array, variance: Array) -> list[Measured]:
-    """Return the scalar measurement of an airspeed along body x (n,) [m/s], of velocity, attitude and wind (F5)."""
+    """Return the scalar measurement, in a list, of an airspeed (n,) [m/s] along the body's forward axis (eq. F5)."""
     at = state.places.wind
     assert at is not None
     assert state.inner.wind_north is not None

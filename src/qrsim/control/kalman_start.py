@@ -29,12 +29,12 @@ FIRST_S = 0.02
 
 
 def turned_by(stds: tuple[Array, Array, Array], normals: tuple[Array, ...], attitude: Quaternion) -> Quaternion:
-    """Return an attitude (n,) rotated by random small NED errors with these standard deviations [rad]."""
+    """Return an attitude (n,) rotated by small random NED angles: standard deviations [rad] times standard normals."""
     return small(Vec3(*(0.5 * std * normal for std, normal in zip(stds, normals, strict=True)))) * attitude
 
 
 def calibrated(kalman: KalmanParameters, preflight: Preflight | None) -> Vec3 | None:
-    """Return the gyroscope bias (n,) [rad/s] as measured at rest before take-off; None without a calibration."""
+    """Return the gyroscope bias (n,) [rad/s] found by averaging at rest before take-off; None without calibration."""
     if preflight is None or preflight.rates_bias is None or kalman.calibration_time == 0.0:
         return None
     std = kalman.gyroscope_calibrated_std
@@ -43,7 +43,7 @@ def calibrated(kalman: KalmanParameters, preflight: Preflight | None) -> Vec3 | 
 
 
 def levelled(kalman: KalmanParameters, state: KalmanState, readings: Mapping[str, object]) -> KalmanState:
-    """Return the state (n,) of vehicles at rest, levelled by the accelerometer and headed by the magnetometer."""
+    """Return the state of vehicles (n,) at rest, with tilt from the accelerometer and heading from the magnetometer."""
     force, field = field_of(readings, "specific_force"), field_of(readings, FIELD)
     if force is None:
         return state

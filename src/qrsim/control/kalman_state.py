@@ -101,12 +101,12 @@ class KalmanState:
 
     @property
     def places(self) -> Places:
-        """Row numbers of the optional errors in the covariance."""
+        """Indices in the covariance of the error states that only some filters have."""
         return Places.of(self.inner)
 
     @property
     def rotation(self) -> Rotation:
-        """Direction cosines of the estimated attitude: the body axes in NED."""
+        """Direction cosines of the estimated attitude: the body axes as unit vectors in NED."""
         return self.attitude.rotation()
 
 
@@ -121,7 +121,7 @@ class Places(NamedTuple):
 
     @staticmethod
     def of(inner: Inner) -> Places:
-        """Return the row numbers of the optional errors, for the states that ``inner`` has."""
+        """Return the covariance indices of the optional error states that ``inner`` has."""
         none = inner.earth_field_ned is None
         last = SIZE if none else SIZE + 6
         wind, height = inner.wind_north is not None, inner.height_bias is not None
@@ -135,7 +135,7 @@ class Places(NamedTuple):
 
 
 def moves(felt: Vec3, turned: Rotation, dt: float) -> Moves:
-    """Return the non-zero terms of a tick's transition matrix F, without the identity (F1)."""
+    """Return the off-diagonal terms of one tick's transition matrix F, for the specific force ``felt`` NED (eq. F1)."""
     place, speed, turn, gyroscope, accelerometer = PLACE, SPEED, TURN, GYROSCOPE, ACCELEROMETER
     factors = [*felt.axes, *(cosine for axis in body_axes(turned) for cosine in axis.axes)]
     terms = [Term(place + i, speed + i, dt) for i in range(3)]
@@ -148,17 +148,17 @@ def moves(felt: Vec3, turned: Rotation, dt: float) -> Moves:
 
 
 def swung(force: Vec3) -> tuple[dict[int, Array], ...]:
-    """Return, for each NED axis, the derivatives of a specific force by small rotations of the attitude."""
+    """Return the derivatives of a specific force (n,) NED by small rotations, {NED axis: (n,)} for each of its axes."""
     return tuple({k: sign * force.axes[axis] for k, (sign, axis) in row.items()} for row in _SWUNG)
 
 
 def body_axes(turned: Rotation) -> tuple[Vec3, Vec3, Vec3]:
-    """Return the three body axes as unit vectors in NED."""
+    """Return the body's forward, right and down axes as unit vectors in NED, by its rotation."""
     return turned.forward, turned.right, turned.down
 
 
 def of_angles(turned: Rotation) -> tuple[dict[int, Array], dict[int, Array], dict[int, Array]]:
-    """Return the derivatives of roll, pitch and yaw by small NED rotations; bounded at a pitch of 90 degrees."""
+    """Return derivatives of roll, pitch, yaw by small NED rotations, {error index: (n,)}; bounded at 90 deg pitch."""
     ahead = turned.forward
     square = jnp.maximum(ahead.x * ahead.x + ahead.y * ahead.y, 1e-4)
     level = jnp.sqrt(square)
@@ -171,20 +171,20 @@ def of_angles(turned: Rotation) -> tuple[dict[int, Array], dict[int, Array], dic
 
 
 def with_turn(covariance: Covariance, after: Sequence[Array]) -> Covariance:
-    """Return the covariance with the variances (n,) of the rotation errors replaced."""
+    """Return the covariance with the variances of the attitude errors replaced by ``after``, three of (n,) [rad^2]."""
     before = variances(covariance)[TURN:GYROSCOPE]
     return widened(covariance, {TURN + i: new - old for i, (new, old) in enumerate(zip(after, before, strict=True))})
 
 
 def small(half: Vec3) -> Quaternion:
-    """Return the quaternion of a small rotation, given half its rotation vector (n,) [rad]."""
+    """Return the quaternion of a small rotation from half its rotation vector (n,) [rad]."""
     square = half.dot(half)
     scale = 1.0 - square / 6.0
     return Quaternion(1.0 - 0.5 * square, half.x * scale, half.y * scale, half.z * scale)
 
 
 def lost(covariance: Covariance, variances: Sequence[Array], where: Array) -> Covariance:
-    """Return the covariance with motion forgotten (large variances, no correlations), where ``where`` (n,) is True.
+    """Return the covariance with position, velocity, attitude reset (large, uncorrelated) where ``where`` (n,) is True.
 
     So the next fix is accepted whatever its value. Fixes were rejected for long, perhaps because of a wrong tilt, and a
     filter that trusted its tilt would diverge again at once.
@@ -198,7 +198,7 @@ def lost(covariance: Covariance, variances: Sequence[Array], where: Array) -> Co
 
 
 def injected(state: KalmanState, errors: Array, dt: float) -> KalmanState:
-    """Return the state, past states included, corrected by the mean errors (m, n)."""
+    """Return the filter's state, its stored past included, corrected by estimated errors (m, n)."""
     place, speed, turn = (_three(errors, first) for first in (PLACE, SPEED, TURN))
     position, low = added(state.position_ned, state.position_low_ned + place)
     past = []
@@ -217,7 +217,7 @@ def injected(state: KalmanState, errors: Array, dt: float) -> KalmanState:
 
 
 def _inner(inner: Inner, errors: Array) -> Inner:
-    """Return the inner states with the estimated errors added."""
+    """Return biases, magnetic field, wind and height error corrected by the estimated errors (m, n)."""
     places = Places.of(inner)
     inner = replace(
         inner,
@@ -247,7 +247,7 @@ def _inner(inner: Inner, errors: Array) -> Inner:
 
 
 def inner_std(state: KalmanState, unseen: Sequence[Array | float] = (0.0,) * (SIZE - GYROSCOPE)) -> Inner:
-    """Return the standard deviation of each part of ``inner``; the state may be a history of many ticks.
+    """Return the standard deviation of each quantity in ``state.inner``; leading axes, such as ticks, are allowed.
 
     Args:
         state: of the filter.
@@ -259,7 +259,7 @@ def inner_std(state: KalmanState, unseen: Sequence[Array | float] = (0.0,) * (SI
     own = [(variance + more.get(k, 0.0)) ** 0.5 for k, variance in enumerate(variances(state.covariance))]
 
     def three(first: int | None) -> Vec3 | None:
-        """Return the standard deviations of three errors as a vector, None for errors that are not estimated."""
+        """Return the stds of the errors with indices ``first`` to ``first`` + 2 as a vector; None for None."""
         return None if first is None else Vec3(*own[first : first + 3])
 
     return Inner(
@@ -274,5 +274,5 @@ def inner_std(state: KalmanState, unseen: Sequence[Array | float] = (0.0,) * (SI
 
 
 def _three(errors: Array, first: int) -> Vec3:
-    """Return three errors from number ``first`` as a vector."""
+    """Return the errors with indices ``first`` to ``first`` + 2 as a vector."""
     return Vec3(errors[first], errors[first + 1], errors[first + 2])

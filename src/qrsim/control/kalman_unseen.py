@@ -30,7 +30,7 @@ class Unseen(NamedTuple):
 
 
 def leaned(lean: Vec3, turned: Rotation, dt: float) -> tuple[Vec3, Array]:
-    """Return the low-pass filtered down direction (n,) in body axes after a tick, and its squared change in the tick.
+    """Return the low-pass filtered down direction (n,) in body axes after dt [s], and its squared change in this time.
 
     The squares of the ticks that follow a sudden change add up to the square of that change.
     """
@@ -39,7 +39,7 @@ def leaned(lean: Vec3, turned: Rotation, dt: float) -> tuple[Vec3, Array]:
 
 
 def unseen(state: KalmanState, scale: Array, sensitivity: Array, gravity: Array) -> list[Unseen]:
-    """Return the errors that the covariance does not contain, in NumPy for a NumPy state.
+    """Return the errors that no sensor observes: variance and effect on each error state; NumPy for a NumPy state.
 
     Args:
         state: of the filter.
@@ -64,7 +64,7 @@ def unseen(state: KalmanState, scale: Array, sensitivity: Array, gravity: Array)
 
 
 def along(errors: Sequence[Unseen], sensitivity: Mapping[int, Array | float]) -> Array | float:
-    """Return the variance (n,) that unseen errors add to a weighted sum of errors, by the weights ``sensitivity``."""
+    """Return the variance (n,) that unobserved errors add to a sum of error states weighted by ``sensitivity``."""
     total: Array | float = 0.0
     for error in errors:
         shared = [factor * error.factors[k] for k, factor in sensitivity.items() if k in error.factors]
@@ -74,7 +74,7 @@ def along(errors: Sequence[Unseen], sensitivity: Mapping[int, Array | float]) ->
 
 
 def with_unseen(covariance: Array, errors: Sequence[Unseen]) -> Array:
-    """Return the covariance (m, m, n) with the covariance of unseen errors added."""
+    """Return the covariance (m, m, n) with that of the unobserved errors added."""
     size = covariance.shape[-2]
     for variance, factors in errors:
         zero = jnp.zeros_like(variance)

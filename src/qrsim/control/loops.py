@@ -40,13 +40,13 @@ class HeightLoop:
     )
 
     def init(self, z: Array) -> HeightState:
-        """Return the initial state of the loop at a down coordinate z (n,) [m]."""
+        """Return the loop's initial state; z: any array (n,), which gives shape and dtype."""
         return HeightState(jnp.zeros_like(z), jnp.zeros_like(z), jnp.full_like(z, NEVER))
 
     def step(
         self, state: HeightState, z: Array, z_wanted: Array, dt: float, z_low: Array | None = None
     ) -> tuple[HeightState, Array]:
-        """Return the new state and the throttle [0, 1] for z and z_wanted (n,) [m], down positive.
+        """Return the loop's new state, and the throttle (n,) [0, 1], for present and wanted down coordinates (n,) [m].
 
         Args:
             state: of the last step.
@@ -73,7 +73,7 @@ class ClimbLoop:
     windup: Windup = setting(default="held", doc="integral while the throttle saturates, as for velocity")
 
     def step(self, integral: Array, error: Array, dt: float) -> tuple[Array, Array]:
-        """Return the new integral [m] and the throttle [0, 1] for an error (n,) [m/s], wanted minus actual, down."""
+        """Return the new integral [m] and the throttle [0, 1] for a down velocity error (n,) [m/s], wanted - actual."""
         unclipped = self.hover_throttle - self.kp * error - self.ki * integral
         throttle = jnp.clip(unclipped, *limits_of(Command)["throttle"])
         return _integrate(self.windup, integral, error * dt, (unclipped - throttle) * -error), throttle
@@ -111,14 +111,14 @@ class VelocityLoop:
     )
 
     def init(self, like: Array) -> VelocityState:
-        """Return the initial state of the loop; ``like`` is any array (n,)."""
+        """Return the loop's initial state; ``like``: any array (n,), which gives shape and dtype."""
         zero, none = jnp.zeros_like(like), jnp.full_like(like, NEVER)
         return VelocityState(zero, zero, zero, zero, Vec3(none, none, none))
 
     def step(
         self, state: VelocityState, error: tuple[Array, Array], wanted_ned: Vec3, tilt_limit: Array, dt: float
     ) -> tuple[VelocityState, tuple[Array, Array]]:
-        """Return the new state, and the forward and right tilts (n,) [rad] that reduce a velocity error.
+        """Return the loop's new state, and the forward and right tilts (n,) [rad] that reduce a velocity error.
 
         Args:
             state: of the last step.
@@ -144,6 +144,6 @@ class VelocityLoop:
 
 
 def _integrate(windup: Windup, integral: Array, change: Array, further: Array) -> Array:
-    """Return an integral (n,) plus its change, held where ``further`` > 0: the change would worsen saturation."""
+    """Return an integral (n,) plus its change; held where ``further`` > 0, that is, where saturation would grow."""
     grown = integral + change
     return grown if windup == "published" else jnp.where(further > 0.0, integral, grown)

@@ -31,23 +31,23 @@ class Turning:
 
     @staticmethod
     def start(attitude: Quaternion, velocity_ned: Vec3) -> Turning:
-        """Return the initial state of the attitude filter, for vehicles without acceleration."""
+        """Return the attitude filter's initial state from an attitude and a velocity [m/s], with zero acceleration."""
         zero = jnp.zeros_like(velocity_ned.x)
         none = Vec3(zero, zero, zero)
         return Turning(attitude, none, none, velocity_ned, none, zero, zero)
 
     def waited(self, dt: float) -> Turning:
-        """Return the state with dt [s] added to its times since the last fix and heading."""
+        """Return the state with dt [s] added to the times since the last velocity fix and the last heading."""
         return replace(self, since_fix=self.since_fix + dt, since_heading=self.since_heading + dt)
 
     def with_velocity(self, velocity_ned: Vec3, new: Array) -> Turning:
-        """Return the state with the acceleration between the last two fixes, where a velocity (n,) is new."""
+        """Return the state with the acceleration from the last two velocity fixes, where ``new`` (n,) is True."""
         for axis in velocity_ned.axes:
             new = new & jnp.isfinite(axis)
         change = (velocity_ned - self.velocity_ned) * (1.0 / jnp.maximum(self.since_fix, 1e-3))
 
         def chosen(now: Vec3, before: Vec3) -> Vec3:
-            """Return the new vector for vehicles with a new velocity, else the old one."""
+            """Return ``now`` for vehicles with a new velocity, else ``before``."""
             return Vec3(*(jnp.where(new, a, b) for a, b in zip(now.axes, before.axes, strict=True)))
 
         return replace(
@@ -58,7 +58,7 @@ class Turning:
         )
 
     def tilt_error(self, force_body: Vec3, gravity: Array) -> Vec3:
-        """Return the horizontal rotation vector in NED (n,) [rad] from measured to expected specific force."""
+        """Return the horizontal rotation (n,) NED [rad] that aligns measured with expected specific force."""
         felt = self.attitude.rotation().to_ned(force_body)
         down = self.acceleration_ned.z - gravity
         expected = replace(self.acceleration_ned, z=down)
@@ -69,18 +69,18 @@ class Turning:
         return Vec3(jnp.where(seen, error.x, 0.0), jnp.where(seen, error.y, 0.0), jnp.zeros_like(error.z))
 
     def compass_error(self, field_body: Vec3, declination: Array) -> Array:
-        """Return the rotation about down (n,) [rad] from the heading of a magnetic field to its declination."""
+        """Return the yaw correction (n,) [rad] by a magnetometer reading, at a magnetic declination [rad]."""
         field = self.attitude.rotation().to_ned(field_body)
         return wrap_angle(declination - arctan2(field.y, field.x))
 
     def course_error(self, velocity_ned: Vec3, least: Array) -> Array:
-        """Return course minus yaw (n,) [rad], wrapped; NaN below the speed ``least`` [m/s]."""
+        """Return course over ground minus yaw (n,) [rad], wrapped; NaN below a ground speed of ``least`` [m/s]."""
         fast = velocity_ned.x * velocity_ned.x + velocity_ned.y * velocity_ned.y > least * least
         course = arctan2(velocity_ned.y, velocity_ned.x)
         return jnp.where(fast, wrap_angle(course - self.attitude.euler().yaw), jnp.nan)
 
     def turned(self, rates_body: Vec3, correction: Vec3, learned: Vec3, dt: float) -> Turning:
-        """Return the state with attitude and gyroscope bias advanced by dt [s].
+        """Return the state with attitude and gyroscope bias advanced by dt [s], corrections applied.
 
         Args:
             rates_body: as measured now (n,) [rad/s]; with those of the last tick they are the mean of this one.

@@ -79,7 +79,7 @@ class Mission:
 
     @property
     def rises(self) -> Array:
-        """(L, n) bool: the leg goes straight up, as a take-off does."""
+        """(L, n) bool: the leg of the mission goes straight up, as a take-off does."""
         return self.direction.z < -0.9999
 
 
@@ -105,7 +105,7 @@ class MissionState:
 
 
 def _ramp(first: Array, last: Array, seconds: Array, time: Array) -> tuple[Array, Array, Array]:
-    """Return distance, speed and acceleration at a time of a ramp between two speeds, constant before and after it."""
+    """Return distance [m], speed and acceleration at ``time`` [s] of a ramp between two speeds, constant outside it."""
     whole = jnp.maximum(seconds, 1e-6)
     x = jnp.clip(time / whole, 0.0, 1.0)
     change = last - first
@@ -155,7 +155,7 @@ class MissionGuidance(Guidance):
     sees_ground: ClassVar[bool] = True
 
     def init(self, route: Mission) -> MissionState:
-        """Return the state at the start of each mission (n,)."""
+        """Return the state of vehicles (n,) at the start of their missions."""
         count, zero = jnp.zeros(route.count.shape, jnp.int32), jnp.zeros_like(route.enter[0])
         no = jnp.zeros(count.shape, bool)
         return MissionState(count, count, zero, zero, count, count, no, no, count, zero, no, Vec3(zero, zero, zero), no)
@@ -171,7 +171,7 @@ class MissionGuidance(Guidance):
         dt: float = 0.0,
         on_ground: Array | None = None,
     ) -> tuple[MissionState, PathSetpoint]:
-        """Return the new state and the set-point.
+        """Return the mission's state after a tick of dt [s], and the set-point (n,) on the path.
 
         Args:
             state, route, position_ned, others_ned: as of every guidance.
@@ -219,7 +219,7 @@ class MissionGuidance(Guidance):
         where: tuple[Array, Array],
         dt: float,
     ) -> Vec3:
-        """Return the offset of the flown path from the planned one, (n,) NED [m] (C22).
+        """Return the offset (n,) NED [m] of the flown path from the planned one, reduced over time (eq. C22).
 
         Args:
             before: the step before.
@@ -241,7 +241,7 @@ class MissionGuidance(Guidance):
         )
 
     def setpoint(self, state: MissionState, route: Mission) -> PathSetpoint:
-        """Return the set-point (n,) of the path at the present time."""
+        """Return the set-point (n,) of the path at the mission's present time."""
         leg = _leg_of(route, state.index)
         due = self._due(state, leg)[0]
         return PathSetpoint(
@@ -250,7 +250,7 @@ class MissionGuidance(Guidance):
         )  # fmt: skip
 
     def _due(self, state: MissionState, leg: Mission) -> tuple[PathSetpoint, Array]:
-        """Return the path's set-point (n,) at the present time, and the time (n,) [s] at which the leg ends."""
+        """Return the planned set-point (n,) at the leg's present time, and the time (n,) [s] at which the leg ends."""
         time = state.time
         rises, falls = leg.rise_s, leg.rise_s + leg.cruise_s
         turns = falls + leg.fall_s
@@ -282,23 +282,23 @@ class MissionGuidance(Guidance):
 
 
 def _seconds(ticks: Array, state: MissionState, dt: float) -> Array:
-    """Return ticks as time [s], in the dtype of the state."""
+    """Return tick counts as times [s], in the dtype of the state."""
     return ticks.astype(state.time.dtype) * dt
 
 
 def _slowed_setpoint(due: PathSetpoint, rate: Array, grounded: tuple[Array, Array], low: Array) -> PathSetpoint:
-    """Return the set-point (n,) with its motion slowed by the factor ``rate``, only vertical where ``low``."""
+    """Return the set-point (n,) with velocity scaled by ``rate`` 0 to 1; without horizontal motion where ``low``."""
     velocity, acceleration = due.velocity_ned * rate, due.acceleration_ned * (rate * rate)
 
     def upright(vector: Vec3) -> Vec3:
-        """Return a vector (n,) with its horizontal components set to 0 where ``low`` is true."""
+        """Return a vector (n,) with its horizontal components set to 0 where ``low`` is True."""
         return replace(vector, x=jnp.where(low, 0.0, vector.x), y=jnp.where(low, 0.0, vector.y))
 
     return PathSetpoint(due.position_ned, upright(velocity), upright(acceleration), due.yaw, *grounded)
 
 
 def _ahead(state: MissionState, leg: Mission, ends: Array, near: Array, by: Array) -> tuple[Array, Array]:
-    """Return the path time (n,) [s] ``by`` later, as sum and remainder; held at stops, and at corners until near."""
+    """Return the leg's time (n,) [s] ``by`` later, as (sum, remainder); held at stops, and at corners until near."""
     # At a waypoint without a stop the path waits in the middle of the corner until the vehicle is near.
     corner = jnp.where(near, jnp.inf, ends - 0.5 * leg.turn_s)
     most = jnp.where(leg.stops, jnp.where(leg.lands, jnp.inf, ends), corner)
@@ -307,7 +307,7 @@ def _ahead(state: MissionState, leg: Mission, ends: Array, near: Array, by: Arra
 
 
 def held(above: Array, sinking: Array) -> Array:
-    """Return (n,) bool: the vehicle is commanded to descend and does not, so it is on the ground.
+    """Return (n,) bool: the vehicle is commanded to descend but does not move, so it rests on the ground.
 
     Its motors then idle, so that the feet carry its weight.
 
@@ -321,14 +321,13 @@ def held(above: Array, sinking: Array) -> Array:
 
 
 def _progress(now: MissionState, route: Mission, leg: Mission, arrives: Array, ends: Array, dt: float) -> MissionState:
-    """Return the state (n,) with counters updated; vehicles done waiting at the end of a leg begin the next one.
+    """Return the state (n,) with counters updated; after the hold time at its end, the next leg begins.
 
     Args:
         now: state at the end of the step.
         route, leg: the mission, and the leg that was flown.
         arrives: (n,) bool: the vehicle has reached the end of the leg in this step.
         ends: time at which the path of the leg ends (n,) [s].
-        dt: step [s].
     """
     over = now.index + 1 >= route.count
     final = over & (route.following == now.index)
@@ -353,17 +352,18 @@ def _progress(now: MissionState, route: Mission, leg: Mission, arrives: Array, e
 
 
 def _leg_of(route: Mission, index: Array) -> Mission:
-    """Return the record of the leg that each vehicle (n,) flies, by index."""
+    """Return the leg that each vehicle (n,) flies, from legs (L, n), by its index."""
     own = jnp.arange(index.shape[0], dtype=jnp.int32)
 
     def pick(values: Array) -> Array:
+        """Return each vehicle's entry (n,) of values (L, n) for its present leg."""
         return values if values.ndim == 1 else jnp.asarray(values).at[index, own].get(mode="promise_in_bounds")
 
     return map_tree(pick, route)
 
 
 def _quintic(leg: Mission, time: Array, ramped: tuple[Array, Array, Array]) -> tuple[Array, ...]:
-    """Return distance, speed and acceleration of a quintic from rest to rest, where the leg is one, else ``ramped``."""
+    """Return distance, speed and acceleration of a rest-to-rest quintic at a time [s]; ``ramped`` for other legs."""
     assert leg.polynomial is not None
     seconds = jnp.maximum(leg.cruise_s, 1e-6)
     x = jnp.clip(time / seconds, 0.0, 1.0)
@@ -377,7 +377,7 @@ def _quintic(leg: Mission, time: Array, ramped: tuple[Array, Array, Array]) -> t
 
 
 def _round(leg: Mission, circle: Orbits, way: Array, speed: Array, along: Array, due: PathSetpoint) -> PathSetpoint:
-    """Return the set-point on the circle for vehicles on a circular leg, else ``due``."""
+    """Return the set-point on the circle at a distance ``way`` [m] along it for circular legs, else ``due``."""
     angle = wrap_angle(way * circle.curvature)
     sine, cosine = sincos(angle)
     north = circle.arm_north * cosine - circle.arm_east * sine

@@ -28,7 +28,7 @@ class NoController(Controller):
         """Return None: the controller has no state."""
 
     def step(self, state: None, estimate: Estimate, setpoint: NoSetpoint, dt: float) -> tuple[None, NoCommand]:
-        """Return None as state, and the command, which has no fields."""
+        """Return None as state, and the empty command of a vehicle that takes no commands."""
         return None, NoCommand()
 
 
@@ -39,5 +39,5 @@ class NoGuidance(RouteGuidance):
     gives: ClassVar[type] = NoSetpoint
 
     def setpoint(self, state: RouteState, route: Route) -> NoSetpoint:
-        """Return the set-point, which has no fields."""
+        """Return the empty set-point of a vehicle that takes no commands."""
         return NoSetpoint()

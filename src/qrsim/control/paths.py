@@ -108,17 +108,17 @@ class _Part:
 
     @property
     def straight(self) -> float:
-        """Length [m] between the turns."""
+        """Length [m] of the leg's straight part, between the turns at its ends."""
         return max(self.length - self.cut_before - self.cut_after, 0.0)
 
 
 def ramp_time(change: float, limits: Limits) -> float:
-    """Return the shortest time [s] for a change of speed [m/s] within the limits."""
+    """Return the shortest time [s] for a change of speed [m/s] within the limits of acceleration and jerk."""
     return max(1.5 * abs(change) / limits.acceleration, math.sqrt(6.0 * abs(change) / limits.jerk))
 
 
 def ramp_length(first: float, last: float, limits: Limits) -> float:
-    """Return the distance [m] flown in a ramp between two speeds [m/s]."""
+    """Return the distance [m] flown while the speed changes from ``first`` to ``last`` [m/s] within the limits."""
     return 0.5 * (first + last) * ramp_time(last - first, limits)
 
 
@@ -141,7 +141,7 @@ def circle_speed(radius: float, most: float, limits: Limits) -> float:
 
 
 def plan(start_ned: Sequence[float], legs: Sequence[Leg], limits: Limits, again: int | None = None) -> list[_Part]:
-    """Return the planned path of one vehicle, a part for each leg.
+    """Return the planned path of one vehicle, one planned leg for each given leg.
 
     Args:
         start_ned: where it begins (3,) [m].
@@ -160,7 +160,7 @@ def plan(start_ned: Sequence[float], legs: Sequence[Leg], limits: Limits, again:
 
 
 def _lines(start_ned: Sequence[float], legs: Sequence[Leg], limits: Limits) -> list[_Part]:
-    """Return a part for each leg, with direction, length [m] and largest speed [m/s]."""
+    """Return the legs as straight lines or circles, with direction, length [m] and largest speed [m/s]."""
     place, parts = np.asarray(start_ned, np.float64), []
     for leg in legs:
         goal = np.asarray(leg.position_ned, np.float64)
@@ -183,7 +183,7 @@ def _lines(start_ned: Sequence[float], legs: Sequence[Leg], limits: Limits) -> l
 
 
 def _cut_corners(parts: list[_Part], following: list[int | None], limits: Limits) -> None:
-    """Set, in place, the turns between legs that are flown through without a stop."""
+    """Set, in place, the turn between each leg and ``following`` where the path does not stop."""
     for part, number in zip(parts, following, strict=True):
         if number is None or not _flown_through(part, parts[number]):
             continue
@@ -197,13 +197,13 @@ def _cut_corners(parts: list[_Part], following: list[int | None], limits: Limits
 
 
 def _flown_through(part: _Part, after: _Part) -> bool:
-    """Return whether the path goes from one line to the next without a stop."""
+    """Return whether the path passes from one straight line to the next without a stop."""
     lines = part.leg.kind == after.leg.kind == "line" and min(part.length, after.length) > SHORTEST
     return lines and not part.leg.stop and part.leg.hold == 0.0
 
 
 def _slow_down(parts: list[_Part], following: list[int | None], limits: Limits) -> None:
-    """Lower, in place, the speeds at corners until every leg is long enough for its change of speed."""
+    """Lower, in place, the speeds at turns until every leg is long enough for its change of speed."""
     rest = _Part(parts[0].leg, parts[0].begin)
     nexts = [
         parts[number] if number is not None and part.cut_after else rest
@@ -224,7 +224,7 @@ def _slow_down(parts: list[_Part], following: list[int | None], limits: Limits) 
 
 
 def _within(low: float, length: float, limits: Limits) -> Callable[[float], bool]:
-    """Return a function that tells whether the ramp from ``low`` to a speed [m/s] is at most ``length`` [m] long."""
+    """Return a function: whether the ramp from ``low`` to a speed [m/s] is at most ``length`` [m] long."""
     return lambda speed: ramp_length(low, speed, limits) <= length
 
 
@@ -237,12 +237,12 @@ def _highest(low: float, high: float, fits: Callable[[float], bool]) -> float:
 
 
 def _ramps(part: _Part, peak: float, limits: Limits) -> list[float]:
-    """Return the distances [m] of a leg's ramps, from its entry speed to ``peak`` [m/s] and on to its exit speed."""
+    """Return the lengths [m] of a leg's two ramps: entry speed to ``peak`` [m/s], and ``peak`` to exit speed."""
     return [ramp_length(part.enter, peak, limits), ramp_length(peak, part.leave, limits)]
 
 
 def _in_time(part: _Part, limits: Limits) -> None:
-    """Set, in place, the durations of a leg's parts (ramps and cruise)."""
+    """Set, in place, the durations [s] of a leg's ramps, cruise and turn."""
     if part.leg.kind == "land":
         _descend(part, limits)
         return
@@ -269,7 +269,7 @@ def _in_time(part: _Part, limits: Limits) -> None:
 
 
 def _descend(part: _Part, limits: Limits) -> None:
-    """Set, in place, the plan of a landing: fast, then slow, continued below the ground until contact."""
+    """Set, in place, a landing's speeds and durations: fast, then slow, and on below the ground until contact."""
     part.direction = part.onward = np.array([0.0, 0.0, 1.0])
     part.leave = limits.touchdown
     high = part.length - limits.slow_below
@@ -280,7 +280,7 @@ def _descend(part: _Part, limits: Limits) -> None:
 
 
 def flown_seconds(part: _Part) -> float:
-    """Return the planned duration of a leg [s]."""
+    """Return the planned duration [s] of a leg, without its hold time."""
     line = part.rise + part.cruise + part.fall + part.turn
     if part.leg.kind != "land":
         return line
@@ -289,7 +289,7 @@ def flown_seconds(part: _Part) -> float:
 
 
 def mission_of(plans: Sequence[Sequence[_Part]], again: Sequence[int | None], limits: Limits) -> Mission:
-    """Return the missions of all vehicles as one record, padded to the longest.
+    """Return the planned paths of all vehicles as one ``Mission``, padded to the longest.
 
     Args:
         plans: of each vehicle, as ``plan`` returns them.
@@ -300,11 +300,11 @@ def mission_of(plans: Sequence[Sequence[_Part]], again: Sequence[int | None], li
     rows = [[*parts, *[parts[-1]] * (longest - len(parts))] for parts in plans]
 
     def table(pick: Any, dtype: Any = np.float64) -> Any:
-        """Return ``pick`` of every part of each vehicle's mission, an array (parts, n)."""
+        """Return ``pick(leg)`` for each leg of each vehicle, as an array (L, n)."""
         return np.ascontiguousarray(np.array([[pick(part) for part in row] for row in rows], dtype).T)
 
     def vector(pick: Any) -> Vec3:
-        """Return the vector ``pick`` of every part, arrays (parts, n)."""
+        """Return the vector ``pick(leg)`` for each leg of each vehicle, of arrays (L, n)."""
         return Vec3(*(table(lambda part, axis=axis: pick(part)[axis]) for axis in range(3)))
 
     flat = [part.leg for row in rows for part in row]
@@ -338,7 +338,7 @@ def mission_of(plans: Sequence[Sequence[_Part]], again: Sequence[int | None], li
 
 
 def _headings(rows: list[list[_Part]]) -> NumpyArray:
-    """Return the heading (L, n) [rad] of each leg: the given one, else its direction, else that of the leg before."""
+    """Return the heading (L, n) [rad] of each leg: the given one, else its direction, else the previous leg's."""
     columns = []
     for row in rows:
         ways = [math.atan2(p.direction[1], p.direction[0]) if _is_level(p) else None for p in row]
@@ -352,23 +352,23 @@ def _headings(rows: list[list[_Part]]) -> NumpyArray:
 
 
 def _is_level(part: _Part) -> bool:
-    """Return whether a leg moves horizontally."""
+    """Return whether a leg is a line that moves horizontally."""
     return part.leg.kind == "line" and math.hypot(part.direction[0], part.direction[1]) * part.length > SHORTEST
 
 
 def _circles(table: Any) -> Orbits:
-    """Return the circles of all vehicles as arrays, zeros for straight lines."""
+    """Return the circular legs of all vehicles as arrays (L, n), zeros for straight legs."""
 
     def is_circle(part: _Part) -> bool:
-        """Return whether a leg is a circle."""
+        """Return whether a leg is flown as a circle."""
         return part.leg.kind == "circle"
 
     def arm(part: _Part, axis: int) -> float:
-        """Return the offset [m] along an axis from a circle's centre to its start; 0 for a line."""
+        """Return the offset [m] along an axis (0 north, 1 east) from a circle's centre to its start; 0 for a line."""
         return float(part.begin[axis] - part.leg.centre_ned[axis]) if is_circle(part) else 0.0
 
     def curvature(part: _Part) -> float:
-        """Return one over the radius [1/m], positive clockwise; 0 for a line."""
+        """Return a leg's curvature [1/m], positive clockwise; 0 for a line."""
         return math.copysign(1.0, part.leg.angle) / math.hypot(arm(part, 0), arm(part, 1)) if is_circle(part) else 0.0
 
     return Orbits(
@@ -381,7 +381,7 @@ def _circles(table: Any) -> Orbits:
 
 
 def _facing(table: Any) -> Facing:
-    """Return the points that vehicles face on each leg, as arrays."""
+    """Return, as arrays (L, n), the points at which vehicles keep their heading on each leg."""
     return Facing(
         faced=table(lambda part: part.leg.facing_ned is not None, bool),
         north=table(lambda part: (part.leg.facing_ned or (0.0, 0.0))[0]),
@@ -390,5 +390,5 @@ def _facing(table: Any) -> Facing:
 
 
 def renumbered(legs: Sequence[Leg], number: int) -> list[Leg]:
-    """Return the consecutive legs that make up one planned leg, all with ``number``; the last has ``last`` set."""
+    """Return legs with ``number`` set on each and ``last`` on the final one: the parts of one mission item."""
     return [replace(leg, number=number, last=i == len(legs) - 1) for i, leg in enumerate(legs)]

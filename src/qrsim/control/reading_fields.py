@@ -14,16 +14,16 @@ FIELD, AIRSPEED = "field_body", "true_airspeed"
 
 
 def source_of(readings: Mapping[str, Any], field: str) -> str:
-    """Return the name of the first sensor with a field in its reading; "" without."""
+    """Return the name of the first sensor with ``field`` in its reading; "" without one."""
     return next((name for name, reading in readings.items() if field in reading.__dataclass_fields__), "")
 
 
 def field_of(readings: Mapping[str, object], field: str) -> Any:
-    """Return a field from the first reading that has it; None if no reading does."""
+    """Return the value of ``field`` in the first reading that has it; None if no reading does."""
     name = source_of(readings, field)
     return getattr(readings[name], field) if name else None
 
 
 def known(new: object, old: object) -> Any:
-    """Return the tree ``new`` of arrays (n,), with non-finite values replaced by those of ``old``."""
+    """Return the record ``new`` of arrays (n,), with non-finite values replaced by those of ``old``."""
     return map_tree(lambda now, before: jnp.where(jnp.isfinite(now), now, before), new, old)

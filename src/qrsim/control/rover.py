@@ -66,7 +66,7 @@ class RoverController(Controller):
     gives: ClassVar[type] = DriveCommand
 
     def fitted(self, vehicle: object) -> RoverController:
-        """Return the controller with a nominal vehicle, which decides the type of its commands.
+        """Return the controller fitted to a nominal vehicle, which decides the type of its commands.
 
         Raises:
             UsageError: the vehicle has no wheels.
@@ -79,12 +79,12 @@ class RoverController(Controller):
         return replace(self, nominal=vehicle)
 
     def init(self, estimate: Estimate) -> RoverControllerState:
-        """Return the initial state of the controller."""
+        """Return the controller's initial state for vehicles (n,); the estimate only gives the shape."""
         zero = jnp.zeros_like(estimate.position_ned.z)
         return RoverControllerState(zero, jnp.zeros(zero.shape, bool))
 
     def shown(self, setpoint: Any) -> TrackSetpoint:
-        """Return a set-point as stored in a world's state: a line, NaN for a mere velocity."""
+        """Return a set-point as a ``TrackSetpoint``, which a world's state keeps; a velocity has NaN positions."""
         if isinstance(setpoint, TrackSetpoint):
             return setpoint
         zero = jnp.zeros_like(setpoint.yaw)
@@ -100,7 +100,7 @@ class RoverController(Controller):
     def step(
         self, state: RoverControllerState, estimate: Estimate, setpoint: object, dt: float
     ) -> tuple[RoverControllerState, DriveCommand]:
-        """Return the new state and the vehicle's own command (n,)."""
+        """Return the state after a tick of dt [s], and the drive command (n,) that follows the set-point."""
         if self.nominal is None:
             raise UsageError("this controller knows no vehicle; fit it first: controller.fitted(vehicle)")
         speed = rotation(estimate.attitude).to_body(estimate.velocity_ned).x
@@ -121,7 +121,7 @@ class RoverController(Controller):
     def _along(
         self, state: RoverControllerState, estimate: Estimate, track: TrackSetpoint, speed: Array
     ) -> tuple[Array, Array, Array]:
-        """Return speed [m/s], curvature [1/m] and (n,) bool: at rest, for a line or circle (D7, D8)."""
+        """Return (speed [m/s], curvature [1/m], bool: at rest), each (n,), to follow a line or circle (eqs. D7, D8)."""
         ahead = jnp.maximum(self.lookahead_min, self.lookahead * jnp.abs(speed))
         aim = jnp.where(
             track.radius == 0.0, _aim_on_line(estimate, track, ahead), _aim_on_circle(estimate, track, ahead)
@@ -153,7 +153,7 @@ class RoverController(Controller):
     def _towards(
         self, estimate: Estimate, setpoint: VelocitySetpoint | PathSetpoint, speed: Array
     ) -> tuple[Array, Array]:
-        """Return speed [m/s] and curvature [1/m] (n,) for a velocity or a moving point (D9)."""
+        """Return the speed [m/s] and curvature [1/m] (n,) to follow a velocity or a moving point (eq. D9)."""
         north, east = setpoint.velocity_ned.x, setpoint.velocity_ned.y
         idle: Array | None = None
         if isinstance(setpoint, PathSetpoint):
@@ -171,12 +171,12 @@ class RoverController(Controller):
 
 
 def _level(velocity: Vec3) -> Array:
-    """Return the horizontal speed [m/s]."""
+    """Return the horizontal speed [m/s] of a velocity NED."""
     return root(velocity.x * velocity.x + velocity.y * velocity.y)
 
 
 def _aim_on_line(estimate: Estimate, track: TrackSetpoint, ahead: Array) -> Array:
-    """Return the bearing (n,) [rad] of the point of a line at a distance (n,) [m], at most its end."""
+    """Return the bearing (n,) [rad] of the look-ahead point on a line, ``ahead`` (n,) [m] away, at most its end."""
     begin, end = track.begin_ned, track.position_ned
     to_end = -estimate.offset_from(end)
     way_north, way_east = end.x - begin.x, end.y - begin.y
@@ -196,7 +196,7 @@ def _aim_on_line(estimate: Estimate, track: TrackSetpoint, ahead: Array) -> Arra
 
 
 def _aim_on_circle(estimate: Estimate, track: TrackSetpoint, ahead: Array) -> Array:
-    """Return the bearing (n,) [rad] of the point of a circle that is a distance (n,) [m] further along."""
+    """Return the bearing (n,) [rad] of the look-ahead point on a circle, ``ahead`` (n,) [m] further along."""
     out = estimate.offset_from(track.position_ned)
     radius = jnp.maximum(jnp.abs(track.radius), 1e-3)
     where = arctan2(out.y, jnp.where((out.x == 0.0) & (out.y == 0.0), 1.0, out.x))

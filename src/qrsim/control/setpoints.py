@@ -14,19 +14,19 @@ from qrsim.core.vectors import Euler, Vec3
 
 
 def library(*values: object) -> Any:
-    """Return jax.numpy if any value is a JAX array, else NumPy."""
+    """Return the module jax.numpy if any value is a JAX array, else NumPy."""
     return jnp if any(isinstance(value, Array) for value in values) else np
 
 
 def number(values: object) -> Any:
-    """Return values as an array of floats; a floating dtype is kept."""
+    """Return values as an array of floats, of the library and floating dtype of ``values``."""
     lib = library(values)
     array = lib.asarray(values)
     return array if lib.issubdtype(array.dtype, lib.floating) else array.astype(float)
 
 
 def axes(array: Any, count: int = 3) -> Any:
-    """Return an array (..., count) split along its last axis: a Vec3 for three axes, else a tuple; raise ValueError."""
+    """Return an array (..., count) split along its last axis, as a Vec3 for 3, else a tuple; raise ValueError."""
     array = number(array)
     if array.ndim == 0 or array.shape[-1] != count:
         raise ValueError(f"expected an array (..., {count}), found shape {array.shape}")
@@ -35,7 +35,7 @@ def axes(array: Any, count: int = 3) -> Any:
 
 
 def like(array: Any, value: Any) -> Any:
-    """Return a value broadcast to the shape (n,) and dtype of an array."""
+    """Return a value broadcast to an array's shape and converted to its dtype."""
     lib = library(array, value)
     return lib.broadcast_to(lib.asarray(value, array.dtype), array.shape)
 
@@ -55,13 +55,13 @@ class Estimate:
     )
 
     def offset_from(self, place_ned: Vec3) -> Vec3:
-        """Return the position minus a point (n,) [m], in a way that keeps small differences exact."""
+        """Return the position minus ``place_ned`` (n,) [m], exact for small differences of large coordinates."""
         offset = self.position_ned - place_ned
         return offset if self.position_low_ned is None else offset + self.position_low_ned
 
     @staticmethod
     def of(position_ned: object, velocity_ned: object, attitude: object) -> Estimate:
-        """Return the estimate of arrays (n, 3) each: [m], [m/s] and roll, pitch, yaw [rad]; NumPy or JAX."""
+        """Return an estimate from arrays (n, 3), NumPy or JAX: position [m], velocity [m/s], roll, pitch, yaw [rad]."""
         angles = axes(attitude)
         return Estimate(axes(position_ned), axes(velocity_ned), Euler(angles.x, angles.y, angles.z))
 
@@ -75,7 +75,7 @@ class WaypointSetpoint:
 
     @staticmethod
     def of(position_ned: object, yaw_rad: object = 0.0) -> WaypointSetpoint:
-        """Return the set-point of positions (n, 3) [m] and headings (n,) or one [rad]; NumPy or JAX."""
+        """Return a set-point from positions (n, 3) [m] and headings (n,), or one for all, [rad]; NumPy or JAX."""
         position = axes(position_ned)
         return WaypointSetpoint(position, like(position.x, yaw_rad))
 
@@ -104,11 +104,11 @@ class PathSetpoint:
         acceleration_ned: object = (0.0, 0.0, 0.0),
         yaw_rad: object = 0.0,
     ) -> PathSetpoint:
-        """Return the set-point of (n, 3) arrays [m], [m/s], [m/s^2], or one row for all, and headings [rad]."""
+        """Return a set-point from arrays (n, 3), or (3,) for all, [m], [m/s], [m/s^2], and headings [rad]."""
         position = axes(position_ned)
 
         def each(values: object) -> Vec3:
-            """Return a vector for each vehicle, of the type of the position."""
+            """Return rows (n, 3), or one row (3,) for all, as a vector of arrays (n,)."""
             wanted: Vec3 = axes(values)
             return wanted.map(lambda axis: like(position.x, axis))
 
@@ -131,13 +131,13 @@ class TrackSetpoint:
 
     @staticmethod
     def line(begin_ned: object, end_ned: object, speed: object = 0.0, stops: object = 0.0) -> TrackSetpoint:
-        """Return lines between positions (n, 3) [m] at speeds (n,) or one [m/s]; NumPy or JAX."""
+        """Return a set-point of lines between positions (n, 3) [m] at speeds [m/s]; ``stops`` 1: stop; NumPy or JAX."""
         begin, end = axes(begin_ned), axes(end_ned)
         return TrackSetpoint(begin, end, like(end.x, 0.0), like(end.x, speed), like(end.x, stops))
 
     @staticmethod
     def orbit(centre_ned: object, radius: object, speed: object = 0.0) -> TrackSetpoint:
-        """Return circles about centres (n, 3) [m] with radii (n,) or one [m], clockwise positive; NumPy or JAX."""
+        """Return a set-point of circles: centres (n, 3) [m], radii, clockwise positive, speeds [m/s]; NumPy or JAX."""
         centre = axes(centre_ned)
         return TrackSetpoint(centre, centre, like(centre.x, radius), like(centre.x, speed), like(centre.x, 0.0))
 
@@ -151,7 +151,7 @@ class VelocitySetpoint:
 
     @staticmethod
     def of(velocity_ned: object, yaw_rad: object = 0.0) -> VelocitySetpoint:
-        """Return the set-point of velocities (n, 3) [m/s] and headings (n,) or one [rad]; NumPy or JAX."""
+        """Return a set-point from velocities (n, 3) [m/s] and headings (n,), or one for all, [rad]; NumPy or JAX."""
         velocity = axes(velocity_ned)
         return VelocitySetpoint(velocity, like(velocity.x, yaw_rad))
 
@@ -167,7 +167,7 @@ class VelocityHeightSetpoint:
 
     @staticmethod
     def of(velocity_north_east: object, z: object, yaw_rad: object = 0.0) -> VelocityHeightSetpoint:
-        """Return the set-point of velocities (n, 2) [m/s], and positions down [m] and headings [rad], (n,) or one."""
+        """Return a set-point from north and east velocities (n, 2) [m/s], down [m] and heading [rad], (n,) or one."""
         north, east = axes(velocity_north_east, 2)
         return VelocityHeightSetpoint(north, east, like(north, z), like(north, yaw_rad))
 
@@ -186,7 +186,7 @@ class AttitudeHeightSetpoint:
 
     @staticmethod
     def of(roll_rad: object, pitch_rad: object, z: object, yaw_rad: object = 0.0) -> AttitudeHeightSetpoint:
-        """Return the set-point of roll (n,) [rad], and pitch, heading [rad] and position down [m], (n,) or one."""
+        """Return a set-point from roll (n,) [rad], pitch [rad], down coordinate [m], heading [rad], (n,) or one."""
         roll = number(roll_rad)
         return AttitudeHeightSetpoint(roll, like(roll, pitch_rad), like(roll, z), like(roll, yaw_rad))
 
@@ -202,7 +202,7 @@ class AttitudeSetpoint:
 
     @staticmethod
     def of(roll_rad: object, pitch_rad: object, yaw_rad: object, throttle: object) -> AttitudeSetpoint:
-        """Return the set-point of roll (n,) [rad], and pitch, heading [rad] and thrust [0, 1], (n,) or one."""
+        """Return a set-point from roll (n,) [rad], pitch [rad], heading [rad] and thrust [0, 1], each (n,) or one."""
         roll = number(roll_rad)
         return AttitudeSetpoint(roll, like(roll, pitch_rad), like(roll, yaw_rad), like(roll, throttle))
 
@@ -221,7 +221,7 @@ class OffboardSetpoint:
 
     @staticmethod
     def of(setpoint: Setpoint) -> OffboardSetpoint:
-        """Return any set-point as a record with the fields of every kind, NaN in unused ones."""
+        """Return a set-point of any kind as one record with the fields of all kinds, NaN in unused ones."""
         none = jnp.full_like(setpoint.yaw, math.nan)
         nowhere = Vec3(none, none, none)
         given = vars(setpoint)

@@ -17,7 +17,7 @@ from qrsim.core.vectors import Vec3, root
 
 
 def waypoint_at(route: Route, index: Array) -> Vec3:
-    """Return the waypoint (n,) [m] of each vehicle."""
+    """Return each vehicle's waypoint (n,) [m] NED with number ``index`` (n,) of its route."""
     # A sum over a one-hot mask, because gathers are slow on a CPU and routes are short.
     rows = jnp.arange(route.yaw.shape[0], dtype=jnp.int32)[:, None]
     chosen = rows == index[None, :]
@@ -25,13 +25,13 @@ def waypoint_at(route: Route, index: Array) -> Vec3:
 
 
 def line_of(state: RouteState, route: Route) -> tuple[Vec3, Vec3]:
-    """Return begin and end (n,) [m] of each vehicle's present line, the waypoints before and after it."""
+    """Return begin and end (n,) [m] of each vehicle's present line, its previous and its present waypoint."""
     before = jnp.where(state.index > 0, state.index - 1, jnp.where(state.reached > 0, route.count - 1, 0))
     return waypoint_at(route, before), waypoint_at(route, state.index)
 
 
 def left_of(begin: Vec3, end: Vec3, position_ned: Vec3) -> tuple[Array, Array]:
-    """Return the horizontal distance (n,) [m] to the end of lines, and its part along the line, 0 without a line."""
+    """Return the horizontal distance (n,) [m] to a line's end, and its part along the line, 0 without a line."""
     north, east = end.x - position_ned.x, end.y - position_ned.y
     way_north, way_east = end.x - begin.x, end.y - begin.y
     length = root(way_north * way_north + way_east * way_east)
@@ -42,7 +42,7 @@ def left_of(begin: Vec3, end: Vec3, position_ned: Vec3) -> tuple[Array, Array]:
 def advanced(
     state: RouteState, route: Route, position_ned: Vec3, reach: Array, passed: Array | bool, repeat: bool
 ) -> RouteState:
-    """Return the state advanced past waypoints within ``reach`` (n,) [m], or passed along the line if ``passed``."""
+    """Return the state moved on past waypoints nearer than ``reach`` (n,) [m], or, where ``passed``, flown past."""
     begin, end = line_of(state, route)
     distance, along = left_of(begin, end, position_ned)
     has_line = (begin.x != end.x) | (begin.y != end.y)
@@ -70,12 +70,12 @@ class RoverGuidance(RouteGuidance):
     def step(
         self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
     ) -> tuple[RouteState, TrackSetpoint]:
-        """Return the new state and the set-point for vehicles with estimated positions position_ned (n,)."""
+        """Return the state, moved on where a waypoint is reached, and the present line (n,) as set-point."""
         moved = advanced(state, route, position_ned, self.acceptance_radius, True, self.repeat)
         return moved, self.setpoint(moved, route)
 
     def setpoint(self, state: RouteState, route: Route) -> TrackSetpoint:
-        """Return the line that each vehicle (n,) is on."""
+        """Return the line from the previous to the present waypoint of each vehicle (n,) as set-point."""
         begin, end = line_of(state, route)
         stops = ends_at(state, route, self.repeat)
         zero = jnp.zeros_like(end.x)
@@ -107,14 +107,14 @@ class FixedWingGuidance(RouteGuidance):
     def step(
         self, state: RouteState, route: Route, position_ned: Vec3, others_ned: Vec3 | None = None
     ) -> tuple[RouteState, TrackSetpoint]:
-        """Return the new state and the set-point for vehicles with estimated positions position_ned (n,)."""
+        """Return the state, moved on where a waypoint is reached, and the present line or circle (n,) as set-point."""
         circles = ends_at(state, route, self.repeat)
         reach = self.acceptance_radius + jnp.where(circles, jnp.abs(self.radius), 0.0)
         moved = advanced(state, route, position_ned, reach, ~circles, self.repeat)
         return moved, self.setpoint(moved, route)
 
     def setpoint(self, state: RouteState, route: Route) -> TrackSetpoint:
-        """Return the line or circle that each vehicle (n,) is on."""
+        """Return each vehicle's line to its present waypoint, or circle around the route's last, (n,) as set-point."""
         begin, end = line_of(state, route)
         zero = jnp.zeros_like(end.x)
         radius = jnp.where(ends_at(state, route, self.repeat), self.radius, 0.0)

@@ -16,7 +16,7 @@ _SERIES_BELOW = 0.1
 def overlapping_allan_deviation(
     values: npt.ArrayLike, sample_period: float, lengths: npt.ArrayLike | None = None
 ) -> tuple[Float64, Float64]:
-    """Return the overlapping Allan deviation (K, ...) in the unit of the values, and the windows (K,) [s].
+    """Return the overlapping Allan deviation (K, ...) of sampled values, in their unit, and the windows (K,) [s].
 
     The root of half the mean squared difference of the averages over two neighbouring windows, over all pairs of
     windows that fit into the record (IEEE Std 1139-2008, annex B, with the values as frequency).

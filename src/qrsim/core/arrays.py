@@ -15,7 +15,7 @@ DType = np.dtype[Any]
 
 
 def is_number(value: Any) -> bool:
-    """Return whether a value is a real number below 1e300 in size, Python's or NumPy's; False for a bool."""
+    """Return whether a value is a real number (Python's or NumPy's) of magnitude below 1e300; False for a bool."""
     if not isinstance(value, Real) or isinstance(value, bool):
         return False
     size: Any = abs(value.item() if isinstance(value, np.generic) else value)

@@ -13,7 +13,7 @@ from qrsim.errors import UsageError
 
 
 def split_time(tick: Array, time_step: float, dtype: DTypeLike) -> tuple[Array, Array]:
-    """Return the time of a tick as (whole seconds int32, fraction in [0, 1) of ``dtype``), without rounding drift.
+    """Return the time of a tick as whole seconds (int32) and a fraction in [0, 1) of ``dtype``, without rounding drift.
 
     Args:
         tick: () int32 or uint32, at least 0.

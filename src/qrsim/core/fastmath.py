@@ -26,12 +26,12 @@ Rounding = Callable[[Array], Array]
 
 
 def freely(product: Array) -> Array:
-    """Return a product as given; the compiler may fuse it with a following addition."""
+    """Return the argument unchanged: the default of ``rounding``, with which the compiler may fuse product and sum."""
     return product
 
 
 def rounded(product: Array) -> Array:
-    """Return a product that the compiler must round before a following addition; of magnitude below 1e30.
+    """Return a product that the compiler must round before adding to it (no fused multiply-add); magnitude below 1e30.
 
     XLA contracts a * b + c to one rounding where it happens to see both operations together, so the last bit of a
     result depends on the program around it. An operation between the two, which the compiler cannot know to be
@@ -46,7 +46,7 @@ rounded_p = primitive_of("rounded", lambda product: jnp.minimum(product, 1e30), 
 
 
 def _polynomial(x: Array, coefficients: tuple[float, ...], rounding: Rounding = freely) -> Array:
-    """Return the value of a polynomial at x by Horner's rule, highest power first in ``coefficients``."""
+    """Return the polynomial at x with ``coefficients``, the highest power first (Horner's rule)."""
     result = jnp.full_like(x, coefficients[0])
     for coefficient in coefficients[1:]:
         result = rounding(result * x) + coefficient
@@ -54,7 +54,7 @@ def _polynomial(x: Array, coefficients: tuple[float, ...], rounding: Rounding = 
 
 
 def sincos_ratio(x: Array, rounding: Rounding = freely) -> tuple[Array, Array, Array]:
-    """Return (a, b, c) with sin x = a/c and cos x = b/c, any shape, x in rad; ``rounding``: see ``rounded``.
+    """Return (a, b, c) with sin x = a/c and cos x = b/c for angles [rad] of any shape; ``rounding``: see ``rounded``.
 
     From the tangent t of half the reduced angle: 2t/(1 + t^2) and (1 - t^2)/(1 + t^2). The division is left for
     last on purpose: XLA on a CPU computes a result that ends in a division once, and repeats one that ends in
@@ -101,7 +101,7 @@ def _reduced(x: Array, rounding: Rounding) -> tuple[Array, Array, Array, Array]:
 
 
 def _sincos(x: Array) -> tuple[Array, Array]:
-    """Return sine and cosine of angles [rad]."""
+    """Return sine and cosine of angles [rad] of any shape; the function that ``sincos`` compiles."""
     sine, cosine, scale = sincos_ratio(x)
     return sine / scale, cosine / scale
 
@@ -110,7 +110,7 @@ _SINCOS = Kernel("sincos", ("float32",), ("float32",) * 2, _sincos)
 
 
 def sincos(x: Array) -> tuple[Array, Array]:
-    """Return (sin x, cos x), any shape, x in rad; float32 error below 2e-7 for |x| < 1e4."""
+    """Return sine and cosine of angles [rad] of any shape; float32 error below 2e-7 for |x| < 1e4."""
     if x.dtype != jnp.float32:
         return jnp.sin(x), jnp.cos(x)
     sine, cosine = _SINCOS(x)
@@ -131,7 +131,7 @@ def sincos_turns(turns: Array) -> tuple[Array, Array]:
 
 
 def _sincos_turns(turns: Array) -> tuple[Array, Array, Array]:
-    """Return (a, b, cosine) with sine = a b; the caller multiplies, so that a sum may fuse the product."""
+    """Return (a, b, cos) of 2 pi turns with sin = a b, a product left to the caller, so that a sum may fuse it."""
     part = turns - jnp.round(turns)
     z = part * part
     # Fits of sin(pi p)/p and cos(pi p) in z = p^2 on [0, 1/4], errors of sine and cosine below 4e-9 and 5e-8.
@@ -145,7 +145,7 @@ _SINCOS_TURNS = Kernel("sincos_turns", ("float32",), ("float32",) * 3, _sincos_t
 
 
 def log_f32(x: Array, rounding: Rounding = freely) -> Array:
-    """Return the natural logarithm of positive, normal x in single precision; ``rounding``: see ``rounded``."""
+    """Return the natural logarithm of positive, normal float32 numbers; ``rounding``: see ``rounded``."""
     bits = lax.bitcast_convert_type(x, jnp.int32)
     # Split so that the mantissa lies in [sqrt(1/2), sqrt(2)), where the polynomial is centred.
     exponent = (bits - 0x3F3504F3) >> 23
@@ -178,7 +178,7 @@ _LOG = Kernel(
 
 
 def log(x: Array) -> Array:
-    """Return the natural logarithm of positive, normal x of any shape."""
+    """Return the natural logarithm of positive, normal numbers of any shape and floating dtype."""
     return _LOG(x)[0] if x.dtype == jnp.float32 else jnp.log(x)
 
 
@@ -204,7 +204,7 @@ _EXP = Kernel("exp", ("float32",), ("float32",) * 2, _exp)
 
 
 def exp(x: Array) -> Array:
-    """Return e**x, any shape; in float32 the argument is limited to [-87, 88], the range of normal results."""
+    """Return e**x of any shape; in float32 the argument is clipped to [-87, 88], so that results are normal."""
     if x.dtype != jnp.float32:
         return jnp.exp(x)
     mantissa, scale = _EXP(x)
@@ -212,7 +212,7 @@ def exp(x: Array) -> Array:
 
 
 def _reciprocal_root(x: Array) -> tuple[Array]:
-    """Return a tuple of 1/sqrt(x) for float32 x above 0, error below 8e-7."""
+    """Return (1/sqrt(x),) for float32 x above 0, relative error below 8e-7; a tuple, as ``Kernel`` requires."""
     guess = lax.bitcast_convert_type(0x5F375A86 - (lax.bitcast_convert_type(x, jnp.int32) >> 1), jnp.float32)
     # With 1 - d = x guess^2, |d| < 0.07: one over the root of 1 - d, error below 8e-7.
     d = 1.0 - (x * guess) * guess
@@ -229,7 +229,7 @@ _RECIPROCAL_ROOT = Kernel(
 
 
 def reciprocal_root(x: Array) -> Array:
-    """Return 1/sqrt(x) of positive, normal x of any shape; float32 relative error below 1e-6.
+    """Return 1/sqrt(x) of positive, normal numbers of any shape; float32 relative error below 1e-6.
 
     A guess by halving the exponent, within 3.5 %, times a fit of one over the root of what is left; far cheaper than a
     root and a division.
@@ -238,12 +238,12 @@ def reciprocal_root(x: Array) -> Array:
 
 
 def power(x: Array, exponent: float) -> Array:
-    """Return x**exponent for positive x of any shape."""
+    """Return x**exponent for positive numbers of any shape, as exp(exponent log x)."""
     return exp(exponent * log(x))
 
 
 def _arctan2(y: Array, x: Array) -> tuple[Array]:
-    """Return a tuple of the angle [rad] of float32 vectors, in (-pi, pi]."""
+    """Return a tuple of one array: the angles [rad] of float32 vectors (x, y), in (-pi, pi]."""
     over, beside = jnp.abs(y), jnp.abs(x)
     steep = over > beside
     t = jnp.minimum(over, beside) / jnp.maximum(jnp.maximum(over, beside), 1e-37)
@@ -267,5 +267,5 @@ def arctan2(y: Array, x: Array) -> Array:
 
 
 def wrap_angle(x: Array) -> Array:
-    """Return an angle x [rad], any shape, wrapped to [-pi, pi]."""
+    """Return angles [rad] of any shape wrapped to [-pi, pi]."""
     return x - 2.0 * math.pi * jnp.round(x * (0.5 / math.pi))

@@ -34,12 +34,12 @@ _MOST_TURNS = 100
 
 
 def library_of(*values: object) -> ModuleType:
-    """Return NumPy if all values are NumPy arrays, else jax.numpy, which traced values need."""
+    """Return the module numpy if all values are NumPy arrays, else jax.numpy, which traced values need."""
     return np if all(isinstance(value, np.ndarray) for value in values) else jnp
 
 
 def on_host(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return ``function`` computed with NumPy: a function of trees of arrays that returns a tree of NumPy arrays.
+    """Return a JAX function in a form that NumPy computes: it takes and returns trees of arrays, NumPy's on return.
 
     Args:
         function: depends on its arguments alone. It is traced once for each structure, shape and type of them.
@@ -48,7 +48,7 @@ def on_host(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def call(*trees: object) -> Any:
-        """Return the function's result, computed with NumPy; it is traced at the first call for these shapes."""
+        """Return the function's result, computed by NumPy; it is traced at the first call for these shapes."""
         leaves, structure = jax.tree.flatten(trees)
         arrays = [np.asarray(leaf, jax.dtypes.canonicalize_dtype(np.asarray(leaf).dtype)) for leaf in leaves]
         # Text and types are part of the key: JAX treats structures as equal if only the types of their records differ.
@@ -66,20 +66,20 @@ def on_host(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def evaluate(closed: jex.ClosedJaxpr, arguments: Sequence[object]) -> list[NumpyArray]:
-    """Return the results of a closed jaxpr for NumPy arrays, each broadcast to its declared shape."""
+    """Return the results of a closed jaxpr for NumPy arrays, by NumPy, each broadcast to its declared shape."""
     with np.errstate(all="ignore"):
         found = _run(closed.jaxpr, closed.consts, arguments)
     return [np.broadcast_to(array, aval.shape) for array, aval in zip(found, closed.out_avals, strict=True)]
 
 
 def _run(jaxpr: Any, constants: Sequence[object], arguments: Sequence[object]) -> list[NumpyArray]:
-    """Return the results of a jaxpr, computed with NumPy."""
+    """Return the results of a jaxpr for its constants and arguments, computed equation by equation with NumPy."""
     known: dict[object, NumpyArray] = {}
     for variable, value in zip((*jaxpr.constvars, *jaxpr.invars), (*constants, *arguments), strict=True):
         known[variable] = np.asarray(value)
 
     def read(atom: object) -> NumpyArray:
-        """Return the value of a variable or a literal."""
+        """Return the present value of a jaxpr's variable, or of a literal."""
         if not isinstance(atom, jex.Literal):
             return known[atom]
         of: Any = atom.aval
@@ -93,7 +93,7 @@ def _run(jaxpr: Any, constants: Sequence[object], arguments: Sequence[object]) -
 
 
 def _applied(equation: jex.JaxprEqn, inputs: Sequence[object]) -> Sequence[object]:
-    """Return the results of one equation of a jaxpr, by a NumPy rule here, or else by JAX."""
+    """Return the results of one equation of a jaxpr, by a NumPy rule of this file, else by JAX itself."""
     name, parameters = equation.primitive.name, equation.params
     rule = _RULES.get(name)
     if rule is not None:
@@ -110,7 +110,7 @@ def _applied(equation: jex.JaxprEqn, inputs: Sequence[object]) -> Sequence[objec
 
 @functools.cache
 def _kernel(name: str) -> jex.ClosedJaxpr:
-    """Return the jaxpr of a kernel for scalars; NumPy broadcasts its operations over arrays."""
+    """Return the jaxpr of the kernel (fused operation) ``name`` for scalars; NumPy broadcasts it over arrays."""
     kernel = KERNELS[name]
     return make_jaxpr(kernel.body)(*(np.zeros((), dtype) for dtype in kernel.takes))
 
@@ -119,21 +119,21 @@ def _kernel(name: str) -> jex.ClosedJaxpr:
 
 
 def _called(parameters: Parameters, *inputs: object) -> Sequence[object]:
-    """Return the results of an equation that calls another jaxpr."""
+    """Return the results of an equation that calls another jaxpr (such as a jitted function), by NumPy."""
     closed = parameters.get("jaxpr", parameters.get("call_jaxpr"))
     whole = isinstance(closed, jex.ClosedJaxpr)
     return _run(closed.jaxpr, closed.consts, inputs) if whole else _run(closed, (), inputs)
 
 
 def _cond(parameters: Parameters, index: NumpyArray, *inputs: object) -> Sequence[object]:
-    """Return the results of the branch that ``index`` chooses."""
+    """Return the results of JAX's cond: those of the branch with number ``index``, by NumPy."""
     branches = parameters["branches"]
     chosen = branches[min(max(int(index), 0), len(branches) - 1)]
     return _run(chosen.jaxpr, chosen.consts, inputs)
 
 
 def _scan(parameters: Parameters, *inputs: NumpyArray) -> Sequence[object]:
-    """Return the results of a scan: the final carry, then the stacked outputs."""
+    """Return the results of JAX's scan, the final carry and then the stacked outputs, by NumPy."""
     body, constants, carried = parameters["jaxpr"], parameters["num_consts"], parameters["num_carry"]
     same, state, rows = inputs[:constants], inputs[constants : constants + carried], inputs[constants + carried :]
     turns = range(parameters["length"])
@@ -160,32 +160,32 @@ _WHOLE: dict[str, Rule] = {
 
 
 def _broadcast(parameters: Parameters, x: NumpyArray) -> NumpyArray:
-    """Return the result of the JAX operation broadcast_in_dim, by NumPy."""
+    """Return the result of JAX's broadcast_in_dim, by NumPy."""
     shape, to = parameters["shape"], parameters["broadcast_dimensions"]
     wider = [x.shape[to.index(axis)] if axis in to else 1 for axis in range(len(shape))]
     return np.broadcast_to(x.reshape(wider), shape)
 
 
 def _slice(parameters: Parameters, x: NumpyArray) -> object:
-    """Return the result of the JAX operation slice, by NumPy."""
+    """Return the result of JAX's slice, by NumPy."""
     strides = parameters["strides"] or itertools.repeat(1)
     return x[tuple(map(slice, parameters["start_indices"], parameters["limit_indices"], strides))]
 
 
 def _slice_at(parameters: Parameters, x: NumpyArray, *starts: NumpyArray) -> object:
-    """Return a slice that begins at ``starts``, clipped so that the slice fits: JAX's dynamic_slice, by NumPy."""
+    """Return the result of JAX's dynamic_slice, by NumPy: a slice from ``starts``, clipped so that it fits."""
     sizes = parameters["slice_sizes"]
     first = [min(max(int(start), 0), n - size) for start, n, size in zip(starts, x.shape, sizes, strict=True)]
     return x[tuple(slice(start, start + size) for start, size in zip(first, sizes, strict=True))]
 
 
 def _select(parameters: object, which: NumpyArray, *cases: NumpyArray) -> object:
-    """Return the result of the JAX operation select_n, by NumPy."""
+    """Return the result of JAX's select_n, by NumPy: elements of ``cases`` chosen by ``which``."""
     return np.where(which, cases[1], cases[0]) if which.dtype == bool else np.choose(which, cases)
 
 
 def _converted(parameters: Parameters, x: NumpyArray) -> Any:
-    """Return an array in another dtype; for integers truncated and clipped, as JAX does."""
+    """Return the result of JAX's convert_element_type, by NumPy; for integers truncated and clipped."""
     to = parameters["new_dtype"]
     if x.dtype.kind == "f" and np.dtype(to).kind in "iu":
         # Beyond what fits, NumPy's result depends on the processor.
@@ -195,26 +195,26 @@ def _converted(parameters: Parameters, x: NumpyArray) -> Any:
 
 
 def _rounded(parameters: Parameters, x: NumpyArray) -> object:
-    """Return x rounded to integers, half to even or, by the parameter, half away from zero."""
+    """Return the result of JAX's round, by NumPy: half to even or, by its parameter, half away from zero."""
     if int(parameters["rounding_method"]) == 1:
         return np.rint(x)
     return np.copysign(np.floor(np.abs(x) + x.dtype.type(0.5)), x)
 
 
 def _power(parameters: Parameters, x: object) -> object:
-    """Return the result of the JAX operation integer_pow, by NumPy."""
+    """Return the result of JAX's integer_pow, by NumPy."""
     exponent = parameters["y"]
     found = functools.reduce(operator.mul, [x] * abs(exponent), np.ones_like(x))
     return found if exponent >= 0 else np.reciprocal(found)
 
 
 def _quotient(parameters: object, a: NumpyArray, b: NumpyArray) -> object:
-    """Return a / b; integers are rounded towards zero."""
+    """Return the result of JAX's div, by NumPy; integers are rounded towards zero."""
     return a / b if a.dtype.kind == "f" else np.trunc(a.astype(np.float64) / b)
 
 
 def _padded(parameters: Parameters, x: NumpyArray, value: NumpyArray) -> object:
-    """Return an array padded with a value, also between elements; negative padding cuts elements off."""
+    """Return the result of JAX's pad, by NumPy: padded at the ends and between elements; negative padding cuts."""
     sizes = [
         low + high + n + max(n - 1, 0) * gap
         for n, (low, high, gap) in zip(x.shape, parameters["padding_config"], strict=True)
@@ -232,17 +232,17 @@ def _padded(parameters: Parameters, x: NumpyArray, value: NumpyArray) -> object:
 
 
 def _iota(parameters: Parameters) -> NumpyArray:
-    """Return the result of the JAX operation iota, by NumPy."""
+    """Return the result of JAX's iota, by NumPy: an array of indices along one axis."""
     shape, axis = parameters["shape"], parameters["dimension"]
     counted = np.arange(shape[axis]).reshape([-1 if i == axis else 1 for i in range(len(shape))])
     return np.broadcast_to(counted, shape)
 
 
 def _shifted(function: Rule) -> Rule:
-    """Return a rule that shifts bits by ``function``; shifts by the width or more give 0."""
+    """Return the NumPy rule of a bit shift by ``function``; shifts by the word's width or more give 0."""
 
     def rule(parameters: object, a: NumpyArray, b: NumpyArray) -> NumpyArray:
-        """Return a shifted by b bits, with zero bits coming in."""
+        """Return the bits of a shifted by b places, with zero bits coming in."""
         bits = 8 * a.dtype.itemsize
         unsigned = a.view(f"u{a.dtype.itemsize}") if function is np.right_shift else a
         return np.where(b < a.dtype.type(bits), function(unsigned, b.astype(unsigned.dtype)), 0).astype(a.dtype)
@@ -251,12 +251,12 @@ def _shifted(function: Rule) -> Rule:
 
 
 def _ignoring_parameters(function: Rule) -> Rule:
-    """Return a rule that calls ``function`` with the inputs only."""
+    """Return a NumPy rule that calls ``function`` with an equation's inputs, without its parameters."""
     return lambda parameters, *inputs: function(*inputs)
 
 
 def _sum(parameters: Parameters, x: NumpyArray) -> object:
-    """Return the sum over the axes of the parameters, always added in the same order."""
+    """Return the result of JAX's reduce_sum, by NumPy, always added in the same order."""
     axes = parameters["axes"]
     rest = [size for axis, size in enumerate(x.shape) if axis not in axes]
     parts = np.moveaxis(x, axes, range(len(axes))).reshape(-1, *rest)
@@ -265,7 +265,7 @@ def _sum(parameters: Parameters, x: NumpyArray) -> object:
 
 
 def _along(function: Any) -> Rule:
-    """Return a rule that reduces the axes of the parameters by a NumPy ufunc."""
+    """Return a NumPy rule that reduces an array along the axes in the parameters, by a NumPy ufunc."""
     return lambda parameters, x: function.reduce(x, axis=tuple(parameters["axes"]), dtype=x.dtype)
 
 

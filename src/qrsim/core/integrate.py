@@ -13,12 +13,12 @@ Slope = Callable[[S], tuple[S, A]]
 
 
 def _advance(state: S, slope: S, dt: float) -> S:
-    """Return state + dt slope, leaf by leaf."""
+    """Return state + dt * slope, for trees of arrays; dt in [s]."""
     return jax.tree.map(lambda x, d: x + dt * d, state, slope)
 
 
 def heun(slope: Slope[S, A], state: S, dt: float) -> tuple[S, A]:
-    """Return the state after one step of Heun's rule, and the mean output.
+    """Return the state dt [s] later by Heun's rule, and the mean output; ``slope``: state -> (derivative, output).
 
     Args:
         slope: state -> (time derivative of the state, output).
@@ -36,14 +36,14 @@ def heun(slope: Slope[S, A], state: S, dt: float) -> tuple[S, A]:
 
 
 def rk4(slope: Slope[S, A], state: S, dt: float) -> tuple[S, A]:
-    """Return the state after one classical Runge-Kutta step, and the mean output; arguments as of ``heun``."""
+    """Return the state dt [s] later by the classical Runge-Kutta rule, and the mean output; arguments as ``heun``."""
     first, output_1 = slope(state)
     second, output_2 = slope(_advance(state, first, 0.5 * dt))
     third, output_3 = slope(_advance(state, second, 0.5 * dt))
     fourth, output_4 = slope(_advance(state, third, dt))
 
     def mean(a: jax.Array, b: jax.Array, c: jax.Array, d: jax.Array) -> jax.Array:
-        """Return the weighted mean of four slopes."""
+        """Return the Runge-Kutta mean of four slopes, (a + 2 b + 2 c + d)/6."""
         return (a + 2.0 * (b + c) + d) / 6.0
 
     combined = jax.tree.map(mean, first, second, third, fourth)

@@ -11,7 +11,7 @@ from qrsim.core.primitives import primitive_of
 
 
 def by_all_pairs(x: Array, y: Array, z: Array, reach: Array) -> Array:
-    """Return the result of ``nearest_squared``, computed from the distances of all pairs."""
+    """Return the same as ``nearest_squared``, computed from all pairs of points, without a grid."""
     dx, dy, dz = x[:, None] - x[None, :], y[:, None] - y[None, :], z[:, None] - z[None, :]
     squared = dx * dx + dy * dy + dz * dz
     index = jnp.arange(x.shape[0])
@@ -27,7 +27,7 @@ nearest_squared_p = primitive_of("nearest_squared", by_all_pairs)
 
 
 def nearest_squared(x: Array, y: Array, z: Array, reach: Array) -> Array:
-    """Return the squared distance (n,) [m^2] of each point to the nearest other one, exact within reach.
+    """Return each point's squared distance (n,) [m^2] to its nearest other point; exact up to ``reach`` [m].
 
     Args:
         x, y, z: coordinates (n,) [m]; a point with a NaN is far from all others.

@@ -33,7 +33,7 @@ class Neighbours:
 
 
 def neighbours(x: Array, y: Array, z: Array, reach: Array | float, count: int, room: int | None = None) -> Neighbours:
-    """Return for each of n points its nearest other points within reach.
+    """Return the up to ``count`` nearest other points within ``reach`` [m] of each of n points.
 
     Args:
         x, y, z: coordinates (n,) [m]; a point that is not finite has no neighbours and is no neighbour.
@@ -51,22 +51,22 @@ def neighbours(x: Array, y: Array, z: Array, reach: Array | float, count: int, r
 
 
 def always_room(points: int, count: int, room: int | None = None) -> bool:
-    """Return whether the search by ``neighbours`` can never overflow for ``points`` points."""
+    """Return whether a search by ``neighbours`` among this number of points can never overflow its tables."""
     return points - 1 <= 3 * (_capacity(count) if room is None else room)
 
 
 def _capacity(count: int) -> int:
-    """Return the default of ``room``: the largest number of points in three adjacent columns."""
+    """Return the default of ``room``, the largest number of points in three adjacent columns of grid cells."""
     return max(2 * count, 32)
 
 
 def by_all_pairs(x: Array, y: Array, z: Array, reach: Array | float, count: int) -> Neighbours:
-    """Return the result of ``neighbours``, computed from the distances of all pairs, as a reference."""
+    """Return the same as ``neighbours``, computed from all pairs of points, as a reference for tests."""
     return _nearest_of(*_all_others(x, y, z), jnp.asarray(reach, x.dtype), count, jnp.zeros(x.shape, bool))
 
 
 def _all_others(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
-    """Return indices (n, n) and squared distances (n, n) of all points; infinite to the point itself."""
+    """Return, for each of n points, indices (n, n) and squared distances (n, n) of all points; inf to itself."""
     n = x.shape[0]
     number = jnp.broadcast_to(jnp.arange(n, dtype=jnp.int32)[:, None], (n, n))
     squared = sum((axis[None, :] - axis[:, None]) ** 2 for axis in (x, y, z))
@@ -74,7 +74,7 @@ def _all_others(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
 
 
 def _squared_distances(x: Array, y: Array, z: Array, candidates: Array) -> tuple[Array, Array]:
-    """Return indices and squared distances (M, n) of candidates; infinite to the point itself and for empty places."""
+    """Return indices and squared distances (M, n) of M candidates per point; infinite for itself and for none."""
     there = jnp.maximum(candidates, 0)
     squared = sum((axis[None, :] - axis.at[there].get(mode="promise_in_bounds")) ** 2 for axis in (x, y, z))
     itself = candidates == jnp.arange(x.shape[0], dtype=jnp.int32)[None, :]
@@ -82,7 +82,7 @@ def _squared_distances(x: Array, y: Array, z: Array, candidates: Array) -> tuple
 
 
 def _nearest_of(number: Array, squared: Array, reach: Array, count: int, overfull: Array) -> Neighbours:
-    """Return the ``count`` nearest of candidates (M, n) within reach, by their squared distances."""
+    """Return the ``count`` nearest of M candidates (M, n) within ``reach`` [m], from indices and squared distances."""
     # Written so that a NaN, which compares false, is out of reach.
     squared = jnp.where(squared <= reach * reach, squared, jnp.inf)
     most = jnp.int32(squared.shape[1])
@@ -98,7 +98,7 @@ def _nearest_of(number: Array, squared: Array, reach: Array, count: int, overful
 
 
 def _in_cells(x: Array, y: Array, z: Array, reach: Array, room: int) -> tuple[Array, Array]:
-    """Return the points (3 room, n) int32 in the nine columns around each point, and overflow flags (n,) bool.
+    """Return indices (3 room, n) int32 of points in the nine columns around each, and overflow flags (n,) bool.
 
     Empty places have -1. A point is overfull if some of the points around it found no room.
     """
@@ -146,19 +146,19 @@ def _in_cells(x: Array, y: Array, z: Array, reach: Array, room: int) -> tuple[Ar
 
 
 def _ranks(column: Array, columns: int) -> Array:
-    """Return the rank (n,) of each point in its column, by index; -1 without a column or beyond the deepest place."""
+    """Return each point's rank (n,) in its column, by index; -1 without a column or beyond the deepest place."""
     n = column.shape[0]
     number = jnp.arange(n, dtype=jnp.int32)
     somewhere = column < columns
     clipped_column = jnp.minimum(column, columns - 1)
 
     def waits(carry: tuple[Array, Array]) -> Array:
-        """Return whether any point has no rank yet."""
+        """Return whether any point has no rank yet: the loop's condition."""
         turn, rank = carry
         return (turn < _DEEPEST) & jnp.any(somewhere & (rank < 0))
 
     def one_more(carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Return the loop's state with the next rank given to the lowest index of each column."""
+        """Return the loop's state with the next rank given to the point of lowest index in each column."""
         turn, rank = carry
         left = somewhere & (rank < 0)
         lowest = jnp.full(columns, n, jnp.int32).at[clipped_column].min(jnp.where(left, number, n), mode="drop")

@@ -33,7 +33,7 @@ _PARITY = 0x1BD11BDA
 
 
 def threefry2x32(key: tuple[Array, Array], counter: tuple[Array, Array], rounds: int = ROUNDS) -> tuple[Array, Array]:
-    """Return the two uint32 output words of the random generator Threefry-2x32, each shaped as the counter.
+    """Return two random uint32 words from a key and a counter of two words each, by Threefry-2x32.
 
     Args:
         key: two uint32 arrays, broadcastable against the counter.
@@ -49,7 +49,7 @@ def threefry2x32(key: tuple[Array, Array], counter: tuple[Array, Array], rounds:
 
 
 def _threefry(*words: Array, rounds: int) -> tuple[Array, Array]:
-    """Return two random words of 32 bits from the key and the counter, two words each (Salmon et al. 2011)."""
+    """Return two random uint32 words from key and counter, two words each (Threefry-2x32, Salmon et al. 2011)."""
     key, counter = words[:2], words[2:]
     schedule = (key[0], key[1], key[0] ^ key[1] ^ np.uint32(_PARITY))
     x0, x1 = counter[0] + schedule[0], counter[1] + schedule[1]
@@ -71,7 +71,7 @@ _THREEFRY = {
 
 
 def _box_muller(words: tuple[Array, Array], dtype: jnp.dtype) -> tuple[Array, Array]:
-    """Return two independent standard normals, of magnitude 6.66 at most, from two words.
+    """Return two independent standard normals, of magnitude 6.66 at most, from a pair of random uint32 words.
 
     In single precision every operation is rounded on its own, so the result is the same in whatever program it is
     computed.
@@ -83,7 +83,7 @@ def _box_muller(words: tuple[Array, Array], dtype: jnp.dtype) -> tuple[Array, Ar
 
 
 def _normals(*words: Array, dtype: jnp.dtype) -> tuple[Array, Array]:
-    """Return two normals from two random words, by Box and Muller."""
+    """Return two independent standard normals from two random uint32 words, by the Box-Muller transform."""
     radius, angle = _polar(*words, dtype=dtype)
     sine, cosine, scale = sincos_ratio(angle, rounded)
     # Divisions last, because XLA on a CPU repeats anything cheaper inside every consumer of the result: with
@@ -114,7 +114,7 @@ _NORMAL = Kernel("one_normal", ("uint32", "uint32", "int32"), ("float32",), _one
 
 @lru_cache(maxsize=1024)
 def _hashes(names: tuple[str, ...]) -> npt.NDArray[np.uint32]:
-    """Return the two hash words (K, 2) uint32 of each of K names."""
+    """Return two uint32 hash words (K, 2) of each of K stream names."""
     digests = b"".join(hashlib.sha256(name.encode()).digest()[:8] for name in names)
     return np.frombuffer(digests, "<u4").reshape(-1, 2)
 
@@ -128,7 +128,7 @@ class Key:
 
     @staticmethod
     def root(seed: int | Array, world: int | Array = 0) -> Key:
-        """Return the key of one world of a batch.
+        """Return the random key of one world of a batch, from the seed and the world's index.
 
         Args:
             seed: 0 <= seed < 2**63, or its low and high words as an array (2,) of uint32.
@@ -147,7 +147,7 @@ class Key:
 
     @staticmethod
     def roots(seeds: npt.NDArray[np.int64], worlds: npt.NDArray[np.int64]) -> Key:
-        """Return the keys (B,) of many worlds, computed on the host; ``root`` of each seed and world."""
+        """Return the random keys (B,) of many worlds from their seeds and indices, computed by NumPy."""
         words: list[Any] = [
             part.astype(np.uint32) for part in (seeds & 0xFFFFFFFF, seeds >> 32, worlds, np.zeros_like(worlds))
         ]
@@ -155,7 +155,7 @@ class Key:
         return Key(high, low)
 
     def streams(self, names: Sequence[str]) -> StreamKeys:
-        """Return the keys of named streams of this world; (B, K) words for the keys of B worlds."""
+        """Return the keys of the random streams with these names, (K,) words, or (B, K) if this key is of B worlds."""
         hashes = _hashes(tuple(names))
         library = np if isinstance(self.high, np.ndarray | np.generic) else jnp
         shape = (*np.shape(self.high), len(names))
@@ -164,14 +164,14 @@ class Key:
         return StreamKeys(*threefry2x32((key[0], key[1]), (counter[0], counter[1]), 20))
 
     def families(self, groups: Sequence[Sequence[str]]) -> tuple[StreamKeys, ...]:
-        """Return the stream keys of each group of names, computed in one call."""
+        """Return the stream keys of each group of stream names, all computed in one call."""
         every = self.streams([name for names in groups for name in names])
         ends = np.cumsum([len(names) for names in groups]).tolist()
         parts = [slice(end - len(names), end) for names, end in zip(groups, ends, strict=True)]
         return tuple(StreamKeys(every.high[..., part], every.low[..., part]) for part in parts)
 
     def stream(self, name: str, ids: Array) -> Stream:
-        """Return the stream with this name for the vehicles (or satellites) ``ids``, uint32 (n,)."""
+        """Return the random stream ``name`` for the vehicles (or satellites) with identifiers ``ids``, uint32 (n,)."""
         return self.streams([name]).stream(0, ids)
 
 
@@ -183,7 +183,7 @@ class StreamKeys:
     low: Array = quantity(doc="(K,) uint32")
 
     def stream(self, index: int, ids: Array) -> Stream:
-        """Return stream number ``index`` for the vehicles (or satellites) ``ids``, uint32 (n,)."""
+        """Return the random stream with number ``index`` for vehicles (or satellites) ``ids``, uint32 (n,)."""
         return Stream(self.high[index], self.low[index], ids)
 
 
@@ -196,22 +196,22 @@ class Stream:
     ids: Array = quantity(doc="(n,) uint32: what the draws belong to")
 
     def words(self, tick: Array, index: Array | int) -> tuple[Array, Array]:
-        """Return the two random words (n,) uint32 of draw number ``index`` at a tick."""
+        """Return the two random uint32 words (n,) of draw number ``index`` at a tick."""
         return threefry2x32((self.high, self.low + jnp.asarray(index, jnp.uint32)), self._counter(tick))
 
     def _counter(self, tick: Array) -> tuple[Array, Array]:
-        """Return the counter words: the tick, and the ids, each (n,)."""
+        """Return the generator's counter words, tick and ids, each broadcast to (n,)."""
         return jnp.broadcast_to(jnp.asarray(tick).astype(jnp.uint32), self.ids.shape), self.ids
 
     def normals(self, tick: Array, count: int, dtype: jnp.dtype) -> tuple[Array, ...]:
-        """Return ``count`` arrays of shape (n,) of independent standard normals."""
+        """Return ``count`` arrays (n,) of independent standard normals, the same at each call for the same tick."""
         drawn: list[Array] = []
         for pair in range((count + 1) // 2):
             drawn.extend(_box_muller(self.words(tick, pair), dtype))
         return tuple(drawn[:count])
 
     def normal_rows(self, tick: Array, rows: int, dtype: jnp.dtype, first: int = 0) -> Array:
-        """Return standard normals of shape (rows, n), one independent draw per row (satellites, channels).
+        """Return independent standard normals (rows, n) at a tick, such as one row for each satellite or channel.
 
         They come in pairs from pair ``first`` on: calls at one tick that must be independent use different pairs.
         """
@@ -222,11 +222,11 @@ class Stream:
         return jnp.concatenate(_box_muller(words, dtype), axis=0)[:rows]
 
     def normal_pairs(self, tick: Array, pairs: Array, dtype: jnp.dtype) -> tuple[Array, Array]:
-        """Return two independent standard normals (K, n) for each of the pair numbers (K,) uint32."""
+        """Return two independent standard normals (K, n) at a tick for each draw number in ``pairs`` (K,) uint32."""
         return _box_muller(self._words_of(tick, pairs), dtype)
 
     def normals_of(self, tick: Array, pairs: Array, second: Array, dtype: jnp.dtype) -> Array:
-        """Return one standard normal (...) of each pair (...) uint32, of a stream of one id (); ``second``: which."""
+        """Return the first or ``second`` normal (...) of each draw number in ``pairs`` (...), of a one-id stream."""
         words = self.words(tick, pairs)
         if dtype != jnp.float32:
             return jnp.where(second, *_box_muller(words, dtype)[::-1])
@@ -234,7 +234,7 @@ class Stream:
         return normal
 
     def uniform_pairs(self, tick: Array, pairs: Array, dtype: jnp.dtype) -> tuple[Array, Array]:
-        """Return two independent uniform numbers (K, n) of mean 0 and variance 1 for each of the pair numbers (K,).
+        """Return two uniform numbers (K, n) of mean 0 and variance 1 for each draw number in ``pairs`` (K,) uint32.
 
         They cost half as much as normals, and a sum of many is as good.
         """
@@ -243,7 +243,7 @@ class Stream:
         return first.astype(dtype) * scale, second.astype(dtype) * scale
 
     def _words_of(self, tick: Array, pairs: Array) -> tuple[Array, Array]:
-        """Return two random words (k, n) for each pair number (k,) and vehicle at a tick."""
+        """Return two random uint32 words (K, n) at a tick for each draw number in ``pairs`` (K,) and each id."""
         shape = (*pairs.shape, *self.ids.shape)
         counter = tuple(jnp.broadcast_to(word, shape) for word in self._counter(tick))
         key = jnp.broadcast_to((self.low + pairs)[:, None], shape)
@@ -261,11 +261,11 @@ class Draw:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape (n,) of each draw."""
+        """Shape (n,) of the arrays drawn: one number for each id of the stream."""
         return self.stream.ids.shape
 
     def normals(self, count: int) -> tuple[Array, ...]:
-        """Return ``count`` arrays of shape (n,) of independent standard normals.
+        """Return ``count`` arrays (n,) of independent standard normals, of this draw's stream and tick.
 
         Raises:
             ValueError: these are more than the component declares.
@@ -274,19 +274,19 @@ class Draw:
         return self.stream.normals(self.tick, count, self.like.dtype)
 
     def normal_rows(self, rows: int, first: int = 0) -> Array:
-        """Return standard normals of shape (rows, n), from pair ``first`` on; see ``Stream.normal_rows``."""
+        """Return independent standard normals (rows, n), from draw number ``first`` on; see ``Stream.normal_rows``."""
         return self.stream.normal_rows(self.tick, rows, self.like.dtype, first)
 
     def normal_pairs(self, pairs: Array) -> tuple[Array, Array]:
-        """Return two standard normals (K, n) for each of the pair numbers (K,); see ``Stream.normal_pairs``."""
+        """Return two standard normals (K, n) for each draw number in ``pairs`` (K,); see ``Stream.normal_pairs``."""
         return self.stream.normal_pairs(self.tick, pairs, self.like.dtype)
 
     def uniform_pairs(self, pairs: Array) -> tuple[Array, Array]:
-        """Return two uniform numbers (K, n) of mean 0 and variance 1 for each pair; see ``Stream.uniform_pairs``."""
+        """Return two uniform numbers (K, n), mean 0 and variance 1, for each of ``pairs``, as ``Stream`` does."""
         return self.stream.uniform_pairs(self.tick, pairs, self.like.dtype)
 
     def alone(self, number: int) -> Draw:
-        """Return a draw (1,) with the single id ``number``, such as the id of errors that all share."""
+        """Return a draw (1,) of the same stream and tick for one id, ``number``, such as for errors that all share."""
         ids = jnp.full((1,), number, jnp.uint32)
         return Draw(Stream(self.stream.high, self.stream.low, ids), self.tick, self.like, self.most)
 
@@ -295,7 +295,7 @@ class Noise(Protocol):
     """Source of a component's randomness: a Draw or a Drawn."""
 
     def normals(self, count: int) -> tuple[Array, ...]:
-        """Return ``count`` arrays of shape (n,) of independent standard normals."""
+        """Return ``count`` arrays (n,) of independent standard normals."""
         ...
 
 
@@ -306,19 +306,19 @@ class Drawn:
     rows: tuple[Array, ...] = quantity(doc="each (n,)")
 
     def normals(self, count: int) -> tuple[Array, ...]:
-        """Return the first ``count`` of the arrays (n,) drawn before; raise ValueError for more."""
+        """Return the first ``count`` of the stored arrays (n,) of standard normals; raise ValueError if too few."""
         _check_count(count, len(self.rows))
         return self.rows[:count]
 
 
 def _check_count(count: int, most: int | None) -> None:
-    """Raise ValueError if ``count`` exceeds the declared number of normals ``most``."""
+    """Raise ValueError if ``count`` exceeds ``most``, the number of normals that a component has declared."""
     if most is not None and count > most:
         raise ValueError(f"a component that declares {most} normals per step asked for {count}")
 
 
 def draw_together(streams: Sequence[Stream], counts: Sequence[int], tick: Array, like: Array) -> list[Drawn]:
-    """Return standard normals for several streams, drawn in one call, which is faster than one by one.
+    """Return the standard normals of several streams at a tick, ``counts`` of each, drawn in one call for speed.
 
     Args:
         streams: all with the same ids (n,).
@@ -347,7 +347,7 @@ def draw_together(streams: Sequence[Stream], counts: Sequence[int], tick: Array,
 
 
 def ou_decay(dt: float | Array, time_constant: Array) -> tuple[Array, Array]:
-    """Return (a, sqrt(1 - a^2)), a = exp(-dt/tau), of an exact Ornstein-Uhlenbeck update.
+    """Return (a, sqrt(1 - a^2)), a = exp(-dt/tau): decay and noise factors of an exact Ornstein-Uhlenbeck update.
 
     The square root loses digits where dt << tau, so 1 - a^2 comes from its own series there (2 x - 2 x^2 +
     4/3 x^3 - 2/3 x^4, relative error below 2e-9 for x < 0.01).
@@ -359,7 +359,7 @@ def ou_decay(dt: float | Array, time_constant: Array) -> tuple[Array, Array]:
 
 
 def ou_step(value: Array, normal: Array, dt: float | Array, std: Array, time_constant: Array) -> Array:
-    """Return an Ornstein-Uhlenbeck process one exact step dt later (Symington 2014, eq. 10).
+    """Return an Ornstein-Uhlenbeck process one exact step dt [s] later (Symington 2014, eq. 10).
 
     Args:
         value: the process now, any shape.

@@ -27,20 +27,20 @@ def two_sum(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def added(high: Vec3, change: Vec3) -> tuple[Vec3, Vec3]:
-    """Return ``high`` + ``change`` in two parts, rounded value and remainder; ``change`` includes the old remainder."""
+    """Return ``high`` + ``change`` as rounded sum and remainder; ``change`` must include the old remainder."""
     parts = [two_sum(getattr(high, axis), getattr(change, axis)) for axis in "xyz"]
     return Vec3(*(total for total, _ in parts)), Vec3(*(rest for _, rest in parts))
 
 
 def parts_of(values: Floats, dtype: npt.DTypeLike) -> tuple[Floats, Floats]:
-    """Return a float64 array as two arrays of ``dtype``: rounded values and remainders."""
+    """Return a float64 array as two arrays of a shorter ``dtype``: rounded values and remainders."""
     with np.errstate(invalid="ignore", over="ignore"):
         high = np.asarray(values, dtype)
         return high, np.asarray(values - high.astype(np.float64), dtype)
 
 
 def joined(high: object, low: object) -> Any:
-    """Return arrays, or vectors, plus their second parts in float64; unchanged if ``low`` is None."""
+    """Return ``high`` + ``low`` in float64, for arrays or vectors; ``high`` unchanged if ``low`` is None."""
     if low is None:
         return high
     if isinstance(high, Vec3):

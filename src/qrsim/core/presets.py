@@ -14,12 +14,12 @@ Presets = dict[str, dict[str, Any]]
 
 
 def presets_of(cls: type) -> Mapping[str, Mapping[str, object]] | None:
-    """Return the presets of a component class, None for a class without."""
+    """Return a component class's presets, {name: {parameter: value}}; None for a class without presets."""
     return getattr(cls, "presets", None)
 
 
 def with_presets(cls: Any) -> Any:
-    """Return the dataclass, its constructor taking missing arguments from a preset if the class has presets.
+    """Return a dataclass, its constructor taking missing arguments from the preset ``preset`` if it has presets.
 
     Such a class has ``presets``, parameters by the preset's name, and a field ``preset``, which names one of them.
 
@@ -35,7 +35,7 @@ def with_presets(cls: Any) -> Any:
 
     @functools.wraps(plain)
     def completed(self: object, *args: Any, **given: Any) -> None:
-        """Initialise the object with the given parameters, missing ones taken from its preset."""
+        """Initialise the object from the given parameters, missing ones taken from its preset."""
         # JAX and dataclasses pass all fields when they rebuild a record; nothing is missing then.
         if len(args) + len(given) < len(fields):
             named = {*list(fields)[: len(args)], *given}
@@ -54,7 +54,7 @@ def with_presets(cls: Any) -> Any:
 
 
 def filled(usual: Mapping[str, object], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return ``given`` with missing entries taken from ``usual``; nested mappings are merged too."""
+    """Return ``given`` with missing entries taken from ``usual``, recursively in nested mappings."""
     both = {**usual, **given}
     for name, part in usual.items():
         if isinstance(part, Mapping) and isinstance(given.get(name), Mapping):
@@ -63,5 +63,5 @@ def filled(usual: Mapping[str, object], given: Mapping[str, Any]) -> dict[str, A
 
 
 def _preset_value(value: Any, usual: Any) -> object:
-    """Return a preset's parameter; a mapping replaces the named parameters of the record ``usual``."""
+    """Return a preset's parameter; a mapping is applied as changes to the record ``usual``."""
     return dataclasses.replace(usual, **value) if isinstance(value, Mapping) else value

@@ -26,7 +26,7 @@ def primitive_of(
     parameters: tuple[str, ...] = (),
     shape: Callable[[tuple[int, ...]], tuple[int, ...]] | None = None,
 ) -> Primitive:
-    """Return a new JAX primitive with one result; XLA lowers it and JAX differentiates it through ``function``.
+    """Return a new JAX primitive with one result; XLA compiles and JAX differentiates it as ``function``.
 
     Args:
         name: of the primitive, in printed programs.
@@ -44,13 +44,13 @@ def primitive_of(
     def batched(
         arguments: Sequence[Array], axes: Sequence[int | None], **parameters: object
     ) -> tuple[object, int | None]:
-        """Return the result on a batch, and its batch axis."""
+        """Return the primitive's result on a batch (JAX batching rule), and its batch axis."""
         if elementwise:
             return primitive.bind(*arguments), axes[0]
         return jax.vmap(partial(function, **parameters), in_axes=tuple(axes))(*arguments), 0
 
     def differentiated(primals: Sequence[Array], tangents: Sequence[object], **parameters: object) -> object:
-        """Return the result and its tangent."""
+        """Return the primitive's result and its tangent (JAX rule of forward-mode differentiation)."""
         given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)
         known = partial(function, **parameters)
         return primitive.bind(*primals, **parameters), jax.jvp(known, tuple(primals), given)[1]
@@ -99,13 +99,13 @@ class Kernel:
         return result
 
     def _results(self, *avals: Any) -> list[object]:
-        """Return the abstract types of the results for the abstract types of the arguments."""
+        """Return the abstract values (shapes and dtypes) of the kernel's results for those of its arguments."""
         assert self.takes == tuple(aval.dtype.name for aval in avals)
         shape = max((aval.shape for aval in avals), key=len)
         return [avals[0].update(shape=shape, dtype=np.dtype(dtype), weak_type=False) for dtype in self.gives]
 
     def _batched(self, arguments: Sequence[Array], axes: Sequence[int | None]) -> tuple[object, list[int]]:
-        """Return the results of the kernel on a batch, and their batch axes, all 0."""
+        """Return the kernel's results on a batch (JAX batching rule), and their batch axes, all 0."""
         rank = max(jnp.ndim(argument) - (axis is not None) for argument, axis in zip(arguments, axes, strict=True))
         moved = []
         for argument, axis in zip(arguments, axes, strict=True):
@@ -119,7 +119,7 @@ class Kernel:
         return self.primitive.bind(*spread), [0] * len(self.gives)
 
     def _differentiated(self, primals: Sequence[Array], tangents: Sequence[object]) -> tuple[object, object]:
-        """Return the results and their tangents (forward-mode derivative)."""
+        """Return the kernel's results and their tangents (JAX rule of forward-mode differentiation)."""
         given = tuple(ad.instantiate_zeros(tangent) for tangent in tangents)
         result = self.primitive.bind(*primals)
         if self.jvp is None:

@@ -34,7 +34,7 @@ class Quaternion:
         return Quaternion(self.w, -self.x, -self.y, -self.z)
 
     def rate(self, rates_body: Vec3) -> Quaternion:
-        """Return the quaternion's time derivative [1/s] at body rates [rad/s]."""
+        """Return the quaternion's time derivative [1/s] for body rates [rad/s]."""
         p, q, r = 0.5 * rates_body.x, 0.5 * rates_body.y, 0.5 * rates_body.z
         return Quaternion(
             -self.x * p - self.y * q - self.z * r,
@@ -49,7 +49,7 @@ class Quaternion:
         return Quaternion(self.w * scale, self.x * scale, self.y * scale, self.z * scale)
 
     def rotation(self) -> Rotation:
-        """Return the direction cosines: rows are the body axes in NED."""
+        """Return the direction cosines: the body axes as unit vectors in NED."""
         w, x, y, z = self.w, self.x, self.y, self.z
         xx, yy, zz = x * x, y * y, z * z
         xy, xz, yz, wx, wy, wz = x * y, x * z, y * z, w * x, w * y, w * z
@@ -69,7 +69,7 @@ class Quaternion:
 
     @staticmethod
     def of(attitude: Euler) -> Quaternion:
-        """Return the quaternion of Euler angles [rad]."""
+        """Return the unit quaternion of ZYX Euler angles [rad]."""
         sr, cr = sincos(0.5 * attitude.roll)
         sp, cp = sincos(0.5 * attitude.pitch)
         sy, cy = sincos(0.5 * attitude.yaw)
@@ -82,7 +82,7 @@ class Quaternion:
 
     @staticmethod
     def of_tilt(roll: Array, pitch: Array) -> Quaternion:
-        """Return the quaternion of roll and pitch [rad] at zero yaw."""
+        """Return the unit quaternion of roll and pitch [rad] at yaw 0."""
         sr, cr = sincos(0.5 * roll)
         sp, cp = sincos(0.5 * pitch)
         return Quaternion(cr * cp, sr * cp, cr * sp, -sr * sp)

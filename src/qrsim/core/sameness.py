@@ -44,7 +44,7 @@ class Itself:
 
     @property
     def gone(self) -> bool:
-        """True if the object no longer exists."""
+        """True if the object that this key refers to no longer exists."""
         return self._given() is None
 
     def __eq__(self, other: object) -> bool:
@@ -59,7 +59,7 @@ class Itself:
 
 
 def sameness(given: object, depth: int = DEPTH) -> Hashable:
-    """Return a hashable key that changes with an object's identity and with its attributes.
+    """Return a hashable key that changes if the object is replaced or one of its attributes changes.
 
     A program has the attributes of a policy as constants. Functions and classes compare by identity: as with
     ``jax.jit``, a change of a variable that they close over is not noticed.
@@ -89,7 +89,7 @@ def sameness(given: object, depth: int = DEPTH) -> Hashable:
 
 
 def is_gone(key: Hashable) -> bool:
-    """Return whether a key of ``sameness``, or any key in it, refers to an object that no longer exists."""
+    """Return whether a key of ``sameness`` refers to an object that no longer exists."""
     if isinstance(key, Itself):
         return key.gone
     return isinstance(key, tuple | frozenset) and any(map(is_gone, key))

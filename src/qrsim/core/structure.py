@@ -14,7 +14,7 @@ _PLAIN = (str, int, float, bool, type(None))
 
 
 def kinds(structure: Any) -> Iterator[type]:
-    """Yield the type of every node of a tree's structure (a ``jax.tree_util.PyTreeDef``)."""
+    """Yield the Python type of every node of a tree structure (a ``jax.tree_util.PyTreeDef``)."""
     node = structure.node_data()
     if node is not None:
         yield node[0]
@@ -23,12 +23,12 @@ def kinds(structure: Any) -> Iterator[type]:
 
 
 def name_of(kind: type) -> str:
-    """Return the name of a type, with its module."""
+    """Return a type's full name, module included."""
     return f"{kind.__module__}:{kind.__qualname__}"
 
 
 def to_plain(structure: Any) -> Any:
-    """Return a tree's structure as lists, dicts and plain values that JSON can store.
+    """Return a tree structure (PyTreeDef) as lists, dicts and plain values that JSON can store.
 
     Raises:
         TypeError: it has a part that another process could not find by name.
@@ -53,7 +53,7 @@ def to_plain(structure: Any) -> Any:
 
 
 def from_plain(plain: object, leaves: Iterator[object]) -> Any:
-    """Return the tree rebuilt from the result of ``to_plain`` and its leaves in order.
+    """Return the tree rebuilt from the result of ``to_plain``, with ``leaves`` in their order.
 
     Raises:
         ValueError: it is nothing that ``to_plain`` returns here, or there are too few leaves.
@@ -85,14 +85,14 @@ def _is_record(kind: object) -> bool:
 
 
 def _fields(kind: type) -> tuple[list[str], list[str]]:
-    """Return the field names of a record class: those of its parts, and those of its settings."""
+    """Return the field names of a record class: its data fields, then its settings."""
     fields = dataclasses.fields(kind)
     static = [field.name for field in fields if field_info(field).static]
     return [field.name for field in fields if field.name not in static], static
 
 
 def _plain(value: object) -> Any:
-    """Return a setting in a form that JSON can store, tuples marked; raise TypeError for other values."""
+    """Return a record's setting in a form that JSON can store, tuples marked; raise TypeError for other types."""
     if type(value) is tuple:
         return {"tuple": [_plain(part) for part in value]}
     if type(value) not in _PLAIN:
@@ -101,14 +101,14 @@ def _plain(value: object) -> Any:
 
 
 def _unplain(value: object) -> Any:
-    """Return a setting from the form of ``_plain``."""
+    """Return a record's setting rebuilt from the form of ``_plain``."""
     if isinstance(value, dict):
         return tuple(_unplain(part) for part in value["tuple"])
     return value
 
 
 def _record_named(name: object) -> Any:
-    """Return the record class with a name; import only modules of this package; raise ValueError for others."""
+    """Return the record class with a full name; import only this package's modules; raise ValueError for others."""
     if not isinstance(name, str):
         raise ValueError("no name")
     module, _, path = name.partition(":")

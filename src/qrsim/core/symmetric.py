@@ -29,25 +29,25 @@ class Term(NamedTuple):
 
 
 def size_of(half: int) -> int:
-    """Return the number of rows m of a symmetric matrix stored as ``half`` = m (m + 1)/2 numbers."""
+    """Return m, the number of rows of a symmetric matrix stored as ``half`` = m (m + 1)/2 numbers."""
     return (isqrt(8 * half + 1) - 1) // 2
 
 
 def place_of(row: int, column: int, size: int) -> int:
-    """Return the index in the stored half of entry (row, column) of an m by m matrix, m = ``size``."""
+    """Return the index of entry (row, column) in the stored upper half of an m by m matrix, m = ``size``."""
     first, last = min(row, column), max(row, column)
     return first * size - first * (first - 1) // 2 + last - first
 
 
 @cache
 def places(size: int) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:
-    """Return the index (m, m) in the stored half of every entry."""
+    """Return, for every entry of a symmetric matrix (m, m), its index in the stored upper half, m = ``size``."""
     every = range(size)
     return np.array([[place_of(row, column, size) for column in every] for row in every], np.int32)
 
 
 def times(half: Array, factors: Mapping[int, Array]) -> Array:
-    """Return the product (m, n) of symmetric matrices with sparse vectors.
+    """Return the products (m, n) of n half-stored symmetric matrices with sparse vectors {row: (n,)}.
 
     Args:
         half: (h, n).
@@ -58,13 +58,13 @@ def times(half: Array, factors: Mapping[int, Array]) -> Array:
 
 
 def lowered(half: Array, columns: Sequence[Array]) -> Array:
-    """Return the stored half (h, n) of the matrix minus the outer product of each column (m, n) with itself."""
+    """Return the half-stored matrices (h, n) minus the outer product of each column (m, n) with itself."""
     result: Array = lowered_p.bind(half, *columns)
     return result
 
 
 def transformed(half: Array, terms: Sequence[Term], factors: Sequence[Array], added: Mapping[int, Array]) -> Array:
-    """Return the stored half (h, n) of F P F' + Q, for an F with ones on the diagonal and numbers to the right of it.
+    """Return F P F' + Q, half-stored (h, n), for half-stored P, sparse upper triangular F and diagonal Q.
 
     Args:
         half: P, (h, n).
@@ -78,7 +78,7 @@ def transformed(half: Array, terms: Sequence[Term], factors: Sequence[Array], ad
 
 
 def _times(half: Array, *factors: Array, rows: tuple[int, ...]) -> Array:
-    """Return the result of ``times``, with the rows of the factors as a compile-time tuple."""
+    """Return the result of ``times``, with the factors' rows as a compile-time tuple."""
     table = places(size_of(half.shape[0]))
     return sum(factor[None] * half[table[row]] for row, factor in zip(rows, factors, strict=True))  # type: ignore[return-value]
 
@@ -94,7 +94,7 @@ def _lowered(half: Array, *columns: Array) -> Array:
 def _transformed(
     half: Array, *given: Array, terms: tuple[tuple[int, int, float, int | None], ...], rows: tuple[int, ...]
 ) -> Array:
-    """Return the result of ``transformed``, with factors and added numbers in ``given``."""
+    """Return the result of ``transformed``, with F's factors and Q's numbers one after the other in ``given``."""
     size = size_of(half.shape[0])
     factors, added = given[: len(given) - len(rows)], given[len(given) - len(rows) :]
     parts = [term[2] if term[3] is None else term[2] * factors[term[3]] for term in terms]
@@ -111,7 +111,7 @@ def _transformed(
 
 
 def _rows_of(half: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the shape of ``times``' result for the shape of a stored half."""
+    """Return the shape (m, n) of ``times``' result for a stored half of shape (h, n)."""
     return (size_of(half[0]), *half[1:])
 
 

@@ -37,13 +37,13 @@ class Table:
     widest: int = WIDEST
 
     def _shown(self) -> list[tuple[str, ...]]:
-        """Return the rows to print, cut to length and width; the last says how many are left out."""
+        """Return the rows that are printed, cut to the largest length and width; the last counts those left out."""
         rows = [tuple(_shortened(cell, self.widest) for cell in row) for row in self.rows[:MOST_ROWS]]
         left = len(self.rows) - len(rows)
         return rows + ([(f"and {left} more", *[""] * (len(self.headings) - 1))] if left else [])
 
     def text(self) -> str:
-        """Return the table as lines of text."""
+        """Return the table as lines of text, columns aligned."""
         rows = self._shown()
         if not rows:
             return self.title
@@ -53,7 +53,7 @@ class Table:
         return "\n".join([self.title, *(f"  {line}".rstrip() for line in lines)])
 
     def html(self) -> str:
-        """Return the table as HTML."""
+        """Return the table as an HTML element, for notebooks."""
         head = "".join(f"<th>{html.escape(heading)}</th>" for heading in self.headings)
         body = "".join(f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in self._shown())
         caption = f"<caption>{html.escape(self.title)}</caption>"
@@ -67,11 +67,11 @@ class Tabled:
     """
 
     def _table(self) -> Table:
-        """Return the table to show; subclasses must define this."""
+        """Return the table that represents the object; subclasses must define it."""
         raise NotImplementedError
 
     def _table_or_fault(self) -> Table:
-        """Return the table, or an empty one titled with the error that prevents it."""
+        """Return the object's table, or an empty one titled with the error that prevents it."""
         try:
             return self._table()
         except QrsimError as error:
@@ -81,12 +81,12 @@ class Tabled:
         return self._table_or_fault().text()
 
     def _repr_html_(self) -> str:
-        """Return the table as HTML, for notebooks."""
+        """Return the object's table as HTML, as Jupyter notebooks show it."""
         return self._table_or_fault().html()
 
 
 def number_text(value: object, digits: int = 4) -> str:
-    """Return the first numbers of a value as text; of a traced one dtype and shape, of None ""."""
+    """Return the first numbers of a value as text; dtype and shape for a traced array, "" for None."""
     if value is None:
         return ""
     if isinstance(value, jax.core.Tracer):
@@ -101,7 +101,7 @@ def number_text(value: object, digits: int = 4) -> str:
 
 
 def cells_of(array: NumpyArray | jax.Array, columns: int, digits: int = 4) -> tuple[str, ...]:
-    """Return ``columns`` texts, the first rows of an array (n, ...), then "..." if rows are left out."""
+    """Return one text for each table column: the first rows of an array (n, ...), then "..." if rows are left out."""
     if isinstance(array, jax.core.Tracer):
         return (number_text(array), *[""] * (columns - 1))
     cells = [number_text(row, digits) for row in array[: min(columns, MOST_COLUMNS)]]
@@ -109,7 +109,7 @@ def cells_of(array: NumpyArray | jax.Array, columns: int, digits: int = 4) -> tu
 
 
 def parameters_text(part: object) -> str:
-    """Return the parameters of a component that are single numbers or words as text, with units."""
+    """Return a component's scalar parameters as one text, "name value unit, ..."."""
     if not dataclasses.is_dataclass(part):
         return ""
     texts = []
@@ -124,13 +124,13 @@ def parameters_text(part: object) -> str:
 
 
 def columns_of(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the headings of vehicles' columns: the first names, then the total number if names are left out."""
+    """Return the headings of a table's vehicle columns: the first names, then the total if names are left out."""
     if len(names) <= MOST_COLUMNS:
         return tuple(names)
     return (*names[:MOST_COLUMNS], f"({len(names)} in all)")
 
 
 def _shortened(cell: str, widest: int) -> str:
-    """Return a cell on one line, cut to at most ``widest`` characters."""
+    """Return a table cell on one line, cut to at most ``widest`` characters."""
     line = " ".join(cell.split())
     return line if len(line) <= widest else line[: widest - 3] + "..."

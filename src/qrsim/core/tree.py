@@ -74,7 +74,7 @@ def parameter(
     nullable: bool = False,
     of_sensors: bool = False,
 ) -> Any:
-    """Return the declaration of a component's number: a leaf, so that changing it recompiles nothing.
+    """Return the field declaration of a component's numeric parameter, an array leaf: new values need no recompilation.
 
     Each has a unit and a doc; one without is refused when its class becomes a component. With a
     ``length`` it is a list of as many; one that is ``nullable`` may be null, where the default is None. One that is
@@ -95,7 +95,7 @@ def setting(
     maximum: float | None = None,
     above: float | None = None,
 ) -> Any:
-    """Return the declaration of a structural choice of a component (a period, an option): static under jit."""
+    """Return the field declaration of a component's structural choice (a period, an option), static under jit."""
     info = FieldInfo(unit, doc, minimum, maximum, above, True)
     return dataclasses.field(default=default, metadata={INFO: info})
 
@@ -108,18 +108,18 @@ def quantity(
     minimum: float | None = None,
     maximum: float | None = None,
 ) -> Any:
-    """Return the declaration of an array, or a record of arrays, in a state, a reading or a command."""
+    """Return the field declaration of an array, or record of arrays, in a state, reading or command."""
     return dataclasses.field(default=default, metadata={INFO: FieldInfo(unit, doc, minimum, maximum)})
 
 
 def derived(default: object = None, *, doc: str, static: bool = False) -> Any:
-    """Return the declaration of a field set while a world is built, None before; scenarios cannot set it."""
+    """Return the field declaration of a value computed while a world is built, not set by scenarios; None before."""
     return dataclasses.field(default=default, metadata={INFO: FieldInfo(doc=doc, derived=True, static=static)})
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(parameter, setting, quantity, derived))
 def record(cls: type[T]) -> type[T]:
-    """Return a class made a frozen dataclass and a PyTree; fields declared by ``setting`` are static.
+    """Return a class made a frozen dataclass and a JAX PyTree; fields declared by ``setting`` are static.
 
     What is not given to a component with ``presets`` is that of its ``preset``.
     """
@@ -131,7 +131,7 @@ def record(cls: type[T]) -> type[T]:
 
 
 def _register(cls: Any, data: list[str], static: list[str]) -> None:
-    """Register a record class with JAX as a distinct PyTree node type.
+    """Register a record class with JAX as a PyTree node, with these data fields and static fields.
 
     Not by ``jax.tree_util.register_dataclass``: structures of two dataclasses that differ only in their type are equal
     to JAX (0.10 for one), so that ``jax.jit`` at times runs the program of one for the other.
@@ -140,18 +140,18 @@ def _register(cls: Any, data: list[str], static: list[str]) -> None:
     keys = [jax.tree_util.GetAttrKey(name) for name in data]
 
     def flatten(item: object) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-        """Return the data fields and the static fields of a record."""
+        """Return the values of a record's data fields and of its static fields, as JAX requires."""
         return of_data(item), of_static(item)
 
     def flatten_with_keys(item: object) -> tuple[list[tuple[object, object]], tuple[object, ...]]:
-        """Return the data fields with their keys, and the static fields of a record."""
+        """Return a record's data fields with their keys, and its static fields, as JAX requires."""
         return list(zip(keys, of_data(item), strict=True)), of_static(item)
 
     # By place, which is quicker, where a constructor takes parts and settings in this order.
     by_place = [field.name for field in dataclasses.fields(cls) if field.init and not field.kw_only] == data + static
 
     def unflatten(settings: tuple[object, ...], parts: Any) -> object:
-        """Return the record with these values of its static fields (settings) and data fields (parts)."""
+        """Return a record from the values of its static fields (settings) and data fields (parts)."""
         if by_place:
             return cls(*parts, *settings)
         return cls(**dict(zip(data, parts, strict=True)), **dict(zip(static, settings, strict=True)))
@@ -160,7 +160,7 @@ def _register(cls: Any, data: list[str], static: list[str]) -> None:
 
 
 def _getter(names: list[str]) -> Callable[[Any], tuple[Any, ...]]:
-    """Return a function that reads the attributes ``names`` of an object as a tuple."""
+    """Return a function that returns an object's attributes ``names`` as a tuple."""
     if len(names) > 1:
         return operator.attrgetter(*names)
     if not names:
@@ -170,7 +170,7 @@ def _getter(names: list[str]) -> Callable[[Any], tuple[Any, ...]]:
 
 
 def field_info(field: dataclasses.Field[Any]) -> FieldInfo:
-    """Return a field's metadata, empty if none was given."""
+    """Return a dataclass field's metadata (unit, text, bounds), empty if none was given."""
     return field.metadata.get(INFO, FieldInfo())
 
 
@@ -183,13 +183,13 @@ class Bounds(TypedDict, total=False):
 
 
 def computed(function: Callable[[Any], T]) -> T:
-    """Return a property for a class attribute of a contract that depends on settings."""
+    """Return a method as a property, typed as the class attribute that it computes."""
     attribute: Any = property(function)
     return attribute
 
 
 def record_of(kind: Callable[..., T], *parts: object, **named: object) -> T:
-    """Return ``kind(*parts, **named)``, for NumPy arrays or numbers in fields declared as JAX arrays."""
+    """Return ``kind(*parts, **named)``, typed to accept NumPy arrays or numbers for fields declared as JAX arrays."""
     return kind(*parts, **named)
 
 
@@ -200,10 +200,10 @@ def replace(item: T, **changes: object) -> T:
 
 
 def cast(item: T, dtype: Any) -> T:
-    """Return a tree with every floating-point leaf (Python floats included) as an array of ``dtype``."""
+    """Return a tree with every floating-point leaf, Python floats included, as an array of ``dtype``."""
 
     def convert(leaf: object) -> NumpyArray:
-        """Return a leaf as an array, of ``dtype`` if it is floating-point."""
+        """Return a leaf as an array, converted to ``dtype`` if it is floating-point."""
         array = np.asarray(leaf)
         return np.asarray(array, dtype) if np.issubdtype(array.dtype, np.floating) else array
 
@@ -211,32 +211,32 @@ def cast(item: T, dtype: Any) -> T:
 
 
 def select(condition: jax.Array, yes: T, no: T) -> T:
-    """Return leaves of ``yes`` where ``condition`` (n,) is True, else of ``no``, for two trees of one structure."""
+    """Return ``yes`` where ``condition`` (n,) is True, else ``no``, leaf by leaf, for trees of one structure."""
     return jax.tree.map(lambda a, b: jax.numpy.where(condition, a, b), yes, no)
 
 
 @overload
 def map_tree(function: Callable[[jax.Array], jax.Array], tree: T, /) -> T:
-    """Apply a function to each array of one tree."""
+    """Return one tree with ``function`` applied to each array."""
 
 
 @overload
 def map_tree(function: Callable[[jax.Array, jax.Array], jax.Array], tree: T, other: T, /) -> T:
-    """Apply a function to each pair of corresponding arrays of two trees."""
+    """Return one tree with ``function`` applied to each pair of corresponding arrays of two trees."""
 
 
 def map_tree(function: Callable[..., jax.Array], tree: T, *others: T) -> T:
-    """Return the tree of ``function`` applied to each leaf, with the matching leaves of other trees."""
+    """Return a tree with ``function`` applied to each leaf together with the matching leaves of the other trees."""
     return jax.tree.map(function, tree, *others)
 
 
 def concatenated(trees: Sequence[T]) -> T:
-    """Return trees of one structure concatenated leaf by leaf along the first axis."""
+    """Return trees of one structure joined: each leaf concatenated along its first axis."""
     return jax.tree.map(lambda *parts: jax.numpy.concatenate(parts), *trees)
 
 
 def walk(item: Any, prefix: str = "") -> Iterator[tuple[str, Any, FieldInfo]]:
-    """Yield (dotted name, leaf, metadata) for each array in a tree of records.
+    """Yield (dotted name, array, metadata) for each array in a tree of records; ``prefix`` starts each name.
 
     The axes of a Vec3 inherit its unit; the parts of a tuple are numbered from 0; a field that is None has none.
     """
@@ -248,19 +248,19 @@ def walk(item: Any, prefix: str = "") -> Iterator[tuple[str, Any, FieldInfo]]:
 
 @cache
 def _parts(kind: type) -> tuple[tuple[str, FieldInfo], ...]:
-    """Return name and metadata of each field of a record class that is not a setting."""
+    """Return name and metadata of each data field (not a setting) of a record class."""
     found = ((field.name, field_info(field)) for field in dataclasses.fields(kind))
     return tuple((name, info) for name, info in found if not info.static)
 
 
 @cache
 def _with_unit(info: FieldInfo, unit: str) -> FieldInfo:
-    """Return a field's metadata with another unit."""
+    """Return a field's metadata with ``unit`` in place of its unit."""
     return dataclasses.replace(info, unit=unit)
 
 
 def _walked(value: object, name: str, info: FieldInfo) -> Iterator[tuple[str, object, FieldInfo]]:
-    """Yield (dotted name, leaf, metadata) of each leaf of a field's value."""
+    """Yield (dotted name, array, metadata) for each array in one field's value."""
     if isinstance(value, tuple):
         for number, part in enumerate(value):
             yield from _walked(part, f"{name}.{number}", info)

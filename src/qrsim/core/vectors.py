@@ -40,15 +40,15 @@ class Vec3:
 
     @property
     def axes(self) -> tuple[Array, Array, Array]:
-        """Components (x, y, z)."""
+        """Components (x, y, z), three arrays of one shape."""
         return self.x, self.y, self.z
 
     def dot(self, other: Vec3) -> Array:
-        """Return the scalar product."""
+        """Return the scalar product with another vector."""
         return self.x * other.x + self.y * other.y + self.z * other.z
 
     def cross(self, other: Vec3) -> Vec3:
-        """Return the vector product self x other."""
+        """Return the vector product self x other, of the two vectors."""
         return Vec3(
             self.y * other.z - self.z * other.y,
             self.z * other.x - self.x * other.z,
@@ -56,31 +56,31 @@ class Vec3:
         )
 
     def norm(self) -> Array:
-        """Return the length."""
+        """Return the Euclidean length."""
         return jnp.sqrt(self.dot(self))
 
     def map(self, function: Callable[[Array], Array]) -> Vec3:
-        """Return the vector of a function applied to each component."""
+        """Return the vector with ``function`` applied to each component."""
         return Vec3(function(self.x), function(self.y), function(self.z))
 
     def stack(self) -> Array:
-        """Return one array of shape (..., 3)."""
+        """Return the components as one array of shape (..., 3)."""
         return jnp.stack((self.x, self.y, self.z), axis=-1)
 
     @staticmethod
     def zeros(shape: tuple[int, ...], dtype: jnp.dtype) -> Vec3:
-        """Return a zero vector with components of a shape and dtype."""
+        """Return a zero vector with component arrays of this shape and dtype."""
         zero = jnp.zeros(shape, dtype)
         return Vec3(zero, zero, zero)
 
     @staticmethod
     def of(array: Array) -> Vec3:
-        """Return an array (..., 3) as a vector of three arrays (...)."""
+        """Return an array (..., 3) as a vector with three component arrays (...)."""
         return Vec3(array[..., 0], array[..., 1], array[..., 2])
 
 
 def root(squared: Array) -> Array:
-    """Return the square root of positive numbers, 0 for others, with gradient 0 there."""
+    """Return the square root of positive numbers, else 0, with gradient 0 there."""
     return jnp.where(squared > 0.0, jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0)), 0.0)
 
 
@@ -102,11 +102,11 @@ class Rotation:
     down: Vec3 = quantity(doc="body z axis in NED")
 
     def to_body(self, ned: Vec3) -> Vec3:
-        """Return a vector given in the navigation frame (NED) in the body frame (D v)."""
+        """Return a vector, given in NED, in body axes (D v)."""
         return Vec3(self.forward.dot(ned), self.right.dot(ned), self.down.dot(ned))
 
     def to_ned(self, body: Vec3) -> Vec3:
-        """Return a vector given in the body frame in the navigation frame, NED (D^T v)."""
+        """Return a vector, given in body axes, in NED (D^T v)."""
         return self.forward * body.x + self.right * body.y + self.down * body.z
 
 
@@ -123,14 +123,14 @@ class AttitudeTrig:
 
     @staticmethod
     def of(attitude: Euler) -> AttitudeTrig:
-        """Return sines and cosines of the three Euler angles."""
+        """Return the sines and cosines of the three Euler angles."""
         sin_roll, cos_roll = sincos(attitude.roll)
         sin_pitch, cos_pitch = sincos(attitude.pitch)
         sin_yaw, cos_yaw = sincos(attitude.yaw)
         return AttitudeTrig(sin_roll, cos_roll, sin_pitch, cos_pitch, sin_yaw, cos_yaw)
 
     def rotation(self) -> Rotation:
-        """Return the direction cosine matrix D(phi, theta, psi), from NED to body."""
+        """Return the direction cosine matrix of the attitude, from NED to body axes."""
         sr, cr, sp, cp, sy, cy = jax.tree.leaves(self)
         return Rotation(
             Vec3(cp * cy, cp * sy, -sp),
@@ -140,12 +140,12 @@ class AttitudeTrig:
 
 
 def rotation(attitude: Euler) -> Rotation:
-    """Return the direction cosine matrix of an attitude, from NED to body."""
+    """Return the direction cosine matrix of Euler angles [rad], from NED to body axes."""
     return AttitudeTrig.of(attitude).rotation()
 
 
 def body_rates(attitude: Euler, rates: Euler) -> Vec3:
-    """Return the body rates [rad/s] for rates of change of the Euler angles [rad/s], the inverse of ``euler_rates``."""
+    """Return the body rates [rad/s] for time derivatives of the Euler angles [rad/s]; inverse of ``euler_rates``."""
     trig = AttitudeTrig.of(attitude)
     lateral = rates.yaw * trig.cos_pitch
     return Vec3(
@@ -156,7 +156,7 @@ def body_rates(attitude: Euler, rates: Euler) -> Vec3:
 
 
 def euler_rates(trig: AttitudeTrig, rates_body: Vec3) -> Euler:
-    """Return the time derivative of the Euler angles [rad/s]; singular at |pitch| = pi/2."""
+    """Return the time derivatives of the Euler angles [rad/s] for body rates [rad/s]; singular at |pitch| = pi/2."""
     lateral = rates_body.y * trig.sin_roll + rates_body.z * trig.cos_roll
     yaw = lateral / trig.cos_pitch
     return Euler(

@@ -8,7 +8,8 @@ from pathlib import Path
 
 
 def write_atomically(path: Path, data: bytes | memoryview) -> None:
-    """Write bytes to a file by way of a temporary one, so that readers see the old or the new file whole.
+    """Write bytes to a temporary file and rename it to ``path``, so that readers see either the old or the new file
+    whole.
 
     The temporary name starts with a dot, so other tools that read a folder of Parquet files ignore it too.
 

@@ -25,19 +25,19 @@ _TAKEN_IN: dict[str, list[Way]] = {}
 
 
 def is_code(source: object) -> bool:
-    """Return whether a text has the form of code to load: a module or file, a colon, and a name."""
+    """Return whether a text names code to load: ``module:name`` or ``file.py:name``."""
     place, colon, name = source.rpartition(":") if isinstance(source, str) else ("", "", "")
     return bool(colon and place and name.isidentifier())
 
 
 def file_of(source: str) -> Path | None:
-    """Return the file in ``file.py:name``, None for ``module:name``."""
+    """Return the path in ``file.py:name``, None for ``module:name``."""
     place = source.rpartition(":")[0]
     return Path(place) if place.endswith(".py") else None
 
 
 def anchored(source: str, folder: Path) -> str:
-    """Return ``file.py:name`` with the path made absolute, relative to ``folder``; ``module:name`` unchanged."""
+    """Return ``file.py:name`` with its path, relative to ``folder``, made absolute; ``module:name`` unchanged."""
     path = file_of(source)
     if path is None:
         return source
@@ -46,7 +46,8 @@ def anchored(source: str, folder: Path) -> str:
 
 
 def load_object(what: str, source: str, words: Sequence[str] = (), *, kind: str = "function") -> Any:
-    """Return the object ``module:name`` or ``file.py:name``; modules in the working folder are found too.
+    """Import ``module:name``, also from the working folder, or ``file.py:name``, and return the object; raises
+    UsageError, beginning with ``what``, if that fails.
 
     A file that has changed since it was loaded is loaded anew.
 
@@ -75,20 +76,20 @@ def load_object(what: str, source: str, words: Sequence[str] = (), *, kind: str 
 
 
 def taken_in(module: str, again: Callable[[str, str], object], kind: str, source: str) -> None:
-    """Register how another process loads a component from a user's file: by ``again(kind, source)``."""
+    """Register how another process loads a component that a user's file defines: it calls ``again(kind, source)``."""
     ways = _TAKEN_IN.setdefault(module, [])
     if (again, kind, source) not in ways:
         ways.append((again, kind, source))
 
 
 def files_of(classes: Iterable[type]) -> FileModules:
-    """Return, by module name, the file and its registered components, for classes from users' files."""
+    """Return module name -> (file, its registered components) for the users' files that define these classes."""
     names = {each.__module__ for each in classes if each.__module__.startswith(PREFIX)}
     return {name: (str(sys.modules[name].__file__), tuple(_TAKEN_IN.get(name, ()))) for name in sorted(names)}
 
 
 def load_files(files: FileModules) -> None:
-    """Import the users' files that ``files_of`` listed, in another process, and register their components.
+    """Import, in another process, the users' files that ``files_of`` listed, and register their components.
 
     Raises:
         UsageError: a file is not there, or has changed since.
@@ -106,7 +107,7 @@ def load_files(files: FileModules) -> None:
 
 
 def _content_of(module: str) -> str:
-    """Return the part of a module's name that is the digest of its file, 16 digits."""
+    """Return the part of a user module's name that identifies its file's content: 16 digits of the digest."""
     return module.rpartition("_")[2][:16]
 
 
@@ -116,7 +117,8 @@ def digest(path: Path) -> str:
 
 
 def where_raised(error: BaseException, files: Sequence[str] | None = None) -> str:
-    """Return "FILE, line N" of the innermost traceback line in the given files, "" if there is none.
+    """Return "FILE, line N" of the innermost line of an error's traceback in ``files`` (None: in users' files), ""
+    without one.
 
     Without files, of the innermost line that is neither of qrsim nor of an installed package.
     """
@@ -129,19 +131,21 @@ def where_raised(error: BaseException, files: Sequence[str] | None = None) -> st
 
 
 def _is_of_user(file: str) -> bool:
-    """Return whether a source file is the user's: not of this package, Python or installed ones."""
+    """Return whether a source file is the user's, and not part of this package, of Python or of an installed
+    package."""
     return not file.startswith((_PACKAGE, "<frozen")) and "site-packages" not in file
 
 
 def in_one_line(error: BaseException) -> str:
-    """Return an error's type and the first line of its message as text."""
+    """Return an error's type and the first line of its message, as one line of text."""
     said = error.msg if isinstance(error, SyntaxError) else str(error)
     first = said.strip().splitlines()[0] if said.strip() else ""
     return f"{type(error).__name__}: {shortened(first, 400)}" if first else type(error).__name__
 
 
 def _import_module(what: str, name: str) -> ModuleType:
-    """Return a module imported by name, also from the working folder; raise UsageError, beginning with ``what``."""
+    """Import a module by name, also from the working folder, and return it; raises UsageError, beginning with
+    ``what``."""
     if not all(part.isidentifier() for part in name.split(".")):
         raise UsageError(f"{what}: '{name}' is no module; expected my_package.my_module, or a file that ends in .py")
     folder = str(Path.cwd())
@@ -160,20 +164,22 @@ def _import_module(what: str, name: str) -> ModuleType:
 
 
 def _own_modules() -> list[str]:
-    """Return the dotted names of this package's modules."""
+    """Return the dotted names of all modules of this package."""
     package = Path(_PACKAGE)
     return [".".join(path.relative_to(package.parent).with_suffix("").parts) for path in package.rglob("*.py")]
 
 
 def _failed(error: BaseException, files: list[str]) -> str:
-    """Return the reason for a failed import as text, with the line in one of ``files``, else the innermost line."""
+    """Return why an import failed, as text, with the line in one of ``files`` if there is one, else the innermost
+    line."""
     own = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
     place = where_raised(error, files) or where_raised(error, [name for name in own if "importlib" not in name])
     return f"importing it failed: {in_one_line(error)}" + (f" ({place})" if place else "")
 
 
 def _import_file(what: str, path: Path) -> ModuleType:
-    """Return a Python file imported as a module named by its digest; raise UsageError, beginning with ``what``."""
+    """Import a Python file as a module with the file's digest in its name, and return it; raises UsageError, beginning
+    with ``what``."""
     if not path.exists():
         near = [str(other) for other in path.parent.glob("*.py")] if path.parent.is_dir() else []
         hint = did_you_mean(str(path), near)

@@ -37,7 +37,8 @@ class CsvFile:
             yield fields
 
     def number(self, name: str, field: str, hint: str = "") -> float:
-        """Return a field as a finite number; raises UsageError, ending with ``hint``, for others."""
+        """Return the text of a field as a finite number; raises UsageError, with column ``name`` and ``hint``, for
+        others."""
         text = field.strip()
         try:
             number = float(text)
@@ -48,13 +49,13 @@ class CsvFile:
         return number
 
     def fail(self, problem: str) -> NoReturn:
-        """Raise a UsageError with the path and the number of the line read last in front."""
+        """Raise UsageError with the file's path and the number of the present line in front of ``problem``."""
         raise UsageError(f"{self._path}: line {self._rows.line_num}: {problem}")
 
 
 @contextmanager
 def open_csv(path: Path, most_bytes: int) -> Iterator[CsvFile]:
-    """Open a CSV file of at most ``most_bytes`` as a context, and yield its reader.
+    """Open a CSV file of at most ``most_bytes`` [bytes] while the context lasts, and yield its reader.
 
     Raises:
         UsageError: it cannot be read, or is no CSV, also while its rows are read.

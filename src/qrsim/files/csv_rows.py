@@ -15,13 +15,13 @@ _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*", re.ASCII)
 
 
 def delimiter_of(header: str) -> str:
-    """Return the delimiter of a CSV header: a comma, or the semicolon or tab if more frequent."""
+    """Return the delimiter of a CSV file by its header: a comma, or the semicolon or tab if more frequent."""
     bare = _QUOTED.sub("", header)
     return max((",", *OTHER_DELIMITERS), key=bare.count)
 
 
 def name_and_unit(column: str) -> tuple[str, str | None]:
-    """Return the name and unit of a column such as ``roll [deg]`` or ``roll (deg)``; None without a unit."""
+    """Split a column name such as ``roll [deg]`` or ``roll (deg)`` into name and unit; the unit is None without one."""
     found = _WITH_UNIT.fullmatch(column)
     return (found[1], found[2]) if found else (column, None)
 
@@ -58,7 +58,7 @@ class CsvRows:
 
     @property
     def line_num(self) -> int:
-        """Number of the line that was read last, from 1."""
+        """Number, from 1, of the line read last."""
         return self._reader.line_num
 
     def __iter__(self) -> Iterator[list[str]]:
@@ -68,5 +68,5 @@ class CsvRows:
 
 
 def _with_point(field: str) -> str:
-    """Return a number with a decimal comma written with a point; other texts unchanged."""
+    """Replace the decimal comma of a number by a point; other texts are returned unchanged."""
     return field.replace(",", ".") if _DECIMAL_COMMA.fullmatch(field) else field

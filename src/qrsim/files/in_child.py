@@ -59,11 +59,12 @@ class Child:
 
     @property
     def number(self) -> int | None:
-        """Process id of the running child; None if none runs."""
+        """Process id of the child process; None if it does not run."""
         return self._process.pid if self._process else None
 
     def call(self, function: Callable[..., T], *arguments: object) -> T:
-        """Return the result of a module-level function called in the child process.
+        """Call a module-level function in the child process, and return its result; its UsageErrors are raised here
+        again.
 
         Raises:
             UsageError: the function raised one; the message is the same.
@@ -73,7 +74,7 @@ class Child:
         process, late = self._running(), threading.Event()
 
         def end() -> None:
-            """Kill the child because it took too long."""
+            """Kill the child process, which takes too long."""
             late.set()
             process.kill()
 
@@ -109,7 +110,7 @@ class Child:
         return found
 
     def _running(self) -> subprocess.Popen[bytes]:
-        """Return the child process, started on first use."""
+        """Return the child process; it is started on first use."""
         if self._process is None:
             # Only an absolute path leads a child to the same modules from any folder.
             paths = os.pathsep.join(os.path.abspath(path) for path in sys.path if path)
@@ -123,7 +124,7 @@ class Child:
         return self._process
 
     def _end(self, patience_s: float) -> int:
-        """End the child and return its exit code; it is killed after ``patience_s`` seconds."""
+        """End the child process, by force after ``patience_s`` seconds, and return its exit code."""
         process, self._process = self._process, None
         if process is None:
             return 0
@@ -136,13 +137,14 @@ class Child:
 
 
 def in_child(function: Callable[..., T], *arguments: object, memory: int = MEMORY, seconds: float = LONGEST_S) -> T:
-    """Return the result of one call in a new child process; arguments and errors are those of ``Child``."""
+    """Call a function in a new child process, with limits on memory [bytes] and time [s], and return its result; errors
+    are those of ``Child``."""
     with Child(memory, seconds) as child:
         return child.call(function, *arguments)
 
 
 def _how_it_ended(code: int) -> str:
-    """Return a text for messages on a child's exit code, with the signal's name for a crash."""
+    """Return how a child process ended, from its exit code, as text for messages."""
     if code >= 0:
         return f"its decoder ended with code {code}"
     try:
@@ -152,7 +154,7 @@ def _how_it_ended(code: int) -> str:
 
 
 def _limit_memory(memory: int) -> None:
-    """Limit this process to ``memory`` [bytes] more than it uses now, if the system can."""
+    """Limit the memory of this process to ``memory`` [bytes] more than it uses now, if the operating system can."""
     try:
         import resource
     except ImportError:  # Windows
@@ -173,7 +175,7 @@ def _limit_memory(memory: int) -> None:
 
 
 def _answer(function: Callable[..., object], arguments: tuple[object, ...]) -> bytes:
-    """Return a function's result or error as pickled bytes (kind, content) for the parent."""
+    """Call a function in the child process; return its result or error, pickled as (kind, content), for the parent."""
     answer: tuple[str, object]
     try:
         return pickle.dumps(("value", function(*arguments)), pickle.HIGHEST_PROTOCOL)
@@ -187,7 +189,7 @@ def _answer(function: Callable[..., object], arguments: tuple[object, ...]) -> b
 
 
 def _reasons(error: BaseException | None) -> tuple[str, ...]:
-    """Return type and message of an error and of its causes, as texts, outermost first."""
+    """Return type and message of an error and of each of its causes, as texts, outermost first."""
     found: list[str] = []
     while error is not None and len(found) < MOST_REASONS:
         found.append(f"{type(error).__name__}: {error}")
@@ -197,7 +199,7 @@ def _reasons(error: BaseException | None) -> tuple[str, ...]:
 
 def _main(memory: int) -> None:
     # Libraries in C print; the results have a pipe for themselves.
-    """Serve calls from standard input until it ends: the child's main loop."""
+    """Execute the calls that arrive on standard input, until it ends: the main loop of the child process."""
     results = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     warnings.simplefilter("ignore")

@@ -55,7 +55,7 @@ class Interruption(KeyboardInterrupt):
 
 
 def word(error: BaseException) -> str:
-    """Return "interrupted" for an error by Ctrl-C, "terminated" for one by SIGTERM, for messages."""
+    """Return the word for messages about a stopped program: "interrupted" for Ctrl-C, "terminated" for SIGTERM."""
     return WORDS[getattr(error, "number", signal.SIGINT)]
 
 
@@ -65,13 +65,14 @@ def exit_code(error: BaseException) -> int:
 
 
 def received() -> Interruption | None:
-    """Return the Interruption of the last signal since ``heard`` began, None if there was none."""
+    """Return an Interruption for the last signal received since ``heard`` began; None without one."""
     return None if _state["number"] is None else Interruption(_state["number"])
 
 
 @contextlib.contextmanager
 def heard() -> Iterator[None]:
-    """Raise an Interruption on Ctrl-C and SIGTERM, in this context and the main thread; ignored signals stay so."""
+    """In the context, raise an Interruption on Ctrl-C and SIGTERM, in the main thread only; ignored signals stay
+    ignored."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -79,7 +80,7 @@ def heard() -> Iterator[None]:
     hook = sys.unraisablehook
 
     def quiet(dropped: sys.UnraisableHookArgs) -> None:
-        """Report an exception raised where it is lost, unless it is an Interruption."""
+        """Report an exception that Python cannot raise, such as one in a destructor, unless it is an Interruption."""
         # Its destructor sends the signal again, and there is nothing to report.
         if not (dropped.exc_type is not None and issubclass(dropped.exc_type, Interruption)):
             hook(dropped)
@@ -100,11 +101,11 @@ def heard() -> Iterator[None]:
 
 @contextlib.contextmanager
 def calling(do: Callable[[], None]) -> Iterator[None]:
-    """Call ``do`` on Ctrl-C and SIGTERM in this context; an Interruption is raised at the end if a signal came."""
+    """In the context, call ``do`` on Ctrl-C and SIGTERM; if a signal came, raise an Interruption at the end."""
     came: list[int] = []
 
     def handle(number: int, frame: FrameType | None) -> None:
-        """Note the signal and call ``do``."""
+        """Note the signal, and call ``do``."""
         came.append(number)
         do()
 
@@ -115,7 +116,8 @@ def calling(do: Callable[[], None]) -> Iterator[None]:
 
 
 def run_until_signal(main: Coroutine[object, object, None]) -> None:
-    """Run a coroutine like ``asyncio.run``; Ctrl-C and SIGTERM cancel it and raise an Interruption at its end.
+    """Run a coroutine as ``asyncio.run`` does; Ctrl-C and SIGTERM cancel it, and raise an Interruption after it has
+    ended.
 
     An exception in the middle of the event loop could lose the wake-up of a task, which would then wait forever. So a
     signal raises one, as in ``heard``, only if the coroutine has not ended some seconds later.
@@ -126,12 +128,13 @@ def run_until_signal(main: Coroutine[object, object, None]) -> None:
     late: list[threading.Timer] = []
 
     async def watched() -> None:
-        """Run the main coroutine; a signal cancels its task."""
+        """Run the main coroutine as a task, which a signal cancels."""
         loop, task = asyncio.get_running_loop(), asyncio.current_task()
         assert task is not None
 
         def handle(number: int, frame: FrameType | None) -> None:
-            """Cancel the task at the first signal; raise at the second, or if the task has not ended in time."""
+            """Cancel the task at the first signal; raise an Interruption at the second, or if the task does not end in
+            time."""
             if came:
                 _raise(number, frame)
                 return
@@ -158,17 +161,17 @@ def run_until_signal(main: Coroutine[object, object, None]) -> None:
 
 @contextlib.contextmanager
 def ending() -> Iterator[threading.Event]:
-    """Set the yielded event on Ctrl-C and SIGTERM, and raise nothing, because the work is already done."""
+    """In the context, only set the yielded event on Ctrl-C and SIGTERM, because the work itself is already done."""
     came = threading.Event()
     with _handling(lambda number, frame: came.set()):
         yield came
 
 
 def leave_at_once() -> None:
-    """End the process at once, without a traceback, on Ctrl-C and SIGTERM, until ``heard`` begins."""
+    """From now on, end the process without a traceback on Ctrl-C and SIGTERM, until ``heard`` begins."""
 
     def leave(number: int, frame: FrameType | None) -> None:
-        """Print the words for a signal and end the process."""
+        """Print the word for a signal, and end the process."""
         with contextlib.suppress(OSError):
             os.write(2, f"{WORDS[signal.Signals(number)]}\n".encode())
         os._exit(128 + number)
@@ -178,7 +181,7 @@ def leave_at_once() -> None:
 
 @contextlib.contextmanager
 def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Install a handler of both signals in this context, in the main thread; in other threads do nothing."""
+    """In the context, call ``handler`` on Ctrl-C and SIGTERM; in threads other than the main one, do nothing."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -191,7 +194,8 @@ def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None
 
 
 def _installed(handler: Any) -> dict[int, Any]:
-    """Install a handler of the signals that are not ignored, and return their previous handlers by number."""
+    """Install a handler of Ctrl-C and SIGTERM, except where they are ignored; return signal number -> previous
+    handler."""
     before: dict[int, object] = {int(number): signal.getsignal(number) for number in WORDS}
     heeded = {number: now for number, now in before.items() if now not in (signal.SIG_IGN, None)}
     for number in heeded:
@@ -200,7 +204,7 @@ def _installed(handler: Any) -> dict[int, Any]:
 
 
 def _raise(number: int, frame: FrameType | None) -> None:
-    """Raise Interruption for a signal, or send it again later if the running code must not be interrupted."""
+    """Raise an Interruption for a signal; if the running code must not be interrupted, send the signal again later."""
     if _state["listener"] is None:
         return  # its work is done
     now = time.monotonic()
@@ -215,7 +219,8 @@ def _raise(number: int, frame: FrameType | None) -> None:
 
 
 def _is_inside(frame: FrameType | None, names: tuple[str, ...]) -> bool:
-    """Return whether the call stack contains a module in ``names``, or an import in C, unsafe to interrupt."""
+    """Return whether the call stack is inside a module in ``names`` or an import by C code, which must not be
+    interrupted."""
     while frame is not None:
         if frame.f_globals.get("__name__", "").startswith(names):
             return True
@@ -230,7 +235,7 @@ _LOADING = (ExtensionFileLoader.exec_module.__code__, ExtensionFileLoader.create
 
 
 def _send_again(number: int) -> None:
-    """Send the signal again in a moment, once."""
+    """Send the signal to this process again after AGAIN_AFTER_S [s], unless that is already planned."""
     if _state["waiting"]:
         return
     _state["waiting"] = True
@@ -240,7 +245,7 @@ def _send_again(number: int) -> None:
 
 
 def _send(number: int, listener: object) -> None:
-    """Send the signal to the main thread, unless the context with ``listener`` has ended."""
+    """Send the signal to the main thread, unless the context that ``listener`` stands for has ended."""
     with _sending:
         if _state["listener"] is not listener:
             return

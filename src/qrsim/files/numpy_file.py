@@ -13,7 +13,8 @@ from qrsim.errors import UsageError
 
 
 def read_arrays(file: str, data: bytes, most_numbers: int) -> dict[str, np.ndarray[Any, Any]]:
-    """Return the arrays of an archive written by ``numpy.savez`` or ``numpy.savez_compressed``, by name.
+    """Return the arrays, by name, of an archive by ``numpy.savez`` or ``savez_compressed``, each of at most
+    ``most_numbers`` numbers; ``file``: for messages.
 
     Args:
         file: its name, for messages.
@@ -55,7 +56,7 @@ def read_arrays(file: str, data: bytes, most_numbers: int) -> dict[str, np.ndarr
 
 
 def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], int]:
-    """Return an array's shape, and the size [bytes] of one element, from its header."""
+    """Return an array's shape and the size [bytes] of one element, from the header of an .npy stream."""
     version = np.lib.format.read_magic(stream)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, _, dtype = read(stream)

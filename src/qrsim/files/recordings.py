@@ -32,7 +32,7 @@ class Recording:
 
     @property
     def url(self) -> str:
-        """Address from which to fetch the recording."""
+        """Address from which the recording is downloaded."""
         return UPSTREAM + self.source
 
 
@@ -73,14 +73,14 @@ class FileStatus:
 
     @property
     def condition(self) -> Condition:
-        """Condition of the file: "good", "altered" or "missing"."""
+        """Condition of the file: "good", "altered" (another hash) or "missing"."""
         if self.sha256_found is None:
             return "missing"
         return "good" if self.sha256_found == self.sha256_expected else "altered"
 
 
 def data_folder() -> Path:
-    """Return the folder of recordings: QRSIM_DATA_DIR if set, else a folder in the user's cache."""
+    """Return the folder of the public recordings: QRSIM_DATA_DIR if set, else one in the user's cache."""
     chosen = os.environ.get(FOLDER_VARIABLE)
     if chosen:
         return Path(os.path.expanduser(chosen)).absolute()
@@ -90,7 +90,8 @@ def data_folder() -> Path:
 
 
 def file_status(name: str, folder: Path | None = None) -> FileStatus:
-    """Return the status of the recording ``name`` in ``folder`` (default: ``data_folder()``), by its hash.
+    """Return the status of the recording ``name`` in ``folder`` (default: ``data_folder()``): missing, altered or good,
+    by its hash.
 
     Raises:
         UsageError: no recording has this name.
@@ -105,7 +106,7 @@ def file_status(name: str, folder: Path | None = None) -> FileStatus:
 
 
 def data_file(name: str) -> Path:
-    """Return the path of a recording in the data folder, after a check of its hash.
+    """Return the path of a recording in the data folder; raises an error if it is missing or its hash is wrong.
 
     Raises:
         UsageError: no recording has this name.
@@ -126,7 +127,7 @@ def data_file(name: str) -> Path:
 
 
 def fetch_file(name: str, folder: Path, progress_bar: object = None) -> Path:
-    """Fetch one recording and return its path; a good file is kept, an altered one replaced.
+    """Download a recording into ``folder`` and return its path; a good file is kept, an altered one replaced.
 
     Args:
         name: a key of RECORDINGS.
@@ -161,7 +162,7 @@ def _reason(error: Exception) -> str:
 
 
 def fetch_by_hand(names: list[str], folder: Path) -> list[str]:
-    """Return lines of text that explain how to fetch recordings on another machine."""
+    """Return lines of text that explain how to download recordings on another machine."""
     rows = [line for name in names for line in (f"  {RECORDINGS[name].url}", f"    as {folder / name}")]
     check = f"then check with: {FOLDER_VARIABLE}={shlex.quote(str(folder))} qrsim data where"
     return ["by hand, on a machine with network access, save", *rows, check]

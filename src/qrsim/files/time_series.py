@@ -30,7 +30,7 @@ def read_series(
     optional: Mapping[str, str] = MappingProxyType({}),
     instead: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[npt.NDArray[np.float64], dict[str, npt.NDArray[np.float64]]]:
-    """Return the times (K,) [s] and the columns (K,), by name, of a CSV file with K >= 2 rows.
+    """Read times (K,) [s] and columns, name -> (K,), from a CSV file with K >= 2 rows, at most ``max_gap`` [s] apart.
 
     Columns are found by name, alone or with its unit: ``north`` or ``north [m/s]``. Others are ignored.
 
@@ -65,7 +65,7 @@ def read_series(
 
 
 def check_covers(what: str, times: npt.NDArray[np.float64], duration: float) -> None:
-    """Raise UsageError for a series that does not reach from 0 s to the end of a run.
+    """Raise UsageError, beginning with ``what``, if a series does not last from 0 s to ``duration`` [s].
 
     Args:
         what: it is, for the message.
@@ -82,7 +82,8 @@ def check_covers(what: str, times: npt.NDArray[np.float64], duration: float) -> 
 
 
 def _without_units(file: CsvFile, units: Mapping[str, str]) -> list[str]:
-    """Return the header's names, without ``[unit]`` for columns in ``units``; raise UsageError for other units."""
+    """Return the header's names with ``[unit]`` removed from the columns in ``units``; raises UsageError for other
+    units."""
     names = []
     for written in file.header:
         name, unit = name_and_unit(written)
@@ -96,7 +97,8 @@ def _without_units(file: CsvFile, units: Mapping[str, str]) -> list[str]:
 
 
 def _places(file: CsvFile, header: list[str], names: Sequence[str], expected: str) -> dict[str, int]:
-    """Return the index of each column by name; raise UsageError for missing or repeated ones."""
+    """Return name -> index in the header; raises UsageError, with the ``expected`` columns, for missing or repeated
+    ones."""
     for name in names:
         if name not in header:
             match = nearest(name, [other for other in header if other])
@@ -108,7 +110,7 @@ def _places(file: CsvFile, header: list[str], names: Sequence[str], expected: st
 
 
 def _check_time(file: CsvFile, before: float | None, time: float, max_gap: float) -> None:
-    """Raise UsageError unless a time is later than the row before, by at most ``max_gap`` [s]."""
+    """Raise UsageError unless a row's time is later than that of the row before, by at most ``max_gap`` [s]."""
     if abs(time) > LARGEST_TIME_S:
         file.fail(f"column 'time': {time:g} s is beyond {LARGEST_TIME_S:g} s; give seconds since the start")
     if before is None:

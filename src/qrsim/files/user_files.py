@@ -22,7 +22,7 @@ _KINDS = (
 
 
 def open_file(path: str | os.PathLike[str], most: int = LARGEST_DATA) -> BinaryIO:
-    """Return a regular file opened for reading bytes, after a check of its kind and size.
+    """Open a user's file for reading bytes; raises an error unless it is a regular file of at most ``most`` bytes.
 
     Args:
         path: as the user gave it; ``~`` is the user's home.
@@ -57,12 +57,12 @@ def open_file(path: str | os.PathLike[str], most: int = LARGEST_DATA) -> BinaryI
 
 
 def open_text(path: str | os.PathLike[str], most: int = LARGEST_DATA, errors: str = "strict") -> io.TextIOWrapper:
-    """Return a regular UTF-8 file opened for ``csv``, byte order mark skipped; raises as ``open_file``."""
+    """Open a user's UTF-8 file as text for ``csv``, with limits as ``open_file``; a byte order mark is skipped."""
     return io.TextIOWrapper(open_file(path, most), encoding="utf-8-sig", errors=errors, newline="")
 
 
 def read_bytes(path: str | os.PathLike[str], most: int = LARGEST_DATA) -> bytes:
-    """Return the bytes of a regular file; raises as ``open_file``."""
+    """Read a user's file of at most ``most`` bytes; raises as ``open_file``."""
     with open_file(path, most) as file:
         content = file.read(most + 1)
     # Files of /proc have no size before they are read.
@@ -72,7 +72,7 @@ def read_bytes(path: str | os.PathLike[str], most: int = LARGEST_DATA) -> bytes:
 
 
 def read_text(path: str | os.PathLike[str], most: int = LARGEST_TEXT) -> str:
-    """Return the text of a regular UTF-8 file, without its byte order mark.
+    """Read a user's UTF-8 file of at most ``most`` bytes as text, without a byte order mark; raises as ``open_file``.
 
     Raises:
         OSError: as ``open_file``, and where it is no UTF-8 text; the strerror says where.
@@ -87,13 +87,13 @@ def read_text(path: str | os.PathLike[str], most: int = LARGEST_TEXT) -> str:
 
 
 def check_file(path: str | os.PathLike[str], most: int = LARGEST_DATA) -> Path:
-    """Return the path of a regular file for a library to open, ``~`` expanded; raises as ``open_file``."""
+    """Check a user's file, which a library will open, as ``open_file`` does; return its path with ``~`` expanded."""
     open_file(path, most).close()
     return Path(os.path.expanduser(path))
 
 
 def _size(count: int) -> str:
-    """Return a number of bytes as text, in MB or GB if large."""
+    """Return a number of bytes as text, in MB or GB if it is large."""
     for factor, unit in ((2**30, "GB"), (2**20, "MB")):
         if count >= factor:
             return f"{count / factor:.4g} {unit}"

@@ -38,7 +38,8 @@ class _FaultError(Exception):
 
 
 def parse_yaml(text: str, source: str, own: bool = False) -> Any:
-    """Return YAML text as dicts with string keys, lists, strings, numbers, booleans and None.
+    """Parse YAML 1.2 text to dicts with text keys, lists, texts, numbers, booleans and None; raises errors that name
+    ``source``.
 
     Args:
         text: to parse.
@@ -75,7 +76,7 @@ def parse_yaml(text: str, source: str, own: bool = False) -> Any:
 
 
 def _where(line: int, column: int) -> str:
-    """Return line and column, given from 0, as text with which messages begin."""
+    """Return a text for messages on a line and column of a document, both counted from 0 here."""
     return f"line {line + 1}, column {column + 1}: "
 
 
@@ -103,7 +104,7 @@ class _Builder:
         self.result: Any = None
 
     def build(self, text: str) -> object:
-        """Return the content of a YAML text; raise an error for a second document."""
+        """Parse a YAML text and return its content; raises an error for a second document."""
         parser = _PARSER(text)
         documents = 0
         try:
@@ -119,7 +120,7 @@ class _Builder:
         return self.result
 
     def _take(self, event: Any) -> None:
-        """Process one event of the parser."""
+        """Process one event of the YAML parser (start of a list, scalar, alias and so on)."""
         if isinstance(event, yaml.CollectionEndEvent):
             done = self.stack.pop()
             self._keep(done.anchor, done.value, self.count - done.first)
@@ -137,7 +138,7 @@ class _Builder:
             self._begin(event, mark)
 
     def _begin(self, event: Any, mark: Any) -> None:
-        """Open a list or a mapping; raise an error if too deep or tagged."""
+        """Open a list or mapping; raises an error if it is nested too deeply or has a tag."""
         sequence = isinstance(event, yaml.SequenceStartEvent)
         if event.tag not in (None, "!", _TAG + ("seq" if sequence else "map")):
             _refuse_tag(event.tag, mark)
@@ -150,18 +151,18 @@ class _Builder:
         self.stack.append(_Open([] if sequence else {}, event.anchor, self.count - 1, mark, {}))
 
     def _add(self, nodes: int, mark: object) -> None:
-        """Add to the count of values; raise an error for too many."""
+        """Count ``nodes`` more values; raises an error if there are too many."""
         self.count += nodes
         if self.count > self.most:
             raise _FaultError(f"more than {self.most} values, those that aliases stand for included", mark)
 
     def _keep(self, anchor: str | None, value: object, size: int) -> None:
-        """Store a value under an anchor, for aliases; do nothing without an anchor."""
+        """Store a value of ``size`` nodes under its anchor, for aliases; do nothing without an anchor."""
         if anchor:
             self.anchors[anchor] = value, size, _depth(value)
 
     def _of_alias(self, event: Any) -> object:
-        """Return a copy of an alias' value, so that both can change independently; raise an error if undefined."""
+        """Return an independent copy of the value that an alias names; raises an error for an undefined anchor."""
         name, mark = event.anchor, event.start_mark
         if any(part.anchor == name for part in self.stack) and name not in self.anchors:
             raise _FaultError(f"'*{name}' stands inside of what it stands for", mark)
@@ -174,7 +175,8 @@ class _Builder:
         return _copied(value)
 
     def _place(self, value: object, mark: object, plain: str = "") -> None:
-        """Store a value at the present place of the document: result, list element, key or mapping value."""
+        """Store a value as the document's result, or in the open list or mapping as an element, key or value;
+        ``plain``: its text in the document."""
         if not self.stack:
             self.result = value
             return
@@ -188,7 +190,8 @@ class _Builder:
             parent.key = None
 
     def _take_key(self, parent: _Open, key: Any, mark: Any, plain: str) -> None:
-        """Store a mapping's key; raise an error if not text, or if repeated."""
+        """Store the key of a mapping's next value; raises an error if it is repeated or no text (``plain``: as
+        written)."""
         if not isinstance(key, str):
             raise _FaultError(f"the key {plain[:40] or 'null'} is not a text; to make it one, write it in quotes", mark)
         if key == "<<":
@@ -200,20 +203,20 @@ class _Builder:
 
 
 def _depth(value: object) -> int:
-    """Return the nesting depth of lists and dicts in a value."""
+    """Return how deeply lists and dicts are nested in a value."""
     parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else None
     return 0 if parts is None else 1 + max(map(_depth, parts), default=0)
 
 
 def _copied(value: object) -> object:
-    """Return a deep copy of lists and dicts; other values are immutable."""
+    """Return a copy of a value, with all lists and dicts in it copied."""
     if isinstance(value, dict):
         return {key: _copied(part) for key, part in value.items()}
     return [_copied(part) for part in value] if isinstance(value, list) else value
 
 
 def _scalar(event: Any) -> object:
-    """Return a scalar's value, by its tag, else by YAML 1.2's rules if it has no quotes."""
+    """Return the value of a YAML scalar: by its tag, as text if quoted, else by YAML 1.2's rules."""
     tag, text, mark = event.tag, event.value, event.start_mark
     if tag in (None, "!"):
         return _plain(text, mark) if event.implicit[0] and tag is None else text
@@ -235,7 +238,7 @@ def _scalar(event: Any) -> object:
 
 
 def _plain(text: str, mark: object) -> Any:
-    """Return the value of a text without quotes, by the rules of YAML 1.2."""
+    """Return the value of unquoted text by the rules of YAML 1.2: null, boolean, number or text."""
     if _NULL.fullmatch(text):
         return None
     if _BOOL.fullmatch(text):
@@ -252,7 +255,7 @@ def _plain(text: str, mark: object) -> Any:
 
 
 def _refuse_tag(tag: str, mark: object) -> NoReturn:
-    """Raise an error for an unsupported tag."""
+    """Raise an error for a YAML tag that is not supported."""
     shown = f"!!{tag.removeprefix(_TAG)}" if tag.startswith(_TAG) else tag
     raise _FaultError(f"the tag {shown[:60]} is not supported; known: !!str, !!int, !!float, !!bool, !!null", mark)
 
@@ -269,11 +272,11 @@ for _first in "-+.0123456789":
 
 
 def dump_yaml(content: object) -> str:
-    """Return a value as YAML text, which ``parse_yaml`` reads back unchanged."""
+    """Return a value as YAML text, from which ``parse_yaml`` reads the same value."""
     return yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100)
 
 
 def dump_line(content: object) -> str:
-    """Return a value as one line of YAML in flow style, without a line break."""
+    """Return a value as YAML in one line, without a line break."""
     text: str = yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=True, width=float("inf"))
     return text.rstrip("\n")

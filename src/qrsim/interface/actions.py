@@ -69,7 +69,8 @@ class ActionChecker:
         }
 
     def actions(self, command: object, flying: Flying | None = None) -> tuple[Action, ...]:
-        """Return the action of each fleet from a user's command, checked; see ``Simulation.step`` for its forms.
+        """Check a user's command and convert it to the action of each fleet; see ``Simulation.step`` for the forms of
+        commands.
 
         Args:
             command: for all vehicles, or by fleet or vehicle.
@@ -93,7 +94,8 @@ class ActionChecker:
         return tuple(self._cut(whole))
 
     def estimates(self, estimate: object, needed: bool = False) -> tuple[Estimate | None, ...]:
-        """Return the estimate of each fleet from a user's, checked; None for fleets that use ``feed``.
+        """Check a user's estimate and convert it to one for each fleet; None for fleets that take their controllers'
+        ``feed``.
 
         Args:
             estimate: of all vehicles, or None.
@@ -109,7 +111,8 @@ class ActionChecker:
         return tuple(self._cut(self._cast(estimate, "estimate", len(self.names))))
 
     def waypoint(self, position_ned: npt.ArrayLike, yaw_rad: npt.ArrayLike = 0.0) -> WaypointSetpoint:
-        """Return a set-point of positions (n, 3) or (3,) [m] and headings (n,) or one [rad], for all vehicles."""
+        """Return a waypoint set-point for all vehicles: positions NED (n, 3) or (3,) [m], headings (n,) or one
+        [rad]."""
         size = len(self.names)
         position = self._fitting("position_ned", position_ned, (size, 3))
         yaw = self._fitting("yaw_rad", yaw_rad, (size,))
@@ -123,7 +126,8 @@ class ActionChecker:
         return WaypointSetpoint(Vec3(north, east, down), heading)
 
     def _by_name(self, commands: Mapping[object, object], flying: Flying | None) -> tuple[Action, ...]:
-        """Return the action of each fleet from commands by name of a fleet or vehicle; raise UsageError."""
+        """Return the action of each fleet from commands by name of a fleet or vehicle; raises UsageError for unknown
+        names."""
         rows: dict[str, dict[int, object]] = {fleet.name: {} for fleet in self.fleets}
         for name, command in commands.items():
             if name in rows:
@@ -150,7 +154,7 @@ class ActionChecker:
         return tuple(actions)
 
     def _of_fleet(self, command: object, fleet: Fleet, flying: Flying | None) -> Action:
-        """Return the action of a fleet from a checked command for all its vehicles, messages included."""
+        """Return a fleet's action from a checked command for all its vehicles, radio messages included."""
         if not isinstance(command, Say):
             return self._checked(command, list(fleet.vehicle_names), (fleet,), flying)
         (said,) = outboxes(command, self._world, [fleet.vehicle_names], self.dtype, self.traced)
@@ -158,7 +162,7 @@ class ActionChecker:
         return Saying(asked, said)
 
     def _of_vehicles(self, fleet: Fleet, rows: Mapping[int, object], flying: Flying | None) -> Action:
-        """Return the action of a fleet from commands by vehicle row; other vehicles follow their guidance."""
+        """Return a fleet's action from commands by vehicle row; the other vehicles follow their scenario's guidance."""
         kinds: dict[type, dict[int, object]] = {}
         for row, command in rows.items():
             if command is None:
@@ -174,7 +178,7 @@ class ActionChecker:
         return Some(parts) if parts else None
 
     def _one_row(self, command: object, fleet: Fleet) -> object:
-        """Return a command for one vehicle with arrays (1, ...), as for a fleet of one."""
+        """Return a command for one vehicle as arrays (1, ...), the form for a fleet of one."""
         if type(command) in _NAME_OF or dataclasses.is_dataclass(command):
             return jax.tree.map(lambda leaf: leaf[None] if np.shape(leaf) == () else leaf, _arrays(command))
         if isinstance(command, str | bytes | Mapping | Say):
@@ -186,7 +190,8 @@ class ActionChecker:
         return library_for(self.traced).asarray(command)[None] if flat else command
 
     def _filled(self, size: int, asked: Mapping[int, object]) -> tuple[Any, Any]:
-        """Return (size,) bool: the vehicle is commanded, and the commands, each leaf (size,)."""
+        """Return which vehicles are commanded, (size,) bool, and their commands, given by row, as one record of arrays
+        (size,)."""
         which = np.isin(np.arange(size), list(asked))
         first = next(iter(asked.values()))
         ones = [asked.get(row, first) for row in range(size)]
@@ -194,7 +199,7 @@ class ActionChecker:
         return which, jax.tree.map(lambda *leaves: library.concatenate(leaves), *ones)
 
     def _cut(self, whole: T) -> list[T]:
-        """Return a command of all vehicles split into one for each fleet."""
+        """Split a command for all vehicles into one for each fleet."""
         if len(self.fleets) == 1:
             return [whole]
         parts, first = [], 0
@@ -204,7 +209,8 @@ class ActionChecker:
         return parts
 
     def _checked(self, command: object, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> object:
-        """Return a command or set-point for some fleets, checked and cast; raise UsageError if invalid."""
+        """Check a command or set-point for some fleets and convert its arrays to the simulation's dtype; raises
+        UsageError."""
         if type(command) in _NAME_OF:
             return self._setpoint(command, names, fleets, flying)
         if isinstance(command, Some | Piloted):
@@ -224,7 +230,8 @@ class ActionChecker:
         return self._command(kind, command, names, flying)
 
     def _kind(self, given: type | None, fleets: tuple[Fleet, ...]) -> CommandKind:
-        """Return the kind of command for the type ``given``; None means an array of the fleets' own fields.
+        """Return the kind of command for a record's type ``given``, or, for None, for an array of the fleets' own
+        command fields.
 
         Raises:
             UsageError: the fleets do not all take it.
@@ -243,7 +250,8 @@ class ActionChecker:
         return self.kinds[kind]
 
     def _setpoint(self, setpoint: object, names: list[str], fleets: tuple[Fleet, ...], flying: Flying | None) -> object:
-        """Return a set-point, checked; raise UsageError if a fleet's controller does not take its type."""
+        """Check a set-point and convert its arrays; raises UsageError if a fleet's controller does not take its
+        type."""
         for fleet in fleets:
             if type(setpoint) not in fleet.controller.setpoints:
                 name = _command_name(type(setpoint), article=True)
@@ -267,14 +275,15 @@ class ActionChecker:
         return checked
 
     def _cast(self, record: T, what: str, size: int) -> T:
-        """Return a record with arrays (n,) in the simulation's dtype; raise UsageError for other shapes."""
+        """Return a record with its fields as arrays (``size``,) of the simulation's dtype; raises UsageError, naming
+        ``what``, for other shapes."""
         leaves, structure = jax.tree.flatten(record)
         # The usual case at once: to carry the names of fields along takes as long as a tick.
         if not self.traced and all(_is_row(leaf, size) for leaf in leaves):
             return jax.tree.unflatten(structure, [np.ascontiguousarray(leaf, self.dtype) for leaf in leaves])
 
         def convert(path: tuple[object, ...], leaf: npt.ArrayLike) -> Floats | Array:
-            """Return a leaf of a command as an array (n,); raise UsageError for other shapes or no numbers."""
+            """Return one field of a command as an array (n,); raises UsageError for another shape or no numbers."""
             name = "".join(str(part) for part in path).lstrip(".")
             if np.shape(leaf) != (size,):
                 raise UsageError(f"{what}: {name}: expected shape {(size,)}, found {shape_of(leaf)}")
@@ -286,7 +295,8 @@ class ActionChecker:
         return jax.tree_util.tree_map_with_path(convert, record)
 
     def _command(self, kind: CommandKind, command: object, names: list[str], flying: Flying | None) -> object:
-        """Return an array (n, fields) as a command of a kind; raise UsageError for other shapes."""
+        """Check an array (n, fields) and convert it to a command of a kind; raises UsageError for another shape or bad
+        numbers."""
         shape = (len(names), len(kind.fields))
         try:
             array: Floats = (jnp if self.traced else np).asarray(command, self.dtype)
@@ -302,14 +312,16 @@ class ActionChecker:
         return self._in_range(kind, [array[:, i] for i in range(len(kind.fields))], names, flying)
 
     def _all_fine(self, kind: CommandKind, array: Floats) -> bool:
-        """Return whether all commands (n, C) pass, a quick test before the search for a wrong one."""
+        """Return whether all commands (n, C) are finite and, if values are checked, in range: a quick test before the
+        search for a wrong one."""
         if self.values != "checked":
             return bool(np.isfinite(array).all())
         # A field without limits may be anything but infinite.
         return bool((np.isfinite(array) & (array >= kind.lowest) & (array <= kind.highest)).all())
 
     def _in_range(self, kind: CommandKind, columns: list[Floats], names: list[str], flying: Flying | None) -> object:
-        """Return a command made of columns (n,); raise UsageError for numbers out of range unless traced."""
+        """Check a command's columns, each (n,), and return the command; raises UsageError for numbers out of range
+        unless traced."""
         if self.traced:
             return kind.kind(*columns)
         checked: list[Floats] = []
@@ -328,7 +340,7 @@ class ActionChecker:
         return kind.kind(*checked)
 
     def _fitting(self, what: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> Floats:
-        """Return numbers broadcast to a shape; raise UsageError for other shapes or text."""
+        """Broadcast numbers to a shape; raises UsageError, naming ``what``, for text and shapes that do not fit."""
         try:
             array = np.asarray(values, self.dtype)
             return array if array.shape in ((), shape) else np.broadcast_to(array, shape)
@@ -337,13 +349,14 @@ class ActionChecker:
 
 
 def _command_name(kind: type, with_module: bool = False, article: bool = False) -> str:
-    """Return the name of a command type for messages, with its module or an article if asked."""
+    """Return a command type's name for messages; ``with_module``: with its module, ``article``: with "a" or "an" in
+    front."""
     name = f"{kind.__module__}.{kind.__name__}" if with_module else kind.__name__
     return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}" if article else name
 
 
 def _accepted_setpoints(fleet: Fleet, setpoint: object) -> str:
-    """Return a text on the set-points that a fleet accepts, for messages."""
+    """Return a text for messages on the set-points that a fleet's controller takes, with a hint for ``setpoint``."""
     if not fields_of(fleet.vehicle.command_type):
         return f"fleet '{fleet.name}', whose vehicles take no commands; give each fleet its own, by name"
     taken = ", ".join(cls.__name__ for cls in fleet.controller.setpoints)
@@ -352,27 +365,27 @@ def _accepted_setpoints(fleet: Fleet, setpoint: object) -> str:
 
 
 def _is_row(leaf: object, size: int) -> bool:
-    """Return whether a leaf is a NumPy array (n,) of numbers."""
+    """Return whether a value is a NumPy array of numbers with shape (``size``,)."""
     return isinstance(leaf, np.ndarray) and leaf.shape == (size,) and leaf.dtype.kind in "fiu"
 
 
 def _rows(own: slice, leaf: Array) -> Array:
-    """Return the rows ``own`` of an array."""
+    """Return the elements of an array at the rows ``own``."""
     return leaf[own]
 
 
 def _arrays(record: object) -> object:
-    """Return a record with its Python numbers turned into arrays."""
+    """Return a command record with its plain Python numbers converted to arrays."""
     return jax.tree.map(lambda leaf: np.asarray(leaf) if isinstance(leaf, int | float) else leaf, record)
 
 
 def _part(flying: Flying, own: slice) -> Floats:
-    """Return (n,) bool: the vehicle flies, for the rows ``own`` of one fleet."""
+    """Return which vehicles still fly, (n,) bool, for the rows ``own``."""
     return flying()[own]
 
 
 def _missing(values: Floats, flying: Flying | None) -> Floats:
-    """Return (n,) bool: the number is not finite although its vehicle flies."""
+    """Return for which vehicles, (n,) bool, a number is not finite although the vehicle still flies."""
     missing: Floats = ~np.isfinite(values)
     return missing & flying() if flying is not None and missing.any() else missing
 

@@ -20,10 +20,10 @@ class Library(Protocol):
     """The functions of NumPy and jax.numpy that this package uses from either."""
 
     def cos(self, x: Floats, /) -> Floats:
-        """Return the cosine of each element [rad]."""
+        """Return the cosine of each element (angles [rad])."""
 
     def sin(self, x: Floats, /) -> Floats:
-        """Return the sine of each element [rad]."""
+        """Return the sine of each element (angles [rad])."""
 
     def isfinite(self, x: Floats, /) -> Floats:
         """Return which elements are neither infinite nor NaN."""
@@ -32,10 +32,10 @@ class Library(Protocol):
         """Return an array of ones with the shape of ``x``."""
 
     def where(self, condition: npt.ArrayLike, x: Floats | int, y: Floats | int, /) -> Floats:
-        """Return ``x`` where the condition is true and ``y`` elsewhere."""
+        """Return an array with ``x`` where the condition is true, and ``y`` elsewhere."""
 
     def stack(self, arrays: Sequence[Floats] | Sequence[Array], /, *, axis: int) -> Floats:
-        """Return arrays of one shape joined along a new axis."""
+        """Return arrays of one shape stacked along a new axis."""
 
     def asarray(self, values: object, dtype: object = None, /) -> Array:
         """Return values as an array, of the given dtype if there is one."""
@@ -59,12 +59,13 @@ def library_of(*values: object) -> Library:
 
 
 def library_for(traced: bool) -> Library:
-    """Return ``jax.numpy`` while a program is being compiled (``traced``), else ``numpy``."""
+    """Return ``jax.numpy`` inside a program that is being compiled (``traced``), else ``numpy``."""
     return cast(Library, jnp if traced else np)
 
 
 def as_array(value: object) -> Floats:
-    """Return a Vec3 or Euler as (n, 3), a tuple of K arrays as (n, K) or (n, K, 3), and others unchanged."""
+    """Convert a Vec3 or Euler to an array (n, 3), a tuple of K numbers or vectors to (n, K) or (n, K, 3); others
+    stay."""
     if isinstance(value, tuple):
         if isinstance(value[0], Vec3):
             rows = [as_array(part) for part in value]
@@ -77,7 +78,7 @@ def as_array(value: object) -> Floats:
 
 
 def quaternion_of(attitude: Floats) -> Floats:
-    """Return Euler angles (n, 3) [rad] as unit quaternions (n, 4), w first and w >= 0: body to NED, ZYX."""
+    """Convert Euler angles (n, 3) [rad], order ZYX, to unit quaternions (n, 4) from body to NED, w first and w >= 0."""
     lib = library_of(attitude)
     half = 0.5 * (attitude if isinstance(attitude, Array) else np.asarray(attitude, np.float64))
     cosines: list[Floats] = list(lib.cos(half).T)

@@ -23,14 +23,15 @@ class Breaches:
 
     @staticmethod
     def none(world: World, like: Array) -> Breaches | None:
-        """Return the counts at the start; None if leaving the area ends a flight."""
+        """Return counts of zero at a flight's start, shaped as ``like`` (n,); None if leaving the flight area ends a
+        flight."""
         if not (isinstance(world.area, ZonesArea) and world.area.breach == "report"):
             return None
         count = jnp.zeros(like.shape, jnp.int32)
         return Breaches(jnp.zeros(like.shape, bool), count, count)
 
     def update(self, world: World, position_ned: Vec3, counts: Array, tick: Array) -> Breaches:
-        """Return the counts after the positions (n,) at a tick; only vehicles in ``counts`` (n,) are counted."""
+        """Return the counts updated by positions (n,) at a tick, for the vehicles marked in ``counts`` (n,) bool."""
         assert isinstance(world.area, ZonesArea)
         outside = counts & ~world.area.inside(position_ned)
         left = outside & ~self.outside
@@ -42,7 +43,8 @@ class Breaches:
 
 
 def breach_metrics(found: Breaches | None, dt: float) -> dict[str, Floats]:
-    """Return the metrics by name, each (W, n); {} if leaving the area ends a flight."""
+    """Convert counts of departures from the flight area to metrics by name, each (W, n); {} without counts. ``dt``:
+    time step [s]."""
     if found is None:
         return {}
     return {"breaches": np.asarray(found.count), "seconds_outside": np.asarray(found.ticks) * dt}

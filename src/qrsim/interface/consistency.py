@@ -25,7 +25,8 @@ class Looks:
 
     @staticmethod
     def none(world: World, state: State) -> Looks | None:
-        """Return sums of zero for the start; None if no estimator reports an uncertainty."""
+        """Return zero sums of normalised squared errors, at a flight's start; None if no estimator reports an
+        uncertainty."""
         if all(fleet.belief is None or fleet.belief.std is None for fleet in state.fleets):
             return None
         code = jnp.concatenate([fleet.violation.code for fleet in state.fleets])
@@ -33,10 +34,11 @@ class Looks:
         return Looks(Consistency(zero, zero, zero, zero, zero), jnp.zeros(code.shape, jnp.int32))
 
     def update(self, world: World, state: State, tick: Array, flying: Array) -> Looks:
-        """Return the sums with a sample added every ``EVERY_S`` [s] for ``flying`` (n,); NaN without uncertainty."""
+        """Return the sums of normalised squared errors with a sample of the vehicles ``flying`` (n,) added every
+        ``EVERY_S`` [s]; NaN without a reported uncertainty."""
 
         def look() -> Looks:
-            """Return the sums with the consistency at this tick added."""
+            """Return the sums with the normalised squared errors at this tick added."""
             parts = [_consistency_of(fleet, part) for fleet, part in zip(world.fleets, state.fleets, strict=True)]
             now: Consistency = concatenated(parts)
             sums = {
@@ -49,7 +51,7 @@ class Looks:
 
 
 def truth_of(fleet: Fleet, state: FleetState) -> Truth:
-    """Return the true values of the estimated quantities, each (n,), or (T, n) of a history."""
+    """Return the true values of a fleet's estimated quantities, each (n,), or (T, n) for a history of states."""
     pose = fleet.vehicle.pose(state.vehicle)
     biases = dict(_biases(fleet, state))
     velocity = rotation(pose.attitude).to_ned(pose.velocity_body)
@@ -64,7 +66,8 @@ def truth_of(fleet: Fleet, state: FleetState) -> Truth:
 
 
 def _biases(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, Vec3]]:
-    """Yield (field, true bias) for each field of readings with a known bias, from the first sensor with the field."""
+    """Yield (field of a reading, true sensor bias) for each bias that is simulated; the first sensor with a field
+    counts."""
     seen: set[str] = set()
     zero = jnp.zeros_like(state.vehicle.position_ned.x)
     for sensor, memory, reading in zip(fleet.sensors, state.sensors, state.readings, strict=True):
@@ -77,7 +80,7 @@ def _biases(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, Vec3]]:
 
 
 def _consistency_of(fleet: Fleet, state: FleetState) -> Consistency:
-    """Return the normalised squared errors (n,) of a fleet's estimator, NaN without a reported uncertainty."""
+    """Return the normalised squared errors (n,) of a fleet's estimates; NaN without a reported uncertainty."""
     errors, estimator = None, fleet.own_estimator
     if state.belief is not None and estimator is not None:
         errors = estimator.consistency(state.belief.memory, truth_of(fleet, state))

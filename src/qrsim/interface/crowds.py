@@ -35,7 +35,7 @@ class Crowds:
     looks: npt.NDArray[np.int32]
 
     def text(self, looks: int) -> str:
-        """Return the warning for ``looks`` overflowing searches."""
+        """Return the warning that ``looks`` searches for neighbours found more vehicles than they could check."""
         return (
             f"{self.path}: {looks} times a vehicle had more others around it than were looked at, so that it may have"
             f" missed the nearest; {self.remedy}"
@@ -43,7 +43,8 @@ class Crowds:
 
 
 def crowds_of(world: World, state: State) -> list[Crowds]:
-    """Return the counts of overflowing searches by radio, guidance and sensors; leaves (n,), or (W, n) on the host."""
+    """Return, for radio, guidance and sensors, how often each vehicle's search for neighbours overflowed, (n,) or (W,
+    n)."""
     fleets = _of_fleets(world, state)
     # In a world this small, even a search for one neighbour has room for all.
     if world.radio is None or always_room(sum(fleet.size for fleet in world.fleets), 1):
@@ -54,7 +55,7 @@ def crowds_of(world: World, state: State) -> list[Crowds]:
 
 
 def _of_fleets(world: World, state: State) -> list[Crowds]:
-    """Return the counts of overflowing searches by guidance and sensors."""
+    """Return, for each fleet's guidance and sensors, how often each vehicle's search for neighbours overflowed."""
     crowds, first = [], 0
     for fleet, now in zip(world.fleets, state.fleets, strict=True):
         path = f"fleets.{fleet.name}"
@@ -72,7 +73,7 @@ def _of_fleets(world: World, state: State) -> list[Crowds]:
 
 
 def overfull_of_fleets(world: World, state: State) -> npt.NDArray[np.int32] | None:
-    """Return the number (..., N) of overflowing searches of each vehicle; None if none can overflow."""
+    """Return how often each vehicle's searches for neighbours overflowed, (..., N); None if none can overflow."""
     crowds = _of_fleets(world, state)
     if not crowds:
         return None
@@ -83,7 +84,8 @@ def overfull_of_fleets(world: World, state: State) -> npt.NDArray[np.int32] | No
 
 
 def warn_of_overfull(world: World, state: State) -> bool:
-    """Warn once about each radio, sensor and guidance with overflowing searches, so that neighbours may be missed.
+    """Warn once about each radio, sensor or guidance whose search for neighbours overflowed; return True if there are
+    such searches and none did.
 
     Args:
         world: its parameters.

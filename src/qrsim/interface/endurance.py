@@ -29,14 +29,15 @@ class Consumption:
 
     @staticmethod
     def none(world: World, state: State) -> Consumption | None:
-        """Return the counts at the start; None if no fleet has a battery that drains."""
+        """Return the charge and counts at a flight's start; None if no fleet has a battery that drains."""
         if not any(fleet.battery.drains for fleet in world.fleets):
             return None
         charge = charges(world, state)
         return Consumption(charge, charge, jnp.zeros_like(charge), jnp.zeros(charge.shape, jnp.int32))
 
     def update(self, world: World, state: State, counts: Array) -> Consumption:
-        """Return the counts after a tick; only vehicles in ``counts`` (n,) still fly."""
+        """Return the charge used and time in the air updated by a tick, for the vehicles marked in ``counts`` (n,)
+        bool."""
         now = charges(world, state)
         counts = counts & airborne(world, state)
         # A battery that was replaced has more than before.
@@ -47,7 +48,7 @@ class Consumption:
 
 
 def charges(world: World, state: State) -> Array:
-    """Return the battery's charge (n,) of each vehicle, 0 to 1; NaN for batteries that do not drain."""
+    """Return the charge of each vehicle's battery (n,), 0 to 1; NaN for batteries that do not drain."""
     return jnp.concatenate(
         [
             cast(Charged, now.battery).charge
@@ -59,7 +60,8 @@ def charges(world: World, state: State) -> Array:
 
 
 def endurance_s(consumption: Consumption | None, like: Floats, dt: float) -> Floats:
-    """Return the endurance [s], shaped as ``like`` (W, n); NaN for vehicles that used no charge in the air."""
+    """Return the endurance (W, n) [s], extrapolated from the charge used; NaN for vehicles that used none in the
+    air."""
     if consumption is None:
         return np.full(np.shape(like), np.nan)
     used = np.asarray(consumption.used, np.float64)
@@ -69,12 +71,12 @@ def endurance_s(consumption: Consumption | None, like: Floats, dt: float) -> Flo
 
 
 def airborne(world: World, state: State) -> Array:
-    """Return (n,) bool: the vehicle is in the air, or, if it drives, moving."""
+    """Return which vehicles are in the air, (n,) bool; for vehicles that drive, which are moving."""
     return concatenated([_of_fleet(world, *each) for each in zip(world.fleets, state.fleets, strict=True)])
 
 
 def _of_fleet(world: World, fleet: Fleet, state: FleetState) -> Array:
-    """Return (n,) bool for one fleet: in flight, or moving if it rides on the ground."""
+    """Return which of a fleet's vehicles are in the air, (n,) bool; for vehicles that drive, which are moving."""
     standing = on_ground(fleet, state)
     if standing is not None:
         return ~standing

@@ -26,22 +26,24 @@ class EstimateReading(Tabled):
         self.attitude: Floats = as_array(estimate.attitude)[rows]
 
     def _cells(self, columns: int) -> list[tuple[str, ...]]:
-        """Return a table row for each field: name, unit, and the numbers of each vehicle."""
+        """Return a row of texts for each field of the estimate: name, unit, and up to ``columns`` vehicles' numbers."""
         return [(name, unit, *cells_of(getattr(self, name), columns)) for name, unit in FIELDS.items()]
 
     def _table(self) -> Table:
-        """Return the table of the estimate that is shown: a row for each field, a column for each vehicle."""
+        """Return the estimate as a table for display: a row for each field, a column for each vehicle."""
         columns = columns_of([f"vehicle {row}" for row in range(self.position_ned.shape[0])])
         return Table("estimate", ("field", "unit", *columns), self._cells(len(columns)))
 
 
 def estimate_of(state: FleetState, rows: slice) -> EstimateReading:
-    """Return the present estimate of a fleet's own estimator, else the last one that its controller used."""
+    """Return a fleet's present estimate for the vehicles ``rows``: of its own estimator, else the last that its
+    controller used."""
     return EstimateReading(state.estimate if state.belief is None else state.belief.estimate, rows)
 
 
 def std_of(state: FleetState, rows: slice) -> EstimateReading | None:
-    """Return the standard deviations that the fleet's estimator reports; None if it reports none."""
+    """Return the standard deviations that a fleet's estimator reports for the vehicles ``rows``; None if it reports
+    none."""
     if state.belief is None or state.belief.std is None:
         return None
     return EstimateReading(state.belief.std, rows)

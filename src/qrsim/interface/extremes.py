@@ -19,11 +19,12 @@ class Extreme:
 
     @staticmethod
     def none(like: Array) -> Extreme:
-        """Return an empty record (NaN, tick -1) for vehicles (n,)."""
+        """Return an empty record of n vehicles' largest values (NaN, at tick -1), shaped as ``like`` (n,)."""
         nothing = jnp.full_like(like, jnp.nan)
         return Extreme(nothing, jnp.full(like.shape, -1, jnp.int32), Vec3(nothing, nothing, nothing))
 
     def update(self, value: Array, tick: Array, position_ned: Vec3, counts: Array) -> Extreme:
-        """Return the record with a new value (n,) kept where ``counts`` (n,) is True and the value is larger."""
+        """Return the record with ``value`` (n,), tick and position taken over where it is larger and ``counts`` (n,) is
+        True."""
         larger = counts & (value > jnp.where(self.tick < 0, -jnp.inf, self.value))
         return select(larger, Extreme(value, jnp.full_like(self.tick, tick), position_ned), self)

@@ -35,7 +35,8 @@ class FixErrors:
 
     @staticmethod
     def none(world: World, state: State, like: Array) -> FixErrors:
-        """Return the sums at the start, for vehicles (n,)."""
+        """Return sums of zero for the errors of n vehicles' GNSS fixes, at a flight's start, shaped as ``like``
+        (n,)."""
         count, zero, nothing = jnp.zeros(like.shape, jnp.int32), jnp.zeros_like(like), Extreme.none(like)
         past = tuple(
             (_truth(now),) * _delay_periods(fleet, now) for fleet, now in zip(world.fleets, state.fleets, strict=True)
@@ -43,7 +44,8 @@ class FixErrors:
         return FixErrors(nothing.position_ned, count, zero, zero, count, nothing, past)
 
     def update(self, world: World, state: State, tick: Array, flying: Array) -> FixErrors:
-        """Return the sums after a tick; vehicles without a receiver have no fixes and lose none."""
+        """Return the sums updated by a tick, for vehicles in ``flying`` (n,) bool; vehicles without a receiver count
+        nothing."""
         reported, has = concatenated([_fix(fleet) for fleet in state.fleets])
         error = concatenated(
             [
@@ -71,11 +73,11 @@ class FixErrors:
         )
 
     def finish(self, dt: float) -> dict[str, NumpyArray]:
-        """Return the metrics by name, each (W, n), of W worlds."""
+        """Return the metrics of GNSS fixes by name, each (W, n), for W worlds; ``dt``: time step [s]."""
         count = np.asarray(self.fixes)
 
         def root_mean(total: Array) -> NumpyArray:
-            """Return the root of the mean of summed squares, NaN without fixes."""
+            """Return the root mean square from a sum of squares, NaN without fixes."""
             return np.sqrt(np.where(count > 0, np.asarray(total) / np.maximum(count, 1), np.nan))
 
         return {
@@ -86,7 +88,8 @@ class FixErrors:
 
 
 def _later(world: World, fleet: Fleet, now: FleetState, past: tuple[Truth, ...], tick: Array) -> tuple[Truth, ...]:
-    """Return the true positions at a receiver's last epochs, latest first, with the present one added if due."""
+    """Return the true positions at the receiver's last epochs, latest first, with the present one added if an epoch is
+    now."""
     if not past:
         return past
     due = tick % period_ticks(fleet.sensors[_receiver(now)].period, world.time_step) == 0
@@ -96,17 +99,18 @@ def _later(world: World, fleet: Fleet, now: FleetState, past: tuple[Truth, ...],
 
 
 def _delay_periods(fleet: Fleet, now: FleetState) -> int:
-    """Return the delay of the first receiver's fixes in its periods; 0 without a receiver."""
+    """Return the delay of a fleet's first GNSS receiver, in its periods; 0 without a receiver. ``now``: the fleet's
+    state."""
     return int(fleet.sensors[_receiver(now)].delay) if _receiver(now) >= 0 else 0
 
 
 def _receiver(fleet: FleetState) -> int:
-    """Return the index of the first receiver among the readings, -1 without."""
+    """Return the index of the first GNSS receiver among a fleet's readings, -1 without one."""
     return next((i for i, reading in enumerate(fleet.readings) if isinstance(reading, GnssReading)), -1)
 
 
 def _fix(fleet: FleetState) -> tuple[Vec3, Array]:
-    """Return the position (n,) [m] reported by the first receiver, and (n,) bool: the fleet has one."""
+    """Return the first receiver's reported position NED (n,) [m], and whether the fleet has a receiver, (n,) bool."""
     like, number = fleet.vehicle.position_ned.x, _receiver(fleet)
     if number >= 0:
         reading: Any = fleet.readings[number]
@@ -115,16 +119,16 @@ def _fix(fleet: FleetState) -> tuple[Vec3, Array]:
 
 
 def _truth(fleet: FleetState) -> Truth:
-    """Return the true positions of a fleet and their rounding remainders, None without."""
+    """Return the true positions NED (n,) [m] of a fleet, and their rounding remainders or None."""
     return fleet.vehicle.position_ned, fleet.position_low_ned
 
 
 def _minus(reported: Vec3, truth: Truth) -> Vec3:
-    """Return reported minus true position [m]."""
+    """Return the reported minus the true position [m]; the true one may have rounding remainders."""
     position, low = truth
     return reported - position if low is None else reported - position - low
 
 
 def differs(new: Vec3, old: Vec3) -> Array:
-    """Return whether vectors differ in any component; NaN differs from everything."""
+    """Return whether two vectors differ in any component, (n,) bool; NaN differs from everything."""
     return ~((new.x == old.x) & (new.y == old.y) & (new.z == old.z))

@@ -64,7 +64,7 @@ class Message:
 
 
 def outboxes(say: Say, world: World, names: Sequence[Sequence[str]], dtype: object, traced: bool) -> list[Outbox]:
-    """Return the outbox of each group of vehicles in ``names``, from the checked messages of all vehicles.
+    """Check a user's radio messages for all vehicles, and return an outbox for each group of vehicles in ``names``.
 
     Raises:
         UsageError: no radio, a wrong shape, a payload that is too long, or an unknown receiver.
@@ -104,12 +104,13 @@ def outboxes(say: Say, world: World, names: Sequence[Sequence[str]], dtype: obje
 
 
 def _owned(part: Array, traced: bool) -> Array:
-    """Return an array in contiguous memory; a traced array unchanged."""
+    """Return an array in contiguous memory; a traced array is returned unchanged."""
     return part if traced else cast(Array, np.ascontiguousarray(part))
 
 
 def _receivers(to: object, n: int, world: World, library: Library, traced: bool) -> Array:
-    """Return the receiver's number (n,) of each vehicle's message, -1 for all; raise UsageError if unknown."""
+    """Return the receiver's vehicle number for each message, (n,), -1 for all; raises UsageError for unknown
+    receivers."""
     names = [name for fleet in world.fleets for name in fleet.vehicle_names]
     if isinstance(to, str):
         to = [receiver_number(to, names)] * n
@@ -126,7 +127,8 @@ def _receivers(to: object, n: int, world: World, library: Library, traced: bool)
 
 
 def receiver_number(name: object, names: Sequence[str], what: str = "say: to") -> int:
-    """Return a vehicle's number in the world by name or number, -1 for None (all); raise UsageError if unknown.
+    """Return a vehicle's number in the world for its name or number, -1 for None (all); raises UsageError, beginning
+    with ``what``, for unknown ones.
 
     Raises:
         UsageError: no vehicle has this name or number.
@@ -148,7 +150,7 @@ def receiver_number(name: object, names: Sequence[str], what: str = "say: to") -
 def checked_message(
     world: World, names: Sequence[str], vehicle: object, numbers: Sequence[float], to: object
 ) -> tuple[int, list[float], int]:
-    """Return sender's number, message (D,) and receiver's number, -1 for all; raise UsageError if invalid.
+    """Check a radio message; return sender's number, numbers (D,), and receiver's number (-1: all); raises UsageError.
 
     Raises:
         UsageError: no radio, no vehicle of that name, or a message that is too long or not finite.
@@ -167,7 +169,7 @@ def checked_message(
 
 
 def messages(world: World, state: State, tick: int, vehicles: Sequence[int]) -> list[list[Message]]:
-    """Return, for each vehicle in ``vehicles``, the messages received by a tick, newest first, on the host."""
+    """Return the radio messages that each vehicle in ``vehicles`` has received by a tick, newest first."""
     assert world.radio is not None
     names = [name for fleet in world.fleets for name in fleet.vehicle_names]
     heard = world.radio.heard(state.radio, cast(Array, np.int32(tick)), world.time_step)
@@ -175,7 +177,7 @@ def messages(world: World, state: State, tick: int, vehicles: Sequence[int]) -> 
 
 
 def _heard_by(vehicle: int, heard: Heard, names: Sequence[str], dt: float) -> list[Message]:
-    """Return the messages that one vehicle has received, with times in seconds."""
+    """Return the radio messages that one vehicle has received, with times in seconds."""
     senders, sent, arrives, rssi = (
         cast(list[float], column[:, vehicle].tolist())
         for column in (heard.sender, heard.sent, heard.arrives, heard.rssi)
@@ -189,7 +191,7 @@ def _heard_by(vehicle: int, heard: Heard, names: Sequence[str], dt: float) -> li
 
 
 def user_key(state: State, tick: object) -> Array:
-    """Return a key (2,) uint32 for users' random numbers, different in every world and at every tick."""
+    """Return a JAX random key (2,) uint32 for users' functions, different in every world and at every tick."""
     keys = state.sky_keys
     traced = isinstance(tick, Array) or isinstance(keys.high, jax.core.Tracer)
     library = library_for(traced)
@@ -205,7 +207,8 @@ def user_key(state: State, tick: object) -> Array:
 
 
 def user_normals(world: World, state: State, tick: object, count: int) -> Array:
-    """Return standard normals (n, count) for users, each vehicle's independent of the other vehicles."""
+    """Return standard normal numbers (n, count) for users' functions; a vehicle's do not depend on the other
+    vehicles."""
     key = user_key(state, tick)
     ids = jnp.concatenate([jnp.asarray(vehicle_ids(fleet)) for fleet in world.fleets])
     dtype = jnp.asarray(world.fleets[0].start.position_ned.x).dtype

@@ -77,7 +77,7 @@ class FlightMetrics:
     """
 
     def init(self, world: World, state: State) -> Flight:
-        """Return the metrics' memory after the first state, which counts as a tick."""
+        """Return the metrics' accumulators after the initial state, which counts as a tick."""
         position = _of_all_fleets(state, lambda fleet: fleet.vehicle.position_ned)
         goal = _goal(world, state)
         like = position.x
@@ -111,7 +111,7 @@ class FlightMetrics:
         return self.update(nothing, world, state, jnp.int32(0))
 
     def update(self, flight: Flight, world: World, state: State, tick: Array) -> Flight:
-        """Return the metrics' memory after the state at a tick."""
+        """Return the metrics' accumulators updated by the state at a tick."""
         flying = _of_all_fleets(state, lambda fleet: fleet.violation.code) == 0
         position = _of_all_fleets(state, lambda fleet: fleet.vehicle.position_ned)
         low = _low(state)
@@ -165,20 +165,21 @@ class FlightMetrics:
         return replace(flight, fixes=flight.fixes.update(world, state, tick, flying))
 
     def finish(self, flight: Flight, world: World, state: State) -> dict[str, Floats]:
-        """Return the metrics by name, each (W, n), from the memory of W worlds (NumPy arrays)."""
+        """Return the metrics by name, each (W, n), from the accumulators of W worlds (NumPy arrays) and their last
+        state."""
         dt = world.time_step
 
         def mean(total: npt.ArrayLike, count: npt.ArrayLike) -> Floats:
-            """Return the mean of a sum, NaN for a count of 0."""
+            """Return a sum divided by a count, NaN for a count of 0."""
             sums, counts = np.asarray(total), np.asarray(count)
             return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
 
         def root_mean(total: npt.ArrayLike, count: npt.ArrayLike) -> Floats:
-            """Return the root of the mean of summed squares."""
+            """Return the root mean square from a sum of squares and a count."""
             return np.sqrt(mean(total, count))
 
         def when(tick: Array) -> Floats:
-            """Return a tick as time [s], NaN for -1."""
+            """Convert a tick to a time [s], -1 (never) to NaN."""
             return np.where(tick >= 0, tick * dt, np.nan)
 
         # The set-point of the start, which a policy replaces at once, is no leg that was flown.
@@ -227,25 +228,25 @@ class FlightMetrics:
 
 
 def _of_all_fleets(state: State, pick: Callable[[FleetState], T]) -> T:
-    """Return an array or record picked from each fleet's state, concatenated over all fleets."""
+    """Return ``pick(state)`` of every fleet's state, concatenated over all fleets to arrays (n,)."""
     return concatenated([pick(fleet) for fleet in state.fleets])
 
 
 def _low(state: State) -> Vec3 | None:
-    """Return the rounding remainders of positions (n,) in single precision, None in double precision."""
+    """Return the rounding remainders of all vehicles' positions in single precision, None in double precision."""
     if state.fleets[0].position_low_ned is None:
         return None
     return _of_all_fleets(state, lambda fleet: fleet.position_low_ned)
 
 
 def _minus(position: Vec3, low: Vec3 | None, place: Vec3) -> Vec3:
-    """Return positions, given in two parts (``low`` may be None), minus a place."""
+    """Return a position minus a place [m]; ``low``: the position's rounding remainder, or None."""
     offset = position - place
     return offset if low is None else offset + low
 
 
 def _farther(flight: Flight, position: Vec3, low: Vec3 | None, flying: Array) -> tuple[Array, Array | None]:
-    """Return the distance flown (n,) [m] after a tick, and its rounding remainder, None in double precision."""
+    """Return the distance flown (n,) [m] updated by a tick, and its rounding remainder (None in double precision)."""
     if low is None:
         way = (position - flight.position_ned).norm()
         return flight.distance + jnp.where(flying, way, 0.0), None
@@ -256,12 +257,12 @@ def _farther(flight: Flight, position: Vec3, low: Vec3 | None, flying: Array) ->
 
 
 def _as_int(counts: Array) -> Array:
-    """Return counts as int32."""
+    """Convert a bool or integer array to int32."""
     return counts.astype(jnp.int32)
 
 
 def _moves(world: World) -> Array:
-    """Return (n,) bool: the vehicle flies by commands, so that its clearance from all limits counts."""
+    """Return which vehicles fly by commands, (n,) bool, so that their clearance from all limits counts."""
     each = [
         np.full(fleet.size, bool(fields_of(fleet.vehicle.command_type)) and not fleet.vehicle.rides)
         for fleet in world.fleets
@@ -270,7 +271,7 @@ def _moves(world: World) -> Array:
 
 
 def _unfinished(world: World, state: State) -> Floats:
-    """Return (W, n), 1 or 0: the vehicle still flew a mission that has an end."""
+    """Return 1 for each vehicle, (W, n), that was still flying a mission which has an end, else 0."""
     each = []
     for fleet, now in zip(world.fleets, state.fleets, strict=True):
         flies = np.asarray(now.violation.code) == 0
@@ -288,7 +289,8 @@ def _unfinished(world: World, state: State) -> Floats:
 
 
 def _clearances(world: World, position_ned: Vec3) -> tuple[Array, Array, Array]:
-    """Return the distances (n,) [m] from sides, ceiling and floor of the area, NaN for a floor that is the ground.
+    """Return the distances (n,) [m] from the flight area's sides, ceiling and floor; NaN for a floor that is the
+    ground.
 
     So is a floor at z = 0 where the ground is lower: it ends no flight (``over_the_floor``), and vehicles stand below.
     """
@@ -299,12 +301,13 @@ def _clearances(world: World, position_ned: Vec3) -> tuple[Array, Array, Array]:
 
 
 def _smaller(known: Array, new: Array, counts: Array) -> Array:
-    """Return ``new`` (n,) where ``counts`` and smaller, else ``known``."""
+    """Return the smaller of ``known`` and ``new`` (n,), ignoring ``new`` where ``counts`` is False or it is not
+    finite."""
     return jnp.fmin(known, jnp.where(counts & jnp.isfinite(new), new, jnp.nan))
 
 
 def _goal(world: World, state: State) -> Vec3:
-    """Return the waypoint (n,) [m] of each vehicle, NaN for other set-points and points below the ground."""
+    """Return each vehicle's present waypoint NED (n,) [m]; NaN for other set-points and points below the ground."""
     goals = []
     for fleet in state.fleets:
         nowhere = fleet.vehicle.position_ned.map(lambda axis: jnp.full_like(axis, jnp.nan))
@@ -319,7 +322,8 @@ def _goal(world: World, state: State) -> Vec3:
 
 
 def _radius(state: State) -> Array | None:
-    """Return the radius (n,) [m] of the circle that each vehicle flies, 0 on a line; None if no fleet flies circles."""
+    """Return the radius (n,) [m] of the circle that each vehicle follows, 0 on a line; None if no fleet follows
+    circles."""
     if not any(isinstance(fleet.setpoint, TrackSetpoint) for fleet in state.fleets):
         return None
     return jnp.concatenate(
@@ -333,18 +337,19 @@ def _radius(state: State) -> Array | None:
 
 
 def _distance_from_circle(offset: Vec3, radius: Array) -> Array:
-    """Return the distance (n,) [m] from level circles of ``radius``, at offsets (n,) [m] from their centres."""
+    """Return the distance (n,) [m] from a level circle of ``radius`` [m] at an offset (n,) [m] from its centre."""
     beside = root(offset.x * offset.x + offset.y * offset.y) - jnp.abs(radius)
     return root(beside * beside + offset.z * offset.z)
 
 
 def _or_else(preferred: Vec3, other: Vec3) -> Vec3:
-    """Return ``preferred``, replaced by ``other`` for vehicles with NaN."""
+    """Return ``preferred``, with the vector of ``other`` where it is NaN."""
     return select(jnp.isfinite(preferred.x), preferred, other)
 
 
 def _distance_from_leg(offset: Vec3, start: Vec3, end: Vec3) -> Array:
-    """Return each vehicle's distance (n,) [m] from its leg, the line between two points, which may coincide.
+    """Return the distance (n,) [m] of a point from a leg, the segment ``start`` to ``end``, which may coincide;
+    ``offset``: the point minus ``start``.
 
     Args:
         offset: position minus start.
@@ -357,7 +362,7 @@ def _distance_from_leg(offset: Vec3, start: Vec3, end: Vec3) -> Array:
 
 
 def _nearest(position: Vec3) -> Array:
-    """Return the distance (n,) [m] to the nearest other vehicle, infinite for a single vehicle."""
+    """Return each vehicle's distance (n,) [m] to its nearest other vehicle; infinite for a single vehicle."""
     offsets = [axis[:, None] - axis[None, :] for axis in (position.x, position.y, position.z)]
     square = sum(offset * offset for offset in offsets)
     itself = jnp.eye(position.x.shape[0], dtype=bool)

@@ -33,11 +33,12 @@ class Margin:
 
     @staticmethod
     def none(like: Array) -> Margin:
-        """Return an empty record for vehicles (n,)."""
+        """Return an empty record of n vehicles' smallest distances, shaped as ``like`` (n,)."""
         return Margin(Extreme.none(like), jnp.full(like.shape, -1, jnp.int32))
 
     def update(self, distance: Array, leg: Array, tick: Array, position_ned: Vec3, counts: Array) -> Margin:
-        """Return the record with a smaller distance (n,) [m] on a leg (n,) kept, where ``counts`` and finite."""
+        """Return the record with ``distance`` (n,) [m], leg, tick and position taken over where it is finite and
+        smaller and ``counts`` is True."""
         found = self.extreme.update(-distance, tick, position_ned, counts & jnp.isfinite(distance))
         return Margin(found, jnp.where(found.tick == tick, leg, self.leg))
 
@@ -66,7 +67,7 @@ class MissionMetrics:
     """
 
     def init(self, world: World, state: State) -> MissionFlight:
-        """Return the metrics' memory after the first state."""
+        """Return the metrics' accumulators after the initial state."""
         flight = FLIGHT_METRICS.init(world, state)
         like = flight.position_ned.x
         count, never = jnp.zeros(like.shape, jnp.int32), jnp.full(like.shape, -1, jnp.int32)
@@ -84,7 +85,7 @@ class MissionMetrics:
         )
 
     def update(self, memory: MissionFlight, world: World, state: State, tick: Array) -> MissionFlight:
-        """Return the metrics' memory after the state at a tick."""
+        """Return the metrics' accumulators updated by the state at a tick."""
         flight = FLIGHT_METRICS.update(memory.flight, world, state, tick)
         flying = flight.stopped < 0
         flies = airborne(world, state)
@@ -112,11 +113,12 @@ class MissionMetrics:
         return select(memory.ended, memory, now)
 
     def finish(self, memory: MissionFlight, world: World, state: State) -> dict[str, Floats]:
-        """Return the metrics by name, each (W, n), from the memory of W worlds (NumPy arrays)."""
+        """Return the metrics by name, each (W, n), from the accumulators of W worlds (NumPy arrays) and their last
+        state."""
         dt = world.time_step
 
         def when(tick: npt.ArrayLike) -> Floats:
-            """Return a tick as time [s], NaN for -1."""
+            """Convert a tick to a time [s], -1 (never) to NaN."""
             return np.where(np.asarray(tick) >= 0, np.asarray(tick) * dt, np.nan)
 
         found = FLIGHT_METRICS.finish(memory.flight, world, state)
@@ -141,12 +143,12 @@ class MissionMetrics:
         return found
 
     def ended(self, memory: MissionFlight) -> Array:
-        """Return () bool: all missions of the world have ended."""
+        """Return whether all missions of the world have ended, () bool."""
         return memory.ended
 
 
 def _on_missions(world: World, state: State) -> npt.NDArray[np.bool_]:
-    """Return (n,) bool: the vehicle flies a mission."""
+    """Return which vehicles fly a mission, (n,) bool."""
     each = [
         np.full(fleet.size, isinstance(now.guidance, MissionState) and bool(fields_of(fleet.vehicle.command_type)))
         for fleet, now in zip(world.fleets, state.fleets, strict=True)
@@ -155,13 +157,14 @@ def _on_missions(world: World, state: State) -> npt.NDArray[np.bool_]:
 
 
 def _moving(world: World) -> Array:
-    """Return (n,) bool: the vehicle flies by commands; others are not waited for at the end."""
+    """Return which vehicles fly by commands, (n,) bool; the end of a flight does not wait for others."""
     each = [np.full(fleet.size, bool(fields_of(fleet.vehicle.command_type))) for fleet in world.fleets]
     return jnp.asarray(np.concatenate(each))
 
 
 def _progress(world: World, state: State, flies: Array) -> tuple[Array, Array, Array, Array]:
-    """Return, each (n,): mission finished, landed by a failsafe, number of the leg, leg is a cruise.
+    """Return, each (n,): mission finished, landed by a failsafe, number of the present leg, leg is a cruise; ``flies``:
+    in the air.
 
     A cruise is a leg between take-off and landing. Legs count from 1.
     """
@@ -187,7 +190,8 @@ def _progress(world: World, state: State, flies: Array) -> tuple[Array, Array, A
 
 
 def _distances(world: World, position_ned: Vec3, flying: Array) -> tuple[Array, ...]:
-    """Return the distances (n,) [m] named in MARGINS; infinite or NaN without the object."""
+    """Return a tuple of distances (n,) [m], in the order of MARGINS; infinite or NaN where there is nothing to be
+    near."""
     obstacle, _ = world.obstacles.nearest(position_ned)
     sides, ceiling, _ = world.area.clearances(position_ned)
     height = world.ground_down(position_ned) - position_ned.z
@@ -195,7 +199,8 @@ def _distances(world: World, position_ned: Vec3, flying: Array) -> tuple[Array, 
 
 
 def _between(position_ned: Vec3, flying: Array) -> Array:
-    """Return the distance (n,) [m] to the nearest other vehicle in the air, infinite without or in large fleets."""
+    """Return each vehicle's distance (n,) [m] to the nearest other in the air; infinite without one, or in large
+    fleets."""
     count = flying.shape[0]
     if not 2 <= count <= MOST_FOR_SEPARATION:
         return jnp.full_like(position_ned.x, jnp.inf)

@@ -40,11 +40,11 @@ class WithMemory(Protocol):
     """A user's own object that is compiled into the loop."""
 
     def init(self, reading: object) -> object:
-        """Return the initial memory for a first reading."""
+        """Return the initial memory, from the first reading."""
         ...
 
     def step(self, reading: object, memory: object) -> object:
-        """Return the result (commands or estimates) and the new memory."""
+        """Return the commands or estimates for a reading, and the new memory."""
         ...
 
 
@@ -56,7 +56,7 @@ class _Readings(Protocol):
         """Names of the fleets and vehicles."""
 
     def of(self, name: str) -> _Readings:
-        """Return the readings of one fleet or vehicle by name."""
+        """Return the readings of one fleet or vehicle, by name."""
 
 
 class Compiled(Protocol):
@@ -92,7 +92,8 @@ class UserFunction:
 
     @contextmanager
     def blamed(self, where: str = "") -> Iterator[None]:
-        """Add the function's name and the line at fault to every error raised in the context.
+        """In the context, add the user's function's name and the line at fault to every error; ``where``: more for the
+        message.
 
         Raises:
             UsageError: as raised inside, with a longer message.
@@ -121,7 +122,8 @@ class UserFunction:
 
 
 def user_function(what: str, given: object) -> UserFunction | None:
-    """Return a user's policy or estimator wrapped as a ``UserFunction``; None for None.
+    """Wrap a user's policy or estimator (``what``), given as function, class or object, as a ``UserFunction``; None for
+    None.
 
     Raises:
         UsageError: it is none of the kinds above, or takes other arguments.
@@ -152,14 +154,14 @@ def user_function(what: str, given: object) -> UserFunction | None:
     _check_arguments(what, name, plain, ["reading"])
 
     def step(reading: object, memory: object) -> tuple[object, object]:
-        """Return the function's result; it has no memory."""
+        """Return the function's result, and the memory unchanged, since a plain function has none."""
         return plain(reading), memory
 
     return UserFunction(what, name, Itself(given), compiled, lambda reading: None, step, given)
 
 
 def _of_class(what: str, name: str, given: type) -> UserFunction:
-    """Return a wrapped class, of which each world gets an instance as its memory.
+    """Wrap a user's class as a ``UserFunction``: each world gets an instance of it, kept as its memory.
 
     Args:
         what: word for it in messages, such as "policy".
@@ -174,14 +176,14 @@ def _of_class(what: str, name: str, given: type) -> UserFunction:
     _check_arguments(what, f"{name}.__call__", given.__call__, ["self", "reading"])
 
     def step(reading: object, memory: object) -> tuple[object, object]:
-        """Return the result of the world's instance, which is the memory."""
+        """Return the result of calling ``memory``, this world's instance of the class, and that instance."""
         return cast(Callable[[object], object], memory)(reading), memory
 
     return UserFunction(what, name, Itself(given), False, lambda reading: given(), step, given)
 
 
 def _of_teams(what: str, given: Mapping[object, object]) -> UserFunction:
-    """Return one wrapped policy made of several, for fleets or vehicles by name."""
+    """Wrap policies by name of a fleet or vehicle as a single ``UserFunction``."""
     if what != "policy":
         raise UsageError(f"{what}: a dict by fleet is for policies alone; an {what} speaks for all vehicles")
     members = {name: user_function(what, each) for name, each in given.items()}
@@ -190,14 +192,14 @@ def _of_teams(what: str, given: Mapping[object, object]) -> UserFunction:
         raise UsageError(f"{what}: the dict names no policy for any fleet or vehicle")
 
     def init(reading: _Readings) -> object:
-        """Return each policy's memory by name; raise UsageError for unknown fleets and vehicles."""
+        """Return each policy's initial memory by its name; raises UsageError for unknown fleets and vehicles."""
         for name in own:
             if name not in reading.names:
                 raise UsageError(f"no fleet and no vehicle is called '{name}'{did_you_mean(name, reading.names)}")
         return {name: _blamed(name, partial(member.init, reading.of(name))) for name, member in own.items()}
 
     def step(reading: _Readings, memory: Mapping[str, object]) -> tuple[object, object]:
-        """Return the commands of all policies by name, and their memories."""
+        """Return the commands of all policies by fleet or vehicle, and the policies' new memories by name."""
         asked: dict[str, object] = {}
         after: dict[str, object] = {}
         for name, member in own.items():
@@ -213,7 +215,7 @@ def _of_teams(what: str, given: Mapping[object, object]) -> UserFunction:
 
 
 def _blamed(team: str, call: Callable[[], T]) -> T:
-    """Return ``call()``; a UsageError in it gets the name of the team in front."""
+    """Return ``call()``; a UsageError that it raises gets the name of the policy (``team``) in front."""
     try:
         return call()
     except UsageError as error:
@@ -221,7 +223,8 @@ def _blamed(team: str, call: Callable[[], T]) -> T:
 
 
 def _take(asked: dict[str, object], team: str, theirs: object, names: Sequence[str]) -> None:
-    """Add the commands of one team's policy to ``asked``; raise UsageError for others' vehicles or a second command."""
+    """Add one policy's commands to ``asked``; raises UsageError for vehicles of others and for a second command of a
+    vehicle."""
     each = theirs if isinstance(theirs, Mapping) else {team: theirs}
     for name, command in each.items():
         if name not in names:
@@ -232,7 +235,8 @@ def _take(asked: dict[str, object], team: str, theirs: object, names: Sequence[s
 
 
 def _check_arguments(what: str, name: str, function: Callable[..., object], arguments: list[str]) -> None:
-    """Raise UsageError if a user's function cannot be called with these arguments."""
+    """Raise UsageError, beginning with ``what``, if a user's function cannot be called with arguments of these
+    names."""
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):
@@ -245,7 +249,7 @@ def _check_arguments(what: str, name: str, function: Callable[..., object], argu
 
 
 def sources_by_team(source: str) -> dict[str, str] | None:
-    """Return {team: source} for ``TEAM=SOURCE,TEAM=SOURCE``; None for a single source."""
+    """Split the text ``NAME=SOURCE,NAME=SOURCE`` to {fleet or vehicle: source}; None for a single source."""
     pairs = [part.partition("=") for part in source.split(",")]
     if not all(equals and name.strip() and ":" not in name for name, equals, _ in pairs):
         return None
@@ -253,7 +257,8 @@ def sources_by_team(source: str) -> dict[str, str] | None:
 
 
 def load_function(what: str, source: str, words: Sequence[str] = ()) -> object:
-    """Return the function ``module:name`` or ``file.py:name``, or a dict of functions for a list ``TEAM=...,TEAM=...``.
+    """Import the function ``module:name`` or ``file.py:name``; for ``TEAM=SOURCE,...`` return a dict of functions by
+    team.
 
     ``scouts=file.py:one,cats=file.py:other`` is a dict of these, a policy for each fleet or vehicle.
 

@@ -30,12 +30,12 @@ class FleetReading(Tabled):
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """Names of the sensors."""
+        """Names of the fleet's sensors, each an attribute of this object."""
         return self._source.fleet.sensor_names
 
     @property
     def estimate(self) -> EstimateReading:
-        """Present estimate of the fleet's own estimator, else the last one that its controller used."""
+        """Present estimate: of the fleet's own estimator, else the last that its controller used."""
         return estimate_of(self._source.now, self._source.rows)
 
     @property
@@ -55,7 +55,8 @@ class FleetReading(Tabled):
         return [*super().__dir__(), *self.sensors]
 
     def _cells(self, columns: int) -> list[tuple[str, ...]]:
-        """Return a table row for each field of each sensor and of the estimate."""
+        """Return a row of texts for each field of each sensor and of the estimate; ``columns``: number of vehicles
+        shown."""
         rows = [
             (f"{sensor}.{row[0]}", *row[1:])
             for sensor in self.sensors
@@ -66,7 +67,7 @@ class FleetReading(Tabled):
         return rows
 
     def _table(self) -> Table:
-        """Return the table of the fleet's readings that is shown: a row for each field, a column for each vehicle."""
+        """Return the fleet's readings as a table for display: a row for each field, a column for each vehicle."""
         columns = columns_of(self._source.names)
         title = f"readings of fleet '{self._source.fleet.name}'"
         return Table(title, ("field", "unit", *columns), self._cells(len(columns)))
@@ -93,12 +94,12 @@ class Reading(Tabled):
 
     @property
     def state(self) -> State:
-        """The whole state, the truth included; policies under evaluation must not use it."""
+        """Whole simulated state, the truth included; do not use it in a policy whose performance is measured."""
         return whole(self._state)
 
     @cached_property
     def _fleets(self) -> dict[str, FleetReading]:
-        """The readings of each fleet by its name."""
+        """Readings of each fleet by its name."""
         # Built on first use, because many steps of a loop read no sensor.
         chosen = self._only and self.fleets
         found = {}
@@ -110,7 +111,7 @@ class Reading(Tabled):
 
     @property
     def inbox(self) -> Inbox:
-        """Messages that each vehicle (n,) has received over the radio, the newest of each of K senders.
+        """Radio messages that each vehicle (n,) has received: the newest of each of K senders.
 
         See docs/howto/radio.md.
 
@@ -125,19 +126,20 @@ class Reading(Tabled):
 
     @property
     def key(self) -> Floats:
-        """(2,) uint32: a key for users' random numbers, different at every tick and in every world.
+        """JAX random key (2,) uint32 for users' functions, different at every tick and in every world.
 
         ``jax.random`` and ``numpy.random.default_rng`` take it; ``normals`` is for programs of qrsim's own compiler.
         """
         return cast(Floats, user_key(self._state, self.tick))
 
     def normals(self, count: int) -> Floats:
-        """Return ``count`` standard normals for each vehicle, (n, count), different at every tick and world."""
+        """Return ``count`` standard normal numbers for each vehicle, (n, count), different at every tick and in every
+        world."""
         drawn = user_normals(self._world, self._state, self.tick, count)
         return cast(Floats, drawn[self._all_rows()])
 
     def _all_rows(self) -> slice:
-        """Return the rows, among all vehicles of the world, that this reading covers."""
+        """Return the rows, among all vehicles of the world, that this object covers."""
         begin = 0
         for fleet in self._world.fleets:
             if fleet.name in self.fleets and self._only is not None:
@@ -147,7 +149,7 @@ class Reading(Tabled):
         return slice(0, begin)
 
     def _rows(self, fleet: Fleet) -> slice:
-        """Return the rows of one fleet that this reading covers."""
+        """Return the rows of a fleet that this object covers."""
         if self._only is None or self._only == fleet.name:
             return slice(None)
         row = fleet.vehicle_names.index(self._only)
@@ -155,7 +157,7 @@ class Reading(Tabled):
 
     @property
     def fleets(self) -> tuple[str, ...]:
-        """Names of the fleets."""
+        """Names of the fleets that this object covers, or of which it covers a vehicle."""
         every = tuple(fleet.name for fleet in self._world.fleets)
         if self._only is None or self._only in every:
             return every if self._only is None else (self._only,)
@@ -163,14 +165,14 @@ class Reading(Tabled):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the fleets that this reading covers, and of their vehicles."""
+        """Names of the fleets that this object covers, and of their vehicles."""
         if self._only is not None and self._only not in self.fleets:
             return (self._only,)
         own = [fleet for fleet in self._world.fleets if fleet.name in self.fleets]
         return (*self.fleets, *(name for fleet in own for name in fleet.vehicle_names))
 
     def of(self, name: str) -> Reading:
-        """Return the reading of one fleet, or of one vehicle with arrays (1, ...).
+        """Return the readings of one fleet, or of one vehicle with arrays (1, ...), by its name.
 
         Raises:
             UsageError: none is called so.
@@ -201,11 +203,11 @@ class Reading(Tabled):
         return [*super().__dir__(), *alone]
 
     def _ipython_key_completions_(self) -> list[str]:
-        """Return the names of fleets, for completion in IPython."""
+        """Return the fleets' names, which IPython offers as keys."""
         return list(self.fleets)
 
     def _table(self) -> Table:
-        """Return the table of the readings of all fleets that is shown: rows are fields, columns vehicles."""
+        """Return the readings of all fleets as a table for display: a row for each field, a column for each vehicle."""
         time = self._world.time_step * self.tick if isinstance(self.tick, int) else self.time
         title = f"reading at {number_text(time)} s"
         parts = [(name, part, columns_of(part._source.names)) for name, part in self._fleets.items()]

@@ -49,7 +49,7 @@ class StateOffsets:
 
     @cached_property
     def _tree(self) -> State:
-        """State with the number and shape of each leaf in the leaf's place."""
+        """State in which each array is replaced by its number in the buffers and its shape."""
         tree: State = jax.tree.unflatten(
             self.layout.structure, map(Leaf, *zip(*enumerate(self.layout.shapes), strict=True))
         )
@@ -57,11 +57,11 @@ class StateOffsets:
 
     @cached_property
     def in_two_parts(self) -> bool:
-        """True if positions have a second part, the rounding remainder, as in single precision."""
+        """True if positions have a rounding remainder as a second part, as in single precision."""
         return self._tree.fleets[0].position_low_ned is not None
 
     def of_readings(self, fleet: int, sensor: int) -> Mapping[str, Offsets]:
-        """Return, by field, the buffer offsets of a sensor's reading; only fields that are float arrays."""
+        """Return field -> indices in the float buffer, for the fields of a sensor's reading that are float arrays."""
         offsets = self._readings.get((fleet, sensor))
         if offsets is None:
             reading: Record = self._tree.fleets[fleet].readings[sensor]
@@ -71,7 +71,8 @@ class StateOffsets:
         return offsets
 
     def of_vehicles(self, name: str, pick: Callable[[World, State, int], object]) -> Offsets | None:
-        """Return the buffer offsets (n, ...) of a quantity of all vehicles; None if it is not stored.
+        """Return the indices (n, ...) in the float buffer of a quantity that ``pick`` selects of each fleet; None if it
+        is not stored.
 
         Args:
             name: of the quantity.
@@ -84,7 +85,8 @@ class StateOffsets:
         return self._of_vehicles[name]
 
     def _offsets_of_fleet(self, pick: Callable[[World, State, int], object], fleet: int) -> Offsets | None:
-        """Return the buffer offsets (n, ...) of what ``pick`` selects from a fleet's state, or None."""
+        """Return the indices (n, ...) in the float buffer of the quantity that ``pick`` selects of one fleet; None if
+        not stored."""
         try:
             offsets = self._offsets(pick(self._world, self._tree, fleet))
         except Exception:
@@ -95,7 +97,8 @@ class StateOffsets:
         return None if offsets is None or offsets.shape[:1] != (self._world.fleets[fleet].size,) else offsets
 
     def _offsets(self, value: object) -> Offsets | None:
-        """Return the buffer offsets of a leaf, or of a vector or tuple of leaves stacked; None for others."""
+        """Return the indices in the float buffer of an array, or of a vector or tuple of arrays stacked; None for
+        others."""
         if isinstance(value, Leaf):
             layout, number = self.layout, value.number
             if not layout.is_float[number]:
@@ -111,7 +114,7 @@ class StateOffsets:
 
     @staticmethod
     def _stacked(parts: list[Offsets | None], axis: int) -> Offsets | None:
-        """Return offsets stacked along an axis; None if any is missing."""
+        """Stack arrays of indices along an axis; return None if any is None."""
         known = [part for part in parts if part is not None]
         return np.stack(known, axis=axis) if len(known) == len(parts) else None
 
@@ -130,7 +133,7 @@ class Part:
 
     @property
     def _each(self) -> tuple[object, ...]:
-        """Return the wrapped tuple, whose entries are still packed."""
+        """Entries of the wrapped tuple, each unpacked only when used."""
         return cast(tuple[object, ...], self._part)
 
     def __getitem__(self, number: int) -> object:
@@ -162,7 +165,7 @@ class Seen:
         self._whole: State | None = None
 
     def keep(self) -> None:
-        """Copy the buffers, so that later ticks cannot change this state; once is enough."""
+        """Copy the buffers, if that has not been done, so that later ticks cannot change this state."""
         while not self._kept:
             before = self._buffers
             copy = (np.array(before[0]), np.array(before[1]))
@@ -170,7 +173,7 @@ class Seen:
                 self._buffers, self._kept = copy, True
 
     def at(self, offsets: Offsets) -> Floats:
-        """Return the numbers at ``offsets`` in the float buffer, shaped as ``offsets``."""
+        """Return the numbers at these indices of the float buffer, in the indices' shape."""
         while True:
             buffers = self._buffers
             found: Floats = buffers[0].take(offsets)
@@ -178,14 +181,15 @@ class Seen:
                 return found
 
     def opened(self, numbers: object) -> object:
-        """Return a part of the state, given as a tree of leaf numbers."""
+        """Return a part of the state as arrays, or, for tuples and states, as a ``Part`` that unpacks on demand;
+        ``numbers``: the part with each array replaced by its number."""
         if isinstance(numbers, tuple | State | FleetState):
             return Part(self, numbers)
         part: object = jax.tree.map(self._leaf, numbers)
         return part
 
     def _leaf(self, number: int) -> Floats:
-        """Return a copy of leaf number ``number``, taken again if the state changed meanwhile."""
+        """Return a copy of the state's array number ``number``, read again if a tick changed the buffers meanwhile."""
         while True:
             buffers = self._buffers
             found: Floats = np.array(self.offsets.layout.leaf(buffers, number))
@@ -193,7 +197,7 @@ class Seen:
                 return found
 
     def whole(self) -> State:
-        """Return the whole state, as NumPy arrays."""
+        """Return the whole state as NumPy arrays."""
         if self._whole is None:
             self.keep()
             self._whole = self.offsets.layout.unpack(self._buffers)

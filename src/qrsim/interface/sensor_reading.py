@@ -47,7 +47,7 @@ class SensorReading(Tabled):
 
     @property
     def _reading(self) -> Record:
-        """The sensor's last reading, as a record."""
+        """Last delivered reading of the sensor, as a record."""
         if self._given is None:
             assert self._source is not None
             self._given = self._source.record(self._name)
@@ -55,7 +55,7 @@ class SensorReading(Tabled):
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """Names of the sensor's fields."""
+        """Names of the fields of the sensor's reading."""
         said = vars(self._reading)
         own = tuple(
             field.name
@@ -73,7 +73,7 @@ class SensorReading(Tabled):
 
     @property
     def time_of_reading(self) -> Floats:
-        """Time (n,) [s] at which the reading was taken; the start's until a first delayed reading arrives.
+        """Time (n,) [s] at which the reading was taken; until the first delayed reading arrives, that of the start.
 
         It is in double precision, but for compiled programs in single precision, where a day has steps of 8 ms.
         """
@@ -81,21 +81,22 @@ class SensorReading(Tabled):
 
     @property
     def tick_of_reading(self) -> Floats:
-        """Tick (n,), a whole number, at which the reading was taken; exact in compiled programs too."""
+        """Tick (n,) at which the reading was taken, a whole number, exact in compiled programs too."""
         return self._for_each(FleetSource.taken)
 
     @property
     def fresh(self) -> Floats:
-        """(n,) bool: the reading has arrived at this very tick; False while an earlier one is held."""
+        """Which vehicles, (n,) bool, receive the reading at this very tick; False while an earlier one is held."""
         return self._for_each(FleetSource.arrived)
 
     @property
     def _timed(self) -> bool:
-        """True if the times of the readings are known."""
+        """True if the times at which the readings were taken are known."""
         return self._source is not None and self._source.time_step > 0.0
 
     def _for_each(self, time_of: Callable[[FleetSource, str], Any]) -> Floats:
-        """Return ``time_of`` the reading, broadcast to (n,); raise UsageError if times are unknown."""
+        """Return ``time_of(source, sensor name)`` broadcast to (n,); raises UsageError if the readings' times are
+        unknown."""
         if self._source is None or not self._timed:
             raise UsageError(f"{self._name}: the time of its readings is not available here")
         leaf = jax.tree.leaves(self._reading)[0]
@@ -104,7 +105,7 @@ class SensorReading(Tabled):
 
     @property
     def reasons(self) -> list[str]:
-        """Reasons why vehicles (n,) have no complete reading, "" for those that have one."""
+        """Reasons why the vehicles (n,) lack a complete reading; "" for those that have one."""
         leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(self._reading)]
         complete = np.all([np.isfinite(leaf) for leaf in leaves], axis=0)
         withheld = [""] * len(complete) if self._source is None else self._source.withheld(self._name)
@@ -114,7 +115,7 @@ class SensorReading(Tabled):
         ][self._rows]
 
     def _own_reason(self, vehicle: int) -> str:
-        """Return the sensor's own reason for a vehicle's incomplete reading, as text."""
+        """Return the sensor model's own reason for the incomplete reading of vehicle number ``vehicle``."""
         if not isinstance(self._reading, GnssReading):
             return self._reading.reason(vehicle) if isinstance(self._reading, Explained) else "not available"
         satellites = self._reading.satellites
@@ -153,7 +154,7 @@ class SensorReading(Tabled):
         return found[self._rows]
 
     def _derived(self, field: str) -> Floats:
-        """Return a field computed from others: quaternion, fix type, latitude or picture."""
+        """Return a field that is computed from others: quaternion, fix type, latitude or picture."""
         if field == "quaternion":
             return quaternion_of(as_array(cast(AttitudeReading, self._reading).attitude))
         if field in PICTURE_FIELDS:
@@ -168,7 +169,7 @@ class SensorReading(Tabled):
         return {"latitude_deg": np.degrees(latitude), "longitude_deg": np.degrees(longitude), "height": height}[field]
 
     def _of_picture(self, field: str) -> Floats:
-        """Return a field of the camera's last picture."""
+        """Return a field of the last picture that the camera took."""
         if self._source is None or not self._source.pictured:
             raise UsageError(
                 f"{self._name}.{field}: not available here; a policy needs jax.jit, or init and step, for it"
@@ -191,12 +192,12 @@ class SensorReading(Tabled):
         return isinstance(reading, GnssReading) and isinstance(reading.position_ned.x, jax.core.Tracer)
 
     def _units(self) -> dict[str, str]:
-        """Return the unit of each field."""
+        """Return the unit of each field of the reading."""
         own = {field.name: field_info(field).unit for field in dataclasses.fields(self._reading)}
         return {name: own.get(name) or _UNITS.get(name, "") for name in self.fields}
 
     def _cells(self, columns: int) -> list[tuple[str, ...]]:
-        """Return a table row for each field: name, unit, and the numbers of each vehicle."""
+        """Return a row of texts for each field of the reading: name, unit, and up to ``columns`` vehicles' numbers."""
         rows = []
         for name, unit in self._units().items():
             if name in PICTURE_FIELDS:
@@ -209,7 +210,7 @@ class SensorReading(Tabled):
         return rows
 
     def _table(self) -> Table:
-        """Return the table of the reading that is shown: a row for each field, a column for each vehicle."""
+        """Return the reading as a table for display: a row for each field, a column for each vehicle."""
         names = range(jax.tree.leaves(self._reading)[0].shape[0]) if self._source is None else self._source.names
         columns = columns_of(list(map(str, names)))
         rows = self._cells(len(columns))

@@ -50,7 +50,8 @@ class Slot:
             first += size
 
     def take(self, command: object) -> bool:
-        """Write a command into the program's numbers and return True; return False if it needs the full check."""
+        """Write a user's command into the compiled program's inputs and return True; return False if it needs the full
+        check."""
         try:
             leaves = self._leaves(command)
         except (TypeError, ValueError, OverflowError):
@@ -69,7 +70,8 @@ class Slot:
 
 
 def slot_of(command: object, actions: Sequence[Action], numbers: Numbers, checker: ActionChecker) -> Slot | None:
-    """Return a slot for further commands of the same form as ``command``; None if each needs the full check.
+    """Return a Slot, which writes later commands of the same form straight into a program; None if each needs the full
+    check.
 
     Args:
         command: as the user passed it, for all vehicles.
@@ -97,10 +99,10 @@ def slot_of(command: object, actions: Sequence[Action], numbers: Numbers, checke
 
 
 def _limits(kind: CommandKind) -> list[tuple[float, float]]:
-    """Return the bounds (lowest, highest) of each number of a command."""
+    """Return (lowest, highest) allowed value of each number of a command kind."""
     return list(zip(kind.lowest.tolist(), kind.highest.tolist(), strict=True))
 
 
 def _columns(command: object) -> Any:
-    """Return the fields of a command (fields, n)."""
+    """Return a command's fields as an array (fields, n)."""
     return np.asarray(command).T

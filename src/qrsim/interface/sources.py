@@ -50,7 +50,8 @@ class FleetSource:
         return self.state.fleets[self.number]
 
     def offsets(self, sensor: str) -> Mapping[str, Offsets]:
-        """Return the buffer offsets of a sensor's fields by name; {} if the state is not packed."""
+        """Return field -> indices in the packed state's float buffer for a sensor's reading; {} if the state is not
+        packed."""
         state = self.state
         if not isinstance(state, Seen):
             return {}
@@ -58,11 +59,12 @@ class FleetSource:
 
     @property
     def pictured(self) -> bool:
-        """True if pictures can be computed: the whole state is known, unlike inside of a rollout."""
+        """True if camera pictures can be computed here: the whole state is known, unlike inside a rollout."""
         return isinstance(self.state, State | Seen)
 
     def picture(self, camera: str) -> Picture:
-        """Return the last picture of each vehicle (n,), as NumPy arrays outside of compiled functions."""
+        """Return the last picture that a camera of each vehicle (n,) took, as NumPy arrays outside compiled
+        functions."""
         state = whole(self.state)
         world = self.world.with_drawn(state.drawn)
         if isinstance(state.sky.range_error, jax.core.Tracer):
@@ -73,30 +75,30 @@ class FleetSource:
         return found
 
     def taken(self, sensor: str) -> int | Array:
-        """Return the tick at which a sensor's last delivered reading was taken."""
+        """Return the tick at which a sensor's last delivered reading was taken, one for all vehicles or (n,)."""
         model, transit = self._delivery(sensor)
         tick = cast(Array, self.tick)
         taken = model.time_of_reading(tick, self.time_step) if transit is None else transit.time_of_reading(tick)
         return cast(int, _on_host(taken))
 
     def arrived(self, sensor: str) -> bool | Array:
-        """Return whether a sensor's reading arrives at the present tick."""
+        """Return whether a sensor's reading arrives at the present tick, one for all vehicles or (n,)."""
         model, transit = self._delivery(sensor)
         tick = cast(Array, self.tick)
         return _on_host(model.fresh(tick, self.time_step) if transit is None else transit.fresh(tick))
 
     def _delivery(self, sensor: str) -> tuple[Sensor, Transit | None]:
-        """Return a sensor, and its delayed readings in transit; None instead of these without a delay."""
+        """Return a sensor's model, and its readings that are still delayed (None for a sensor without delay)."""
         number = self.fleet.sensor_names.index(sensor)
         fitted = self.now.fitted[number] if self.now.fitted else None
         return self.fleet.sensors[number], None if fitted is None else fitted.transit
 
     def record(self, sensor: str) -> Record:
-        """Return the last reading of a sensor."""
+        """Return the last delivered reading of a sensor."""
         return self.now.readings[self.fleet.sensor_names.index(sensor)]
 
     def withheld(self, sensor: str) -> list[str]:
-        """Return, for each vehicle, the reason why a sensor's reading is missing, "" if it is not."""
+        """Return, for each vehicle, why a sensor's reading is missing; "" if it is not."""
         violation = self.now.violation
         stopped = [
             f"stopped, {reason_text(int(code), float(value))}" if code else ""
@@ -106,7 +108,8 @@ class FleetSource:
         return [why or fault or sky for why, (fault, sky) in zip(stopped, others, strict=True)]
 
     def _faults(self, sensor: str) -> list[str]:
-        """Return, for each vehicle, the fault that takes away its readings as text, "" without; the last if several."""
+        """Return, for each vehicle, the fault that suppresses a sensor's readings (the last of several); "" without
+        one."""
         found = [""] * self.fleet.size
         for fault, memory in zip(self.fleet.all_faults, self.now.passed_on, strict=True):
             if fault.sensor != sensor:
@@ -124,7 +127,8 @@ class FleetSource:
         return found
 
     def _without_orbits(self, sensor: str) -> list[str]:
-        """Return, for each vehicle, "" or a text that the orbits give no satellite at this time."""
+        """Return, for each vehicle, a text if satellites' orbits are unknown at this time, so that there is no fix;
+        else ""."""
         reading = self.record(sensor)
         if not isinstance(reading, GnssReading) or np.isfinite(self.state.sky.satellites_ned.z).any():
             return [""] * self.fleet.size
@@ -133,7 +137,7 @@ class FleetSource:
 
 
 def whole(state: State) -> State:
-    """Return the complete state, unpacked if ``state`` is one that is read in parts."""
+    """Return ``state`` with all its arrays unpacked, if it is one that unpacks on demand."""
     return state.whole() if isinstance(state, Seen) else state
 
 
@@ -141,5 +145,5 @@ _developed = jax.jit(picture, static_argnums=(2, 3))
 
 
 def _on_host(value: object) -> Any:
-    """Return an array as a NumPy array, unless a program is being compiled."""
+    """Convert an array to NumPy, unless it is traced in a program that is being compiled."""
     return np.asarray(value) if isinstance(value, Array) and not isinstance(value, jax.core.Tracer) else value

@@ -23,14 +23,15 @@ class Takeovers:
 
     @staticmethod
     def none(state: State, like: Array) -> Takeovers | None:
-        """Return the counts at the start; None if no fleet has failsafes."""
+        """Return empty records of failsafes at a flight's start, shaped as ``like`` (n,); None if no fleet has
+        failsafes."""
         if _actions(state) is None:
             return None
         count, nowhere = jnp.zeros(like.shape, jnp.int32), jnp.full_like(like, jnp.nan)
         return Takeovers(count, jnp.full_like(count, -1), Vec3(nowhere, nowhere, nowhere))
 
     def update(self, state: State, tick: Array, position_ned: Vec3, flying: Array) -> Takeovers:
-        """Return the counts after a tick; only vehicles in ``flying`` (n,) still fly."""
+        """Return the records updated by a tick, for the vehicles marked in ``flying`` (n,) bool."""
         actions = _actions(state)
         assert actions is not None
         actions = jnp.where(flying, actions, 0)
@@ -44,7 +45,8 @@ class Takeovers:
 
 
 def takeover_metrics(found: Takeovers | None, like: Floats, dt: float) -> dict[str, Floats]:
-    """Return the metrics by name, shaped as ``like`` (W, n); NaN and 0 where no failsafe took over."""
+    """Convert the records of failsafes (``found``) to metrics by name, each (W, n) as ``like``; NaN and 0 where none
+    took over."""
     shape = np.shape(like)
     if found is None:
         nothing = np.full(shape, np.nan)
@@ -62,7 +64,7 @@ def takeover_metrics(found: Takeovers | None, like: Floats, dt: float) -> dict[s
 
 
 def _actions(state: State) -> Array | None:
-    """Return the failsafe action (n,) of each vehicle, 0 without; None if no fleet has failsafes."""
+    """Return the number of each vehicle's failsafe action (n,), 0 without one; None if no fleet has failsafes."""
     if all(fleet.failsafe is None for fleet in state.fleets):
         return None
     return jnp.concatenate(

@@ -39,21 +39,22 @@ class Truth(Tabled):
         self._state = cast(State, seen)
 
     def _of_vehicles(self, name: str, pick: Callable[[World, State, int], object]) -> Floats:
-        """Return ``pick(world, state, fleet number)`` of all fleets as one array (n, ...)."""
+        """Return ``pick(world, state, fleet number)`` of every fleet as one array (n, ...); ``name``: key of its cached
+        indices."""
         offsets = self._seen.offsets.of_vehicles(name, pick)
         if offsets is not None:
             return self._seen.at(offsets)
         return np.concatenate([as_array(pick(self._world, self._state, i)) for i in range(len(self._world.fleets))])
 
     def _table(self) -> Table:
-        """Return the table of the true state that is shown: a row for each quantity, a column for each vehicle."""
+        """Return the true state as a table for display: a row for each quantity, a column for each vehicle."""
         columns = columns_of([name for fleet in self._world.fleets for name in fleet.vehicle_names])
         rows = [(name, unit, *cells_of(getattr(self, name), len(columns))) for name, unit in _UNITS.items()]
         return Table("true state", ("field", "unit", *columns), rows)
 
     @property
     def position_ned(self) -> Floats:
-        """(n, 3) position [m], in double precision."""
+        """Position NED (n, 3) [m], in double precision."""
         high = self._of_vehicles("position_ned", lambda world, state, i: state.fleets[i].vehicle.position_ned)
         if self._seen.offsets.in_two_parts:
             low = self._of_vehicles("position_low_ned", lambda world, state, i: state.fleets[i].position_low_ned)
@@ -62,17 +63,17 @@ class Truth(Tabled):
 
     @property
     def attitude(self) -> Floats:
-        """(n, 3) roll, pitch, yaw [rad]."""
+        """Roll, pitch and yaw (n, 3) [rad]."""
         return self._of_vehicles("attitude", lambda world, state, i: _pose(world, state, i).attitude)
 
     @property
     def velocity_body(self) -> Floats:
-        """(n, 3) velocity over ground in body axes [m/s]."""
+        """Velocity over ground in body axes (n, 3) [m/s]."""
         return self._of_vehicles("velocity_body", lambda world, state, i: _pose(world, state, i).velocity_body)
 
     @property
     def velocity_ned(self) -> Floats:
-        """(n, 3) velocity over ground [m/s]."""
+        """Velocity over ground NED (n, 3) [m/s]."""
         # JAX would silently compute in single precision otherwise.
         with jax.enable_x64(True):
             return np.asarray(
@@ -81,15 +82,15 @@ class Truth(Tabled):
 
     @property
     def rates_body(self) -> Floats:
-        """(n, 3) body rates [rad/s]."""
+        """Body rates p, q, r (n, 3) [rad/s]."""
         return self._of_vehicles("rates_body", lambda world, state, i: _pose(world, state, i).rates_body)
 
     @property
     def thrust(self) -> Floats:
-        """(n,) collective thrust [N], NaN where a vehicle has none."""
+        """Collective thrust (n,) [N], NaN for vehicles without one."""
 
         def thrust(world: World, state: State, i: int) -> object:
-            """Return the thrust (n,) [N] of the fleet number ``i``."""
+            """Return the thrust (n,) [N] of fleet number ``i``."""
             vehicle = state.fleets[i].vehicle
             found = world.fleets[i].vehicle.load(vehicle).thrust
             # A load may be one number for all.
@@ -99,27 +100,26 @@ class Truth(Tabled):
 
     @property
     def on_ground(self) -> Floats:
-        """(n,) bool: on the ground; False where touching it ends a flight."""
+        """Which vehicles are on the ground, (n,) bool; False where touching it ends a flight."""
         found = [on_ground(fleet, self._state.fleets[i]) for i, fleet in enumerate(self._world.fleets)]
         sizes = [fleet.size for fleet in self._world.fleets]
         return np.concatenate([np.zeros(n, bool) if now is None else now for n, now in zip(sizes, found, strict=True)])
 
     @property
     def specific_force(self) -> Floats:
-        """(n, 3) mean specific force of the last step in body axes [m/s^2]."""
+        """Mean specific force of the last tick in body axes (n, 3) [m/s^2]."""
         return self._of_vehicles("specific_force", lambda world, state, i: state.fleets[i].specific_force)
 
     @property
     def wind_ned(self) -> Floats:
-        """(n, 3) air velocity at the vehicle during the last step [m/s], gusts included."""
+        """Air velocity NED (n, 3) [m/s] at each vehicle in the last tick, gusts included."""
         mean = self._of_vehicles("mean_wind_ned", lambda world, state, i: state.fleets[i].mean_wind_ned)
         return mean + self._of_vehicles("gust_ned", lambda world, state, i: state.fleets[i].gust_ned)
 
     @property
     def command(self) -> Floats:
-        """(n, C) the last command as flown, the fields of each fleet's own; those of the quadrotor are pitch, roll,
-        throttle, yaw rate, battery. NaN where another fleet has more fields.
-        """
+        """Last command as flown (n, C), in each fleet's own fields (quadrotor: pitch, roll, throttle, yaw rate,
+        battery); NaN where another fleet has more."""
         commands = [self._state.fleets[number].command for number in range(len(self._world.fleets))]
         sizes = [fleet.size for fleet in self._world.fleets]
         rows = [
@@ -132,11 +132,11 @@ class Truth(Tabled):
 
     @property
     def state(self) -> Floats:
-        """(n, 13) position, Euler angles, body velocity, body rates, thrust, in double precision."""
+        """Position NED, Euler angles, body velocity, body rates and thrust (n, 13), in double precision."""
         parts = (self.position_ned, self.attitude, self.velocity_body, self.rates_body, self.thrust[:, None])
         return np.concatenate(parts, axis=1)
 
 
 def _pose(world: World, state: State, fleet: int) -> Pose:
-    """Return the pose of a fleet's vehicles."""
+    """Return the poses of the vehicles of fleet number ``fleet``."""
     return world.fleets[fleet].vehicle.pose(state.fleets[fleet].vehicle)

@@ -15,7 +15,7 @@ SLOWEST, FASTEST = 1e-3, 1e3
 
 
 def checked_factor(factor: float) -> float:
-    """Check a real-time factor and return it; 0 means lock-step.
+    """Check a real-time factor (simulated seconds per wall second; 0: lock-step) and return it; raises UsageError.
 
     Raises:
         UsageError: it is out of range.
@@ -65,7 +65,8 @@ class Pacer:
         self.worst_delay = 0.0
 
     def wait_s(self, simulated: float) -> float:
-        """Count a step that ends at a simulated time [s]; return how long [s] to wait before replying, 0 if late."""
+        """Count a step that ends at a simulated time [s]; return how long [s] to wait before the reply, 0 if it is
+        late."""
         self.steps += 1
         self._last = simulated
         if not self.factor:
@@ -75,11 +76,12 @@ class Pacer:
         return max(0.0, until)
 
     def until_s(self, simulated: float) -> float:
-        """Return the wall time [s] until the state of a simulated time [s] is due; negative if it is late."""
+        """Return the wall time [s] left until a simulated time [s] is due; negative if it is late."""
         return self._anchor[1] + (simulated - self._anchor[0]) / self.factor - self._clock()
 
     def _note_delay(self, simulated: float, delay: float, allowed: float) -> None:
-        """Count an overrun if ``delay`` [s] exceeds ``allowed`` [s]; a very long one restarts the schedule."""
+        """Count an overrun of the pace if ``delay`` [s] exceeds ``allowed`` [s]; a very long delay restarts the
+        schedule."""
         if delay <= allowed:
             return
         self.overruns += 1
@@ -88,13 +90,13 @@ class Pacer:
             self._anchor = (simulated, self._clock())
 
     def restarted(self) -> None:
-        """Restart the simulated time at 0."""
+        """Restart the count of simulated time at 0, after a reset of the simulation."""
         self._begin = (self._begin[0] - self._last, self._begin[1])
         self._anchor = (0.0, self._clock())
         self._last = 0.0
 
     def report(self) -> PaceReport:
-        """Return the statistics of the pace."""
+        """Return the statistics of the pace: real-time factor, overruns and delays so far."""
         return PaceReport(
             factor=self.factor,
             steps=self.steps,
@@ -126,7 +128,7 @@ class Metronome(Pacer):
         self._period = time_step / factor
 
     def ended(self, simulated: float) -> None:
-        """Count a tick whose state, at a simulated time [s], has just been sent."""
+        """Count a tick, for the statistics of the pace, when its state at a simulated time [s] has been sent."""
         self.steps += 1
         self._last = simulated
         self._note_delay(simulated, -self.until_s(simulated), self._period)

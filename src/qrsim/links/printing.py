@@ -35,7 +35,7 @@ class Log:
             self._thread.join(1.0)
 
     def _print(self) -> None:
-        """Print queued lines until ``close``; the body of the thread."""
+        """Print queued lines until ``close`` is called, in the log's own thread."""
         with suppress(OSError):  # nobody reads any more
             while (line := self._lines.get()) is not None:
                 left = f"{line}\n".encode()

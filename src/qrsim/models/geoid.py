@@ -35,21 +35,21 @@ SLOPE_OVER = 2500.0
 
 @overload
 def undulation(latitude_deg: float, longitude_deg: float) -> float:
-    """Return the undulation [m] of one place as a float."""
+    """Return the geoid undulation [m] at one place, as a float."""
 
 
 @overload
 def undulation(latitude_deg: Arrays, longitude_deg: npt.ArrayLike) -> Float64:
-    """Return the undulations [m] of arrays of places; either argument may be a scalar."""
+    """Return the geoid undulations [m] at arrays of places [deg]; either argument may be a scalar."""
 
 
 @overload
 def undulation(latitude_deg: npt.ArrayLike, longitude_deg: Arrays) -> Float64:
-    """Return the undulations [m] of arrays of places; either argument may be a scalar."""
+    """Return the geoid undulations [m] at arrays of places [deg]; either argument may be a scalar."""
 
 
 def undulation(latitude_deg: npt.ArrayLike, longitude_deg: npt.ArrayLike) -> float | Float64:
-    """Return the height of the geoid EGM96 above the WGS-84 ellipsoid, (...) [m].
+    """Return the geoid undulation [m], EGM96's height above the WGS-84 ellipsoid, at places (...) [deg].
 
     A height h above the ellipsoid is the height h - undulation above mean sea level. The value is interpolated from
     eight by eight points of a grid of 15 minutes of arc, by polynomials of degree 7. It is within 0.02 m of the grid
@@ -109,16 +109,16 @@ class GeoidPlane:
     @staticmethod
     @lru_cache(maxsize=8)
     def at(site: Site) -> GeoidPlane:
-        """Return the plane at a site, of EGM96 unless the site names another geoid."""
+        """Return the plane that fits the geoid near a site, of EGM96 unless the site has its own geoid."""
         return GeoidPlane(*site.geoid) if site.geoid is not None else plane_of(site, undulation)
 
     def undulation(self, north: Lengths, east: Lengths) -> Lengths:
-        """Return the height of the geoid above the ellipsoid [m] at a place [m] in the site's frame, or at places."""
+        """Return the geoid's height [m] above the WGS-84 ellipsoid at places north and east [m] in the site's frame."""
         return self.height + self.slope_north * north + self.slope_east * east
 
 
 def plane_of(site: Site, undulations: Callable[[Float64, Float64], Float64]) -> GeoidPlane:
-    """Return the plane of a geoid at a site, from a function of undulations [m] at latitudes and longitudes [deg].
+    """Return the plane that fits a geoid near a site, from a function of undulations [m] at places [deg].
 
     Args:
         site: the place.
@@ -132,7 +132,7 @@ def plane_of(site: Site, undulations: Callable[[Float64, Float64], Float64]) -> 
 
 
 def above_sea(geodetic: Float64, site: Site) -> Float64:
-    """Return places (..., 3) [deg, deg, m] near a site, their ellipsoidal heights replaced by heights above the sea."""
+    """Return places (..., 3) [deg, deg, m] near a site with ellipsoidal heights replaced by heights above the sea."""
     latitude, longitude, height = (geodetic[..., i] for i in range(3))
     if site.geoid is None:
         return np.stack((latitude, longitude, height - undulation(latitude, longitude)), axis=-1)
@@ -142,7 +142,7 @@ def above_sea(geodetic: Float64, site: Site) -> Float64:
 
 
 def _checked(name: str, values: npt.ArrayLike, limit: float) -> Float64:
-    """Return angles [deg] as a float64 array; raise UsageError for the first one beyond +/- ``limit`` or NaN."""
+    """Return angles [deg] as float64; raise UsageError, naming ``name``, for one beyond +/- ``limit`` or NaN."""
     try:
         array = np.asarray(values)
     except ValueError:
@@ -158,12 +158,12 @@ def _checked(name: str, values: npt.ArrayLike, limit: float) -> Float64:
 
 
 def _weights(part: Float64) -> list[Float64]:
-    """Return Lagrange's weights, a list with one (...) for each point, at positions (...) in the cell, 0 to 1."""
+    """Return Lagrange interpolation weights, a list of (...) for each point, at positions (...) in a cell, 0 to 1."""
     return [*lagrange(part, POINTS, BEFORE)]
 
 
 def lagrange(place: float | Float64, points: int, before: int = 0) -> Float64:
-    """Return Lagrange's weights (points, ...) at places (...) for nodes at -before, 1 - before, 2 - before, ..."""
+    """Return Lagrange interpolation weights (points, ...) at places (...) for nodes at -before, 1 - before, ..."""
     weights = []
     for a in range(points):
         weight = np.ones_like(place, np.float64)
@@ -176,7 +176,7 @@ def lagrange(place: float | Float64, points: int, before: int = 0) -> Float64:
 
 @lru_cache(maxsize=1)
 def _grid() -> Float64:
-    """Return the grid [m] from the north pole and Greenwich, south and east, with a margin on all sides.
+    """Return EGM96's grid of undulations [m], from the north pole southwards and Greenwich eastwards, with margins.
 
     Beyond a pole the meridian continues on the opposite one, 180 degrees away.
     """

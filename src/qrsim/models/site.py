@@ -78,7 +78,7 @@ class Site:
         height: float = 0.0,
         geoid: tuple[float, float, float] | None = None,
     ) -> Site:
-        """Return the site at a latitude and longitude in degrees; raises UsageError as the constructor does."""
+        """Return the site at a latitude and longitude [deg] and height [m]; raises as the constructor does."""
         return Site(math.radians(latitude_deg), math.radians(longitude_deg), height, geoid)
 
     def ned_to_geodetic(self, position_ned: npt.ArrayLike) -> tuple[Float64, Float64, Float64]:
@@ -88,41 +88,41 @@ class Site:
     def geodetic_to_ned(
         self, latitude_rad: npt.ArrayLike, longitude_rad: npt.ArrayLike, height: npt.ArrayLike
     ) -> Float64:
-        """Return positions (..., 3) in NED [m]; the arguments [rad, rad, m] broadcast to a shape (...)."""
+        """Return positions (..., 3) NED [m] of latitudes [rad], longitudes [rad] and heights [m], which broadcast."""
         from pymap3d import geodetic2ned
 
         geodetic = np.stack(np.broadcast_arrays(latitude_rad, longitude_rad, height), axis=-1)
         return np.stack(_apply(geodetic2ned, "geodetic", geodetic, *self._origin), axis=-1)
 
     def ecef_to_ned(self, points_ecef: npt.ArrayLike) -> Float64:
-        """Return points (..., 3) in this site's NED frame [m] from Earth-fixed coordinates (..., 3) [m]."""
+        """Return Earth-fixed points (..., 3) [m] in this site's NED frame [m]."""
         from pymap3d import ecef2ned
 
         return np.stack(_apply(ecef2ned, "points_ecef", points_ecef, *self._origin), axis=-1)
 
     def ned_from_ecef_rotation(self) -> Float64:
-        """Return the matrix (3, 3) that takes an Earth-fixed vector to NED; its rows are north, east and down."""
+        """Return the matrix (3, 3) that rotates an Earth-fixed vector to NED; its rows are north, east and down."""
         from pymap3d import ecef2nedv
 
         axes = _apply(ecef2nedv, "axes", np.eye(3), self.latitude_rad, self.longitude_rad)
         return np.stack(axes, axis=0)
 
     def origin_ecef(self) -> Float64:
-        """Return the origin (3,) in Earth-fixed coordinates [m]."""
+        """Return the origin (3,) of the local frame in Earth-fixed coordinates [m]."""
         from pymap3d import geodetic2ecef
 
         return np.asarray(geodetic2ecef(*self._origin, deg=False), np.float64)
 
     @property
     def _origin(self) -> tuple[float, float, float]:
-        """Latitude and longitude [rad] and height [m] of the origin."""
+        """Latitude and longitude [rad] and height [m] of the local frame's origin."""
         return self.latitude_rad, self.longitude_rad, self.height
 
 
 def _apply(
     function: Callable[..., Sequence[npt.ArrayLike]], name: str, points: npt.ArrayLike, *origin: float
 ) -> tuple[Float64, Float64, Float64]:
-    """Return a pymap3d function's three results, each (...), for points (..., 3); raise UsageError for other shapes."""
+    """Return the three results (...) of a pymap3d function for points (..., 3); raise UsageError for other shapes."""
     array = np.asarray(points, np.float64)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise UsageError(f"{name}: expected an array of shape (..., 3), got {array.shape}")
@@ -134,7 +134,7 @@ def _apply(
 
 @lru_cache(maxsize=16)
 def _frame(latitude: float, longitude: float, height: float) -> tuple[float, ...]:
-    """Return cosine and sine of latitude and longitude [rad] of a place, and its Earth-fixed coordinates (3) [m]."""
+    """Return cosine and sine of latitude and of longitude [rad], and Earth-fixed coordinates [m], of a place."""
     from pymap3d import geodetic2ecef
 
     origin = map(float, geodetic2ecef(latitude, longitude, height, deg=False))
@@ -144,7 +144,7 @@ def _frame(latitude: float, longitude: float, height: float) -> tuple[float, ...
 def _ned_to_geodetic(
     north: Float64, east: Float64, down: Float64, latitude: float, longitude: float, height: float, deg: bool
 ) -> Sequence[npt.ArrayLike]:
-    """Return the result of pymap3d.ned2geodetic, bit for bit, in less than half of its time for a few points.
+    """Return what pymap3d.ned2geodetic returns, bit for bit, in less than half of its time for a few points.
 
     Method of You (2000), doi: 10.1061/(ASCE)0733-9453(2000)126:1(1). Points near the Earth's axis or centre are left to
     pymap3d.
@@ -171,7 +171,7 @@ def _ned_to_geodetic(
 
 
 def gps_minus_utc(when: datetime) -> int:
-    """Return GPS - UTC [s] at a time; beyond the table its last value (18 s since 2017).
+    """Return GPS minus UTC time [s] at a time; beyond the table its last value (18 s since 2017).
 
     Raises:
         UsageError: the time is naive.
@@ -180,7 +180,7 @@ def gps_minus_utc(when: datetime) -> int:
 
 
 def gps_seconds_from_utc(when: datetime) -> float:
-    """Return GPS seconds since 1980-01-06 00:00 of a time in any time zone, to a microsecond.
+    """Return a time with time zone as GPS seconds since 1980-01-06 00:00, to a microsecond.
 
     Raises:
         UsageError: the time is naive, or before GPS time began.
@@ -191,7 +191,7 @@ def gps_seconds_from_utc(when: datetime) -> float:
 
 
 def utc_from_gps_seconds(gps_seconds: float) -> datetime:
-    """Return the UTC time of GPS seconds since 1980-01-06 00:00, to a microsecond.
+    """Return GPS seconds since 1980-01-06 00:00 as a UTC time, to a microsecond.
 
     A datetime cannot say 23:59:60, so a time within a leap second reads 23:59:59 a second time.
 
@@ -210,7 +210,7 @@ def utc_from_gps_seconds(gps_seconds: float) -> datetime:
 
 
 def _aware(when: datetime) -> datetime:
-    """Return the given time; raise UsageError if it has no time zone."""
+    """Return ``when`` unchanged; raise UsageError if it has no time zone."""
     if when.utcoffset() is None:
         raise UsageError(f"{when.isoformat()} has no time zone; give one, for UTC '{when.isoformat()}+00:00'")
     return when

@@ -12,7 +12,7 @@ from qrsim.runs.layout import numpy_dtype
 
 
 def column(values: NumpyArray) -> pa.Array:
-    """Return an Arrow array of a NumPy array (n,) of numbers or bools, with no missing values."""
+    """Convert a NumPy array (n,) of numbers or bools to an Arrow array without missing values."""
     values = np.ascontiguousarray(values)
     kind = pa.from_numpy_dtype(values.dtype)
     # Arrow packs eight bools into a byte.
@@ -21,7 +21,7 @@ def column(values: NumpyArray) -> pa.Array:
 
 
 def numbers(values: Sequence[object], kind: object) -> pa.Array:
-    """Return an Arrow array of numbers of an Arrow type; None becomes a missing value."""
+    """Return an Arrow array of numbers of the Arrow type ``kind``; None becomes a missing value."""
     present = np.array([value is not None for value in values], bool)
     plain = np.array([0 if value is None else value for value in values], numpy_dtype(kind))
     validity = pa.py_buffer(np.packbits(present, bitorder="little"))
@@ -45,7 +45,7 @@ def names(values: Sequence[str | None]) -> pa.DictionaryArray:
 
 
 def to_numpy(values: pa.Array | pa.ChunkedArray) -> NumpyArray:
-    """Return a column of a table, or one chunk of it, as a NumPy array; missing numbers are NaN."""
+    """Convert an Arrow column, or one chunk of it, to a NumPy array; missing numbers become NaN."""
     chunks = values.chunks if isinstance(values, pa.ChunkedArray) else [values]
     arrays = [_as_numpy(chunk) for chunk in chunks]
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays or [np.zeros(0, numpy_dtype(values.type))])

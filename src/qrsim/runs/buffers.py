@@ -45,11 +45,12 @@ class Buffer:
         self.last_time: float | None = None
 
     def table(self, pending: Sequence[Any]) -> pa.Table:
-        """Return pending rows as an Arrow table; each subclass has its own form of rows."""
+        """Convert buffered rows to an Arrow table; each subclass defines the form of its rows."""
         raise NotImplementedError
 
     def write(self, count: int) -> None:
-        """Write the first ``count`` pending entries as the next part; more may be added at the same time."""
+        """Write the first ``count`` buffered entries to the stream's next Parquet file; another thread may append
+        meanwhile."""
         sink = pa.BufferOutputStream()
         pq.write_table(self.table(self.pending[:count]), sink, use_dictionary=self.dictionaries, **_PARQUET)
         write_atomically(self.folder / part_name(self.number), sink.getvalue())
@@ -69,7 +70,8 @@ class VehicleRows(Buffer):
         self.dtypes = {f.name: numpy_dtype(f.type) for f in schema if f.name not in index}
 
     def add(self, ticks: npt.ArrayLike, times: npt.ArrayLike, values: Mapping[str, npt.ArrayLike]) -> tuple[int, int]:
-        """Copy every Nth of (T,) ticks and times and (T, n) values into the buffer; return (rows, last tick)."""
+        """Buffer every Nth tick, with ticks and times [s] (T,) and values by column (T, n); return (rows added, last
+        tick)."""
         if values.keys() != self.dtypes.keys():
             raise UsageError(self._wrong_names(values))
         own_ticks = self._checked_copy("tick", ticks, np.dtype(np.int64), None)
@@ -88,7 +90,7 @@ class VehicleRows(Buffer):
         return len(own_ticks) * shape[1], last_tick
 
     def table(self, pending: Sequence[Any]) -> pa.Table:
-        """Return pending rows as an Arrow table, one row per (time, vehicle), vehicles varying fastest."""
+        """Convert buffered ticks to an Arrow table, one row per (time, vehicle), vehicles varying fastest."""
         count = len(self.vehicles)
         ticks = np.concatenate([chunk[0] for chunk in pending] or [np.zeros(0, np.int64)])
         times = np.concatenate([chunk[1] for chunk in pending] or [np.zeros(0)])
@@ -106,7 +108,8 @@ class VehicleRows(Buffer):
     def _checked_copy(
         self, name: str, values: npt.ArrayLike, dtype: DType, shape: tuple[int, ...] | None
     ) -> NumpyArray:
-        """Return a copy of a column's values; raises UsageError for another shape or type."""
+        """Return a copy of a column's values; raise UsageError unless they have the given type and shape (None: any
+        1-D)."""
         array = np.asarray(values)
         expected = f"shape {shape}" if shape is not None else "shape (T,)"
         if array.shape != shape if shape is not None else array.ndim != 1:
@@ -119,7 +122,7 @@ class VehicleRows(Buffer):
             ) from None
 
     def _wrong_names(self, values: Mapping[str, object]) -> str:
-        """Return the message about undeclared or missing columns."""
+        """Return the error message about the first undeclared column in ``values``; else about all missing columns."""
         for name in values:
             if name not in self.dtypes:
                 return f"stream '{self.stream}': no column '{name}' was declared{did_you_mean(name, self.dtypes)}"
@@ -131,7 +134,7 @@ class EventRows(Buffer):
     """Rows of the events stream, pending as tuples in the order of its columns."""
 
     def table(self, pending: Sequence[Any]) -> pa.Table:
-        """Return pending events as an Arrow table."""
+        """Convert buffered events to an Arrow table, one row per event."""
         columns = list(zip(*pending, strict=True)) or [()] * len(self.schema)
         arrays = []
         for item, values in zip(self.schema, columns, strict=True):
@@ -143,7 +146,7 @@ class EventRows(Buffer):
 
 
 def make_buffers(folder: Path, info: RunInfo, columns: Mapping[str, Sequence[Column]]) -> dict[str, Buffer]:
-    """Check all names and return the streams' buffers, the events last."""
+    """Check the names of vehicles, streams and columns; return stream name -> its write buffer, that of events last."""
     if not info.vehicles or len(set(info.vehicles)) != len(info.vehicles):
         raise UsageError(f"a run needs vehicles of different names, got {list(info.vehicles)}")
     check_every(info.every, columns.keys())

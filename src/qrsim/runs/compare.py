@@ -84,7 +84,7 @@ class StreamComparison:
 
     @property
     def same(self) -> bool:
-        """Whether no quantity differs by more than the tolerance."""
+        """Whether both runs logged the same ticks and quantities of the stream, equal within the tolerance."""
         return not (any(self.ticks_only) or any(self.columns_only) or self.other_units or self.differences)
 
 
@@ -129,24 +129,24 @@ class Comparison:
 
     @property
     def differences(self) -> list[Difference]:
-        """All quantities that differ: by time of first difference, then by size."""
+        """All logged quantities that differ between two runs, by time of first difference, then by size."""
         return _by_time([item for stream in self.streams for item in stream.differences])
 
     @property
     def same(self) -> bool:
-        """Whether all differences of the logs are within the tolerance; settings do not count."""
+        """Whether all differences of the two runs' logs are within the tolerance; settings do not count."""
         missing = any(self.vehicles_only) or any(self.streams_only)
         other_events = self.events is not None and any(self.events.only)
         return not missing and not other_events and all(stream.same for stream in self.streams)
 
     @property
     def bit_identical(self) -> bool:
-        """Whether the logs are the same to the last bit."""
+        """Whether the two runs' logs are the same to the last bit."""
         return self.same and all(stream.bit_identical for stream in self.streams)
 
 
 def compare_runs(first: Run, second: Run, tolerance: float = 0.0, streams: Sequence[str] = ()) -> Comparison:
-    """Compare two runs.
+    """Compare settings, logs, events and injections of two runs; numbers within ``tolerance`` of each other are equal.
 
     Args:
         first, second: the runs.
@@ -177,17 +177,17 @@ def compare_runs(first: Run, second: Run, tolerance: float = 0.0, streams: Seque
 
 
 def _only(first: Sequence[str], second: Sequence[str]) -> tuple[Names, Names]:
-    """Return the names that only ``first`` has, and the names that only ``second`` has."""
+    """Return (names in ``first`` but not in ``second``, names in ``second`` but not in ``first``)."""
     return tuple(name for name in first if name not in second), tuple(name for name in second if name not in first)
 
 
 def _by_time(found: list[Difference]) -> list[Difference]:
-    """Return differences sorted by the time of first difference, then by size."""
+    """Sort the differences of logged quantities by the time of first difference, then by size."""
     return sorted(found, key=lambda item: (item.first.time, -item.share))
 
 
 def _compare_stream(first: Run, second: Run, name: str, vehicles: Names, tolerance: float) -> StreamComparison:
-    """Compare all shared columns of a stream of two runs."""
+    """Compare all columns of a stream that two runs share, for ``vehicles`` and the ticks that both runs logged."""
     own, other = first.describe(name)[len(INDEX) :], second.describe(name)[len(INDEX) :]
     units = {column.name: column.unit for column in other}
     other_units = tuple(c.name for c in own if c.name in units and units[c.name] != c.unit)
@@ -223,7 +223,7 @@ class _Side:
         self._arrays: dict[str, NumpyArray] = {}
 
     def fill(self) -> bool:
-        """Read the next batch if no rows are left; return False at the end."""
+        """Read the next batch of one run's stream once the last is used up; return False at the end of the stream."""
         while not len(self.keys):
             batch = next(self._batches, None)
             if batch is None:
@@ -234,7 +234,7 @@ class _Side:
         return True
 
     def take(self, until: int) -> tuple[NumpyArray, NumpyArray, dict[str, NumpyArray]]:
-        """Remove and return keys, times and arrays of the ticks up to a key (time in ns)."""
+        """Remove and return ticks up to a time [ns]: times [ns] (T,), times [s] (T,), and column -> values (T, n)."""
         count = int(np.searchsorted(self.keys, until, side="right"))
         taken = self.keys[:count], self._times[:count], {name: a[:count] for name, a in self._arrays.items()}
         self.keys, self._times = self.keys[count:], self._times[count:]
@@ -250,7 +250,7 @@ class _Pair:
         self.only = [0, 0]
 
     def pieces(self) -> Iterator[tuple[NumpyArray, dict[str, NumpyArray], dict[str, NumpyArray]]]:
-        """Yield times (T,) and the columns (T, n) of both sides at the ticks that both have."""
+        """Yield times (T,) [s] and each run's columns by name (T, n), in batches of the ticks that both runs logged."""
         first, second = self._sides
         while first.fill() & second.fill():
             until = int(min(first.keys[-1], second.keys[-1]))
@@ -286,7 +286,7 @@ class _Tally:
     _range: list[float] = field(default_factory=lambda: [math.inf, -math.inf])
 
     def add(self, times: NumpyArray, mine: NumpyArray, others: NumpyArray) -> None:
-        """Compare values (T, n) of the first and the second run, and add them to the statistics."""
+        """Add values (T, n) of one quantity in the first (``mine``) and second (``others``) run to the statistics."""
         if not mine.size:
             return
         self.bit_identical &= _same_bits(mine, others)
@@ -314,14 +314,14 @@ class _Tally:
 
     @property
     def largest_difference(self) -> float:
-        """The largest difference of all rows compared; NaN if there is none."""
+        """The largest difference of the quantity between the two runs so far; NaN if nothing was compared."""
         if self.largest is None:
             return math.nan
         x, y = self.largest.values
         return 0.0 if x == y else abs(x - y)
 
     def difference(self) -> Difference | None:
-        """Return the accumulated difference; None if no value differs by more than the tolerance."""
+        """Return the statistics of the quantity's differences; None if no value differs by more than the tolerance."""
         if self.first is None:
             return None
         rms = math.sqrt(self._squares / self._count) if self._count else math.nan
@@ -332,7 +332,7 @@ class _Tally:
         )
 
     def _moment(self, times: NumpyArray, x: NumpyArray, y: NumpyArray, place: int) -> Moment:
-        """Return time, vehicle and both values at a flat index into (T, n) arrays."""
+        """Return time, vehicle and both runs' values ``x`` and ``y`` (T, n) at the flat index ``place``."""
         row, column = divmod(place, x.shape[1])
         return Moment(float(times[row]), self.vehicles[column], (float(x[row, column]), float(y[row, column])))
 
@@ -349,7 +349,7 @@ def _same_bits(first: NumpyArray, second: NumpyArray) -> bool:
 
 
 def _compare_injections(first: Sequence[Content], second: Sequence[Content]) -> InjectionComparison:
-    """Return the number of equal injections, and those that only one of the runs has."""
+    """Compare two runs' lists of in-flight injections: return how many are equal, and those that only one run has."""
     left = Counter(map(_injection_key, second))
     only = [entry for entry in first if not _taken(left, entry)]
     rest = Counter(map(_injection_key, first))
@@ -359,19 +359,19 @@ def _compare_injections(first: Sequence[Content], second: Sequence[Content]) -> 
 
 
 def _taken(left: Counter[str], entry: Content) -> bool:
-    """Remove an injection from a multiset; return False if it is not in it."""
+    """Remove one injection from a multiset of injections; return False if the multiset has no equal one."""
     asked = _injection_key(entry)
     left[asked] -= 1
     return left[asked] >= 0
 
 
 def _injection_key(entry: Content) -> str:
-    """Return an injection as text, without the name of its sender."""
+    """Return an injection as text for comparison, without the name of its sender."""
     return json.dumps({name: value for name, value in entry.items() if name != "asked_by"}, sort_keys=True)
 
 
 def _compare_events(first: Sequence[Event], second: Sequence[Event], tolerance: float) -> EventComparison:
-    """Pair events of equal time, vehicle, kind and field in their order; return how many agree, and the others."""
+    """Pair two runs' events of equal time, vehicle, kind and field in order; return how many agree, and the others."""
     groups: dict[tuple[int, str, str, str], tuple[list[Event], list[Event]]] = {}
     for side, events in enumerate((first, second)):
         for event in events:

@@ -36,7 +36,7 @@ class _Data:
 
 
 def draw_comparison(first: Run, second: Run) -> Figure:
-    """Draw the figure of two runs (needs no display).
+    """Draw the paths of two runs in plan view, and the distance between them over time; needs no display.
 
     Raises:
         RunError: they have no vehicle or no tick of the truth in common, or a log is damaged.
@@ -75,7 +75,7 @@ def _read_paths(first: Run, second: Run) -> _Data:
 
 
 def _draw_plan(axes: Axes, data: _Data, colours: Floats, width: float) -> None:
-    """Draw the paths of both runs in plan view."""
+    """Draw the paths of both runs in plan view, in a colour (n, 4) for each vehicle and lines ``width`` points wide."""
     for i, colour in enumerate(colours):
         for path, style in zip(data.paths, ("-", "--"), strict=True):
             axes.plot(path[:, i, 1], path[:, i, 0], style, color=colour, lw=width)
@@ -86,7 +86,7 @@ def _draw_plan(axes: Axes, data: _Data, colours: Floats, width: float) -> None:
 
 
 def _draw_distance(axes: Axes, data: _Data, colours: Floats) -> None:
-    """Draw the distance between the true positions of both runs over time."""
+    """Draw the distance [m] between each vehicle's true positions in both runs over time."""
     title = f"distance between the true positions in A and B, at most {np.nanmax(data.apart):.3g} m"
     if len(data.names) <= MOST_NAMED:
         for i, colour in enumerate(colours):

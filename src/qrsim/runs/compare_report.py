@@ -23,7 +23,7 @@ RUNS = "AB"
 
 
 def print_report(first: Run, second: Run, found: Comparison) -> None:
-    """Print the differences, then the verdict."""
+    """Print the differences between two runs, then the verdict."""
     for letter, run in zip(RUNS, (first, second), strict=True):
         count = f"{len(run.vehicles)} vehicle{'s' if len(run.vehicles) > 1 else ''}"
         print(f"{letter}: {run.folder}  ({run.info.scenario}, seed {run.info.seed}, {count})")
@@ -43,7 +43,7 @@ def print_report(first: Run, second: Run, found: Comparison) -> None:
 
 
 def _print_settings(found: Comparison) -> None:
-    """Print a table of the settings that differ."""
+    """Print a table of the settings that differ between two runs."""
     if not found.settings:
         print("\nSettings and scenario are the same.")
         return
@@ -56,7 +56,7 @@ def _print_settings(found: Comparison) -> None:
 
 
 def _print_headlines(first: Run, second: Run) -> None:
-    """Print the headline numbers that at least one run has."""
+    """Print a table of both runs' headline numbers, such as tracking error, without those that both lack."""
     table = _table(("", "unit", *RUNS, "B - A"), numbers=3)
     for one, other in zip(headlines(first), headlines(second), strict=False):
         values = (one.value, other.value)
@@ -78,14 +78,14 @@ def _shortened_text(value: object) -> str:
 
 
 def _print_missing(what: str, only: tuple[Sequence[str], Sequence[str]]) -> None:
-    """Print the names that only one of the runs has."""
+    """Print the names (of what ``what`` says, such as streams) that only the first or only the second run has."""
     for letter, names in zip(RUNS, only, strict=True):
         if names:
             print(f"{what} only in {letter}: {', '.join(names)}")
 
 
 def _print_stream(stream: StreamComparison) -> None:
-    """Print how many ticks and quantities of a stream are equal."""
+    """Print how many ticks and quantities of a stream are equal in two runs."""
     total = stream.equal + len(stream.differences)
     ticks = [f"{count} only in {letter}" for letter, count in zip(RUNS, stream.ticks_only, strict=True) if count]
     parts = [", ".join([f"{stream.ticks} common ticks", *ticks]), f"{stream.equal} of {total} quantities equal"]
@@ -96,7 +96,7 @@ def _print_stream(stream: StreamComparison) -> None:
 
 
 def _print_events(events: EventComparison) -> None:
-    """Print the number of equal events, and the first that only one run has."""
+    """Print the number of equal events of two runs, and the first events that only one of them has."""
     only = [f"{len(own)} only in {letter}" for letter, own in zip(RUNS, events.only, strict=True) if own]
     print(f"events: {', '.join([f'{events.equal} equal', *only])}")
     for letter, own in zip(RUNS, events.only, strict=True):
@@ -105,7 +105,7 @@ def _print_events(events: EventComparison) -> None:
 
 
 def _print_injections(found: InjectionComparison) -> None:
-    """Print the number of equal injections, and those that only one run has."""
+    """Print the number of equal in-flight injections, and those that only one run has."""
     if found.equal or any(found.only):
         only = [f"{len(own)} only in {letter}" for letter, own in zip(RUNS, found.only, strict=True) if own]
         print(f"injections: {', '.join([f'{found.equal} equal', *only])}")
@@ -115,12 +115,12 @@ def _print_injections(found: InjectionComparison) -> None:
 
 
 def _event_text(event: Event) -> str:
-    """Return the message of an event, or kind, vehicle and time."""
+    """Return the message of an event or, if it has none, its kind, vehicle and time."""
     return event.message or f"{event.kind} of {event.vehicle or 'the world'} at {event.time:.2f} s"
 
 
 def _print_differences(found: Sequence[Difference]) -> None:
-    """Print a table of the quantities that differ."""
+    """Print a table of the logged quantities that differ between two runs."""
     table = _table(("quantity", "unit", "vehicle", "first at [s]", "in A", "in B", "largest", "RMS"), numbers=5)
     for item in found:
         where = (item.quantity, item.unit, item.first.vehicle, f"{item.first.time:.10g}")
@@ -134,7 +134,7 @@ def _print_differences(found: Sequence[Difference]) -> None:
 
 
 def _values(a: float, b: float) -> tuple[str, str]:
-    """Return two different values as texts with enough digits to tell them apart: 6, or all of their type."""
+    """Format two different floats as texts with enough digits to tell them apart: 6, or all of their type."""
     digits = next((digits for digits in (6, 9) if _format_number(a, digits) != _format_number(b, digits)), 17)
     return _format_number(a, digits), _format_number(b, digits)
 
@@ -145,7 +145,7 @@ def _format_number(value: float, digits: int = 6) -> str:
 
 
 def _table(headings: Sequence[str], numbers: int) -> Table:
-    """Return an empty table with these headings; its last ``numbers`` columns are right-aligned."""
+    """Return an empty Rich table with these headings; its last ``numbers`` columns are right-aligned."""
     table = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     for i, heading in enumerate(headings):
         right = i >= len(headings) - numbers
@@ -155,7 +155,7 @@ def _table(headings: Sequence[str], numbers: int) -> Table:
 
 
 def _print_table(table: Table) -> None:
-    """Print a table, with wide rows broken in a terminal and whole in a file."""
+    """Print a Rich table, with wide rows broken in a terminal and whole in a file."""
     console = Console()
     # A terminal breaks the lines of what is wider, and no number is lost; a file has no width.
     console.width = max(console.width, 120) if console.is_terminal else 200
@@ -165,7 +165,7 @@ def _print_table(table: Table) -> None:
 
 
 def _verdict(found: Comparison) -> str:
-    """Return the sentence that sums up a comparison."""
+    """Return the sentence that sums up the comparison of two runs."""
     if found.bit_identical:
         return "The logs are bit-identical."
     if found.same:
@@ -178,7 +178,7 @@ def _verdict(found: Comparison) -> str:
 
 
 def to_json(first: Run, second: Run, found: Comparison) -> Content:
-    """Return the result as plain values for JSON; non-finite numbers are None."""
+    """Return the comparison of two runs as a dict for JSON; non-finite numbers are None."""
     events = found.events
     return {
         "runs": [str(first.folder), str(second.folder)],
@@ -201,7 +201,7 @@ def to_json(first: Run, second: Run, found: Comparison) -> Content:
 
 
 def _stream_json(stream: StreamComparison) -> Content:
-    """Return the comparison of a stream as plain values."""
+    """Return the comparison of a stream as a dict for JSON."""
     return {
         "stream": stream.stream,
         "ticks": stream.ticks,
@@ -214,10 +214,10 @@ def _stream_json(stream: StreamComparison) -> Content:
 
 
 def _difference_json(item: Difference) -> Content:
-    """Return a difference as plain values."""
+    """Return the statistics of a differing quantity as a dict for JSON."""
 
     def moment(at: Moment | None) -> Content | None:
-        """Return time, vehicle and values of a moment as plain values, None without one."""
+        """Return time, vehicle and both values of a moment as a dict for JSON; None without a moment."""
         return None if at is None else {"time_s": at.time, "vehicle": at.vehicle, "values": _plain(list(at.values))}
 
     return {
@@ -232,7 +232,7 @@ def _difference_json(item: Difference) -> Content:
 
 
 def _plain(value: object) -> object:
-    """Return a value for JSON: None for NaN and infinity, text for other types."""
+    """Convert a value for JSON: NaN and infinity to None, values of other types to text."""
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -28,7 +28,7 @@ class EpisodesWriter:
 
     @classmethod
     def create(cls, folder: Path, scenario: str) -> EpisodesWriter:
-        """Make a new folder for the episodes of a scenario.
+        """Create a new folder for the episodes of a server session with a scenario; return its writer.
 
         Raises:
             RunError: it exists, or cannot be written.
@@ -38,7 +38,7 @@ class EpisodesWriter:
         return cls(folder, {"format": FORMAT, "scenario": scenario, "started": utc_now(), "episodes": []})
 
     def begin(self, seed: int) -> Path:
-        """Add the next episode to the list, and return the path of its run folder.
+        """Record the next episode, flown with ``seed``, in the folder's list; return the path of its run folder.
 
         Raises:
             RunError: the list cannot be written.
@@ -55,24 +55,24 @@ class EpisodesWriter:
 
 
 def episode_folders(folder: Path) -> list[Path]:
-    """Return the run folders of the episodes in a folder, in order, even if its list is incomplete."""
+    """Return the run folders in a folder of episodes, in order, even if its list of them is incomplete."""
     found = [(re.fullmatch(r"episode-(\d{4,})", path.name), path) for path in folder.iterdir()]
     numbered = sorted((int(match[1]), path) for match, path in found if match and (path / RUN_FILE).is_file())
     return [path for _, path in numbered]
 
 
 def holds_episodes(folder: Path) -> bool:
-    """Return whether a folder is one of episodes, each a run folder."""
+    """Return whether a folder holds episodes of a server session, each a run folder, in place of a single run."""
     return (folder / EPISODES_FILE).is_file()
 
 
 def named(folders: list[Path]) -> str:
-    """Return the names of the first folders as text for messages."""
+    """Return the names of the first few folders as text for messages."""
     return ", ".join(str(path) for path in folders[:_MOST_NAMED]) + (", ..." if len(folders) > _MOST_NAMED else "")
 
 
 def which_one(folder: Path, folders: list[Path]) -> UsageError:
-    """Return the error for a folder of episodes given where a single run is needed."""
+    """Return the error for a folder of episodes, several or none, that was given where a single run is needed."""
     if not folders:
         return UsageError(f"{folder} holds no episodes")
     return UsageError(f"{folder} holds {len(folders)} episodes, each a run folder: take one of {named(folders)}")

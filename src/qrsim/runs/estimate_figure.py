@@ -47,7 +47,7 @@ WIDE = 3.0
 def draw_estimate(
     run: Run, vehicles: Sequence[str] = (), start: float | None = None, end: float | None = None
 ) -> Figure:
-    """Draw the estimate minus the truth with +-3 reported standard deviations, then estimated biases.
+    """Draw each vehicle's state estimate minus the truth with +-3 reported standard deviations, then estimated biases.
 
     Args:
         run: the run.
@@ -99,7 +99,7 @@ def draw_estimate(
 
 
 def _column_names() -> list[str]:
-    """Return the columns that the figure needs."""
+    """Return the names of the logged columns that the figure of estimation errors needs."""
     parts = [f"{what}.{axis}" for what, (axes, _, _) in ROWS.items() for axis in axes]
     truth = [f"truth.{what}.{axis}" for what in ("position_ned", "velocity_body") for axis in "xyz"]
     truth += [f"truth.attitude.{axis}" for axis in ("roll", "pitch", "yaw")]
@@ -110,7 +110,7 @@ def _column_names() -> list[str]:
 
 
 def _rows(errors: dict[str, Floats], values: dict[str, Floats]) -> dict[str, Row]:
-    """Return the rows of the figure for which the run has data."""
+    """Return name -> row of panels (such as position, wind, a sensor bias) for which the run has data."""
     rows = dict(ROWS)
     if WIND[0][0] in errors:
         rows["wind"] = WIND
@@ -118,7 +118,7 @@ def _rows(errors: dict[str, Floats], values: dict[str, Floats]) -> dict[str, Row
 
 
 def _errors(values: dict[str, Floats]) -> tuple[dict[str, Floats], dict[str, Floats]]:
-    """Return estimate minus truth, and the reported standard deviations, (T, n) by name."""
+    """Return two dicts, name -> array (T, n): estimate minus truth, and its reported standard deviation."""
     truth = {name.removeprefix("truth."): array for name, array in values.items() if name.startswith("truth.")}
     truth |= dict(zip((f"velocity_ned.{axis}" for axis in "xyz"), _velocity_ned(truth), strict=True))
     errors, stds = {}, {}
@@ -150,7 +150,7 @@ def _velocity_ned(truth: dict[str, Floats]) -> tuple[Floats, Floats, Floats]:
 
 
 def _draw_value(axes: Axes, time: Floats, values: Floats, stds: Floats) -> None:
-    """Draw an estimate (T, n) over time with the band of +-3 standard deviations."""
+    """Draw an estimated value (T, n) over time with a band of +-3 standard deviations."""
     count = values.shape[1]
     if count > MOST_NAMED:
         spread(axes, time, values, colours_of(1)[0])
@@ -163,7 +163,7 @@ def _draw_value(axes: Axes, time: Floats, values: Floats, stds: Floats) -> None:
 
 
 def _draw_errors(axes: Axes, time: Floats, errors: Floats, stds: Floats | None) -> None:
-    """Draw estimation errors (T, n) and their bounds over time."""
+    """Draw estimation errors (T, n) over time, with bounds at +-3 standard deviations if ``stds`` is given."""
     count = errors.shape[1]
     if count > MOST_NAMED:
         spread(axes, time, errors, colours_of(1)[0])

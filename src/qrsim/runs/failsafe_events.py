@@ -26,7 +26,7 @@ class FailsafeWatch:
 
     @staticmethod
     def _rows(state: FleetState, row: int | slice) -> Content | None:
-        """Return the watched parts of a state by name, (T, n) or (n,); None in a fleet without failsafes."""
+        """Return failsafe state by name at some rows (ticks), (n,) or (T, n); None for a fleet without failsafes."""
         own = state.failsafe
         if own is None:
             return None
@@ -34,7 +34,7 @@ class FailsafeWatch:
         return {name: getattr(own, name)[row] for name in names}
 
     def events(self, history: History) -> Iterator[Found]:
-        """Yield the failsafes that began, with their actions, and those that ended, of vehicles in flight."""
+        """Yield events of flying vehicles: each failsafe that began, with its action, and each that ended."""
         first = 0
         for number, (fleet, state) in enumerate(zip(self._fleets, history.state.fleets, strict=True)):
             now, before = self._rows(state, slice(None)), self._before[number]
@@ -47,7 +47,8 @@ class FailsafeWatch:
     def _fleet_events(
         failsafes: Failsafes, state: FleetState, now: Content, before: Content, first: int
     ) -> Iterator[Found]:
-        """Yield (row, vehicle, kind, value) of a fleet's failsafe changes."""
+        """Yield a fleet's failsafe changes from ``before`` (n,) to ``now`` (T, n); ``first`` is its first vehicle's
+        number."""
         old = {name: np.concatenate([before[name][None], values[:-1]]) for name, values in now.items()}
         flies = state.violation.code == 0
         acts = failsafes.COM_GNSSLOSS_ACT != "warn"

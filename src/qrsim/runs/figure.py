@@ -95,18 +95,18 @@ class _Data:
 
     @property
     def span(self) -> tuple[float, float]:
-        """Time of the first and last tick of any stream [s]."""
+        """Times [s] of the first and the last tick of any stream."""
         return min(float(time[0]) for time in self.time.values()), max(float(time[-1]) for time in self.time.values())
 
     def flying(self, stream: str) -> Floats:
-        """Array (T, n) that is 1 until a vehicle stops and NaN afterwards."""
+        """Array (T, n) over a stream's ticks: 1 while a vehicle flies, NaN after its flight has ended."""
         ends = [self.stops[i].time if i in self.stops else np.inf for i in range(len(self.names))]
         # Half a step of tolerance, because the two times were rounded on different ways.
         return np.where(self.time[stream][:, None] <= np.add(ends, self.time_step / 2), 1.0, np.nan)
 
 
 def draw_run(run: Run) -> Figure:
-    """Draw the figure of a run (needs no display).
+    """Draw a run's summary figure: plan view, heights, wind and GNSS errors over time; needs no display.
 
     Its axes: plan, height, wind where there is any, and with a receiver one each for the error of GNSS north, east, up.
 
@@ -140,7 +140,7 @@ def draw_run(run: Run) -> Figure:
 
 
 def save_figure(run: Run, path: Path) -> None:
-    """Draw a run into a file.
+    """Draw the summary figure of a run and save it.
 
     Raises:
         UsageError: the ending of the name is none that can be drawn.
@@ -150,7 +150,7 @@ def save_figure(run: Run, path: Path) -> None:
 
 
 def _read_data(run: Run) -> _Data:
-    """Return everything that the figure draws; raises RunError for a run without ticks."""
+    """Read everything that the summary figure of a run draws; raises RunError for a run without ticks."""
     rows = {stream: common_rows(run, stream)[0] for stream in STREAMS}
     if not all(map(len, rows.values())):
         raise RunError(f"{run.folder}: nothing to draw, because no tick was recorded (state: {run.info.state})")
@@ -179,7 +179,7 @@ def _read_data(run: Run) -> _Data:
 
 
 def _places(run: Run, setpoint: Floats) -> tuple[Floats, ...]:
-    """Return for each vehicle the places (K, 2) of its mission's legs, or where its set-point stayed."""
+    """Return places (K, 2) [m] for each vehicle: where its mission's legs end, or where its set-point stayed."""
     planned: list[Any] = []
     fleets = run.scenario.get("fleets") if isinstance(run.scenario, dict) else None
     for fleet in fleets.values() if isinstance(fleets, dict) else ():
@@ -195,14 +195,14 @@ def _places(run: Run, setpoint: Floats) -> tuple[Floats, ...]:
 
 
 def _legs_of(vehicle: Any) -> Floats:
-    """Return the places (K, 2) to which the legs or waypoints of a scenario's vehicle lead."""
+    """Return the places (K, 2), north and east [m], to which the legs or waypoints of a scenario's vehicle lead."""
     places = [leg.get("to_ned") or leg.get("at_ned") for leg in vehicle.get("legs") or ()]
     places = [place[:2] for place in (*places, *(vehicle.get("waypoints_ned") or ())) if place]
     return np.asarray(places, float).reshape(-1, 2)
 
 
 def _plan_paths(data: _Data) -> Paths:
-    """Return the paths of the plan view."""
+    """Return the paths, set-points and stops of the vehicles for the plan view."""
     wind = np.nanmean(data.mean * data.flying("wind")[..., None], axis=(0, 1))
     return Paths(
         data.names, data.position, data.setpoint, data.places, data.reported, tuple(data.stops), wind, data.colours
@@ -210,7 +210,7 @@ def _plan_paths(data: _Data) -> Paths:
 
 
 def _task_text(run: Run, data: _Data) -> str:
-    """Return the outcome of the task as text for the title; "" without a task."""
+    """Return the outcome of the run's task as text for the title; "" without a task."""
     around = data.around
     if around.task == "search" and len(around.persons):
         found = int(np.isfinite(around.found).sum())
@@ -234,7 +234,7 @@ def _nearest_prey(run: Run, data: _Data) -> list[float]:
 
 
 def _draw_height(axes: Axes, data: _Data) -> None:
-    """Draw true heights and those of the set-points over time."""
+    """Draw the vehicles' true heights, and those of their set-points, over time."""
     ground = [data.terrain.down(each[..., 0], each[..., 1]) for each in (data.position, data.setpoint)]
     if data.terrain.level:
         ground = [np.zeros_like(each) for each in ground]
@@ -270,7 +270,7 @@ def _draw_height(axes: Axes, data: _Data) -> None:
 
 
 def _gnss(panels: Any, data: _Data) -> None:
-    """Draw the GNSS error over time, a panel for each axis."""
+    """Draw the vehicles' GNSS errors over time, in one panel each for north, east and up."""
     for axes, (axis, sign, name) in zip(panels, ERRORS, strict=True):
         axes.axhline(0.0, color="gray", lw=0.8)
         for item in data.around.interference:
@@ -298,7 +298,7 @@ def _gnss(panels: Any, data: _Data) -> None:
 
 
 def _draw_wind(axes: Axes, data: _Data) -> None:
-    """Draw the wind speed with gusts, and its mean, over time."""
+    """Draw the speed of the wind with gusts, and of the mean wind, over time."""
     flying = data.flying("wind")
     mean = np.linalg.norm(data.mean, axis=-1) * flying
     total = np.linalg.norm(data.mean + data.gust, axis=-1) * flying
@@ -312,7 +312,7 @@ def _draw_wind(axes: Axes, data: _Data) -> None:
 
 
 def _lines(axes: Axes, data: _Data, time: Floats, values: Floats, style: str = "-", colour: object = FIRST) -> None:
-    """Draw a quantity (E, n): per vehicle, or its spread over many vehicles."""
+    """Draw a quantity (E, n) over times (E,), as one line per vehicle, or as the spread over many vehicles."""
     if not data.few:
         spread(axes, time, values, colour, style)
         return
@@ -321,7 +321,7 @@ def _lines(axes: Axes, data: _Data, time: Floats, values: Floats, style: str = "
 
 
 def _label_time_axis(axes: Axes, data: _Data, label: str, title: str) -> None:
-    """Label axes over time, with grid and limits."""
+    """Set label, title, grid and limits of a panel with time as its horizontal axis."""
     axes.set(xlabel="time [s]", ylabel=label, title=title)
     time_limits(axes, *data.span)
     axes.grid(alpha=0.3)

@@ -31,7 +31,7 @@ class Headline(NamedTuple):
 
 
 def headlines(run: Run) -> list[Headline]:
-    """Return a run's headline numbers in a fixed order, without those whose columns were not logged.
+    """Return a run's headline numbers in fixed order, NaN for those not logged; [] if the log lacks columns in NEEDED.
 
     RMS values are the root of the mean square over the vehicles.
     """
@@ -40,7 +40,7 @@ def headlines(run: Run) -> list[Headline]:
     rows, nearest, score = summarise(run), smallest_separation(run), run.info.score
 
     def each(name: str) -> Floats:
-        """Return a quantity of each vehicle's summary, (n,)."""
+        """Return one number of every vehicle's summary by its name, (n,)."""
         return np.array([getattr(row, name) for row in rows], np.float64)
 
     return [
@@ -80,7 +80,7 @@ def _estimate_errors(run: Run) -> Floats:
 
 
 def _energy(run: Run) -> float:
-    """Return the electrical energy [Wh] of all vehicles together, NaN where no power was recorded."""
+    """Return the electrical energy [Wh] that all vehicles used together; NaN if no power was recorded."""
     truth = run["truth"]
     if POWER not in truth:
         return math.nan

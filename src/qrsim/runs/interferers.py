@@ -42,28 +42,28 @@ class Interferer(NamedTuple):
 
     @property
     def when(self) -> str:
-        """Times of the interference as text; "" if it is always on."""
+        """Times at which the interferer is on, as text; "" if always."""
         if math.isfinite(self.end):
             return f"{self.start:g} to {self.end:g} s"
         return f"from {self.start:g} s" if self.start > 0.0 else ""
 
     @property
     def label(self) -> str:
-        """Kind and time of the interference as text."""
+        """Kind and times of the interferer as text."""
         return f"{self.text}, {self.when}" if self.when else self.text
 
     def acts(self, time: float) -> bool:
-        """Return whether the interference is on at a time [s]."""
+        """Return whether the interferer is on at a time [s]."""
         return self.start - 1e-6 <= time < self.end - 1e-6
 
 
 def of_scenario(entries: Sequence[Content] | None) -> tuple[Interferer, ...]:
-    """Return the interferers under ``world.interference`` of a recorded scenario."""
+    """Return the interferers (jammers, spoofers, outages) under ``world.interference`` of a recorded scenario."""
     return tuple(_parsed_interferer(str(entry["kind"]), entry) for entry in entries or ())
 
 
 def of_world(world: World) -> tuple[Interferer, ...]:
-    """Return the interferers of a World, those without a position last."""
+    """Return the interferers (jammers, spoofers, outages) of a World, those without a position last."""
     present = world.sky.interference if isinstance(world.sky, SlottedSky) else None
     if present is None:
         return ()
@@ -78,10 +78,10 @@ def of_world(world: World) -> tuple[Interferer, ...]:
 
 
 def _parsed_interferer(kind: str, values: Content) -> Interferer:
-    """Return an interferer from its recorded values."""
+    """Return an interferer of a ``kind``, such as "jammer", from its values in a recorded scenario."""
 
     def number(name: str, instead: float) -> float:
-        """Return a value as a number, or a default for a missing or unlimited one."""
+        """Return the value of a key as a number; ``instead`` if it is missing or unlimited."""
         value = values.get(name)
         return instead if value is None or abs(float(value)) >= _EVERYWHERE else float(value)
 
@@ -103,15 +103,15 @@ def _parsed_interferer(kind: str, values: Content) -> Interferer:
 
 
 def _names(satellites: object) -> list[str]:
-    """Return the texts in a list of satellites; [] if they are given by number."""
+    """Return the texts in a recorded list of satellites; [] if they are given by number."""
     return [name for name in satellites if isinstance(name, str)] if isinstance(satellites, list | tuple) else []
 
 
 def lost_within(power_w: float, band: str) -> float:
-    """Return the distance [m] within which a jammer makes a receiver above it lose satellites of 45 dB-Hz."""
+    """Return the distance [m] within which a receiver above a jammer loses satellites of 45 dB-Hz."""
     return math.sqrt(float(strength(power_w, band)) * _FROM_BELOW / (LOST - 1.0))
 
 
 def _format_power(power: float) -> str:
-    """Return a power [W] as text with a suitable prefix."""
+    """Format a power [W] as text with a suitable prefix, such as mW."""
     return f"{power:g} W" if power >= 1.0 else f"{1e3 * power:g} mW" if power >= 1e-3 else f"{1e6 * power:g} uW"

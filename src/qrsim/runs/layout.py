@@ -153,7 +153,7 @@ class RunInfo:
         command_line: Sequence[str] | None = None,
         components: Sequence[Mapping[str, str]] = (),
     ) -> RunInfo:
-        """Collect the facts of a run that starts now in this process.
+        """Collect the content of run.json for a run that starts now: versions, machine, time, and the given facts.
 
         Args:
             scenario, seed, precision, time_step, vehicles, every, components: see the class.
@@ -182,7 +182,8 @@ class RunInfo:
 
     @classmethod
     def of_flight(cls, scenario: Scenario, simulation: Simulation, **more: Any) -> RunInfo:
-        """Collect the facts of a flight of a scenario; ``more``: ``every`` and ``command_line`` of ``collect``."""
+        """Collect the content of run.json for a flight of a scenario; ``more``: ``every`` and ``command_line`` of
+        ``collect``."""
         return cls.collect(
             scenario=scenario.name,
             seed=simulation.seed,
@@ -194,7 +195,7 @@ class RunInfo:
         )
 
     def to_json(self) -> dict[str, object]:
-        """Return the fields by name, without copying, in reading order."""
+        """Return the content of run.json as a dict, in reading order, without copying."""
         first = ("state", "message", "scenario", "seed", "ticks", "time_step", "every")
         names = [*first, *(item.name for item in fields(self) if item.name not in first)]
         return {"format": FORMAT, **{name: getattr(self, name) for name in names}}
@@ -209,12 +210,12 @@ def installed_version(package: str) -> str:
 
 
 def utc_now() -> str:
-    """Return the wall time as ISO 8601 in UTC, to the millisecond."""
+    """Return the wall-clock time as ISO 8601 in UTC, to the millisecond."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
 def check_every(every: Mapping[str, int], streams: Collection[str]) -> None:
-    """Raise UsageError for a decimation of an unknown stream, or a number that is not an integer from 1."""
+    """Raise UsageError if ``every`` (stream -> decimation) has an unknown stream or no integer from 1."""
     for stream, number in every.items():
         if stream == EVENTS:
             raise UsageError(f"every: '{EVENTS}' are all kept; known: {', '.join(streams)}")
@@ -225,7 +226,7 @@ def check_every(every: Mapping[str, int], streams: Collection[str]) -> None:
 
 
 def part_name(number: int) -> str:
-    """Return the file name of a stream's part."""
+    """Return the file name of a stream's Parquet file by its number."""
     return f"part-{number:05d}.parquet"
 
 
@@ -272,7 +273,7 @@ def _arrow_field(stream: str, column: Column) -> pa.Field:
 
 
 def column_of(item: pa.Field) -> Column:
-    """Return the column's description stored in an Arrow field."""
+    """Parse the metadata of an Arrow field to the ``Column`` that describes it."""
     metadata = item.metadata or {}
     is_text = pa.types.is_dictionary(item.type) or pa.types.is_string(item.type)
     dtype = "str" if is_text else numpy_dtype(item.type).name

@@ -24,7 +24,7 @@ class MissionWatch:
         self.before = [_progress(state, -1) for state in start.state.fleets]
 
     def events(self, history: History) -> Iterator[tuple[int, Found]]:
-        """Yield (fleet number, event) for the legs that are late and missions that end in a history."""
+        """Yield (fleet number, event) for each mission leg that becomes late and each mission that ends."""
         for i, (fleet, state) in enumerate(zip(self.fleets, history.state.fleets, strict=True)):
             progress, before = _progress(state), self.before[i]
             if progress is None or before is None:
@@ -53,13 +53,14 @@ class MissionWatch:
 
 
 def _progress(state: FleetState, row: int | slice = slice(None)) -> tuple[Array, Array] | None:
-    """Return the number of late legs, and whether the mission is finished; None without a mission."""
+    """Return each vehicle's count of late legs, and whether its mission is finished, (T, n) or, at one ``row``, (n,);
+    None without a mission."""
     now = state.guidance
     return (now.late[row], now.finished[row]) if isinstance(now, MissionState) else None
 
 
 def _mission_event(fleet: Fleet, state: FleetState, row: int, vehicle: int, kind: str) -> Found:
-    """Return (row, vehicle, kind, value, message) of a change in a mission."""
+    """Return an event of a mission: (row of the history, vehicle, kind, value, message)."""
     now, route = state.guidance, fleet.route
     assert isinstance(now, MissionState)
     assert isinstance(route, Mission)
@@ -75,7 +76,7 @@ def _mission_event(fleet: Fleet, state: FleetState, row: int, vehicle: int, kind
 
 
 def _leg(route: Mission, index: int, vehicle: int) -> str:
-    """Return the text that names a leg by its destination."""
+    """Return the text that names leg ``index`` of a vehicle's mission by its destination."""
     # To a millimetre: what is left of a conversion from degrees is no place.
     north, east, down = (round(float(getattr(route.position_ned, axis)[index, vehicle]), 3) for axis in "xyz")
     place = f"north {north:.4g} m, east {east:.4g} m"

@@ -45,7 +45,7 @@ class Panel:
 
     @property
     def label(self) -> str:
-        """Label of the axis with its unit: the common ending of the names, or their common vector."""
+        """Axis label with unit: the end that the names of the panel's quantities share, or their common vector."""
         names = [item.column.name.split(".") for item in self.quantities]
         ends = {".".join(name[-2:]) for name in names}
         vectors = {name[-2] if len(name) > 1 else "" for name in names}
@@ -76,7 +76,7 @@ class Data:
 
 
 def parse_panel(run: Run, text: str) -> Panel:
-    """Parse a panel from a text such as "measurements.gnss.position_ned.x, truth.position_ned.x".
+    """Parse the quantities of a panel from text, such as "measurements.gnss.position_ned.x, truth.position_ned.x".
 
     Raises:
         UsageError: unknown or repeated quantities, too many, or different units.
@@ -100,7 +100,7 @@ def parse_panel(run: Run, text: str) -> Panel:
 
 
 def per_axis(panel: Panel) -> list[Panel]:
-    """Return one panel for each axis of the vectors in a panel; the panel itself if it has no vectors."""
+    """Split a panel into one for each axis of its vectors; a panel without vectors stays whole."""
     asked = [word.strip() for word in panel.text.split(",")]
     if all(item.name in asked for item in panel.quantities):
         return [panel]
@@ -118,7 +118,7 @@ def draw_panels(
     start: float | None = None,
     end: float | None = None,
 ) -> Figure:
-    """Draw a figure with one panel for each text, or for each axis of the vectors in it (needs no display).
+    """Draw logged quantities over time: one panel per text in ``panels``, or per axis of vectors; needs no display.
 
     Args:
         run: the run.
@@ -152,7 +152,7 @@ def draw_panels(
 def read_data(
     run: Run, wanted: Sequence[Quantity], vehicles: Sequence[str], start: float | None, end: float | None
 ) -> Data:
-    """Return the values of quantities in a span of time, for the named vehicles or all; raises as ``draw_panels``."""
+    """Read logged quantities in a span of time [s], for the named vehicles or all; raises as ``draw_panels``."""
     for name in vehicles:
         if name not in run.vehicles:
             raise UsageError(f"{run.folder} has no vehicle '{name}'{did_you_mean(name, run.vehicles)}")
@@ -179,7 +179,7 @@ def read_data(
 
 
 def _rows(run: Run, time: Floats, start: float | None, end: float | None) -> NumpyArray:
-    """Return a mask of the ticks in the span, ends included."""
+    """Return a mask (T,) of the ticks with times in a span, ends included; None is no limit."""
     if not len(time):
         raise RunError(f"{run.folder}: nothing to draw, because no tick was recorded (state: {run.info.state})")
     slack = 1e-6 * run.info.time_step  # for the digits of a time that is a number of steps
@@ -193,7 +193,7 @@ def _rows(run: Run, time: Floats, start: float | None, end: float | None) -> Num
 
 
 def _draw_panel(axes: Axes, panel: Panel, data: Data) -> None:
-    """Draw the quantities of a panel with legend and labels."""
+    """Draw the quantities of a panel over time, with legend and labels."""
     handles = [line for i, item in enumerate(panel.quantities) for line in _lines(axes, i, item, data)]
     if len(panel.quantities) > 1:
         names = [item.name for item in panel.quantities]
@@ -210,7 +210,7 @@ def _draw_panel(axes: Axes, panel: Panel, data: Data) -> None:
 
 
 def _lines(axes: Axes, number: int, item: Quantity, data: Data) -> Iterator[Any]:
-    """Draw a quantity, the panel's ``number``-th; yield one line for the legend."""
+    """Draw the ``number``-th quantity of a panel for each vehicle, or its spread; yield one line for the legend."""
     time, values = data.series[item]
     colour = colours_of(MOST_NAMED)[number]
     if len(data.names) > MOST_NAMED:
@@ -233,6 +233,6 @@ def _lines(axes: Axes, number: int, item: Quantity, data: Data) -> Iterator[Any]
 
 
 def _lone(values: Floats) -> Any:
-    """Return a mask (T,) of finite values between NaNs, which a line would not show."""
+    """Return a mask (T,) of finite values that have NaN on both sides, which a line plot would not show."""
     there = np.concatenate([[False], np.isfinite(values), [False]])
     return there[1:-1] & ~there[:-2] & ~there[2:]

@@ -47,25 +47,25 @@ class StreamParts:
 
     @cached_property
     def columns(self) -> tuple[Column, ...]:
-        """All columns, time, tick and vehicle first."""
+        """All columns of the stream: time, tick and vehicle first."""
         return tuple(column_of(item) for item in self._arrow_schema)
 
     def column(self, name: str) -> Column:
-        """Return one column's description. Raises UsageError for an unknown name."""
+        """Return the description of one column by name. Raises UsageError for an unknown name."""
         for column in self.columns:
             if column.name == name:
                 return column
         raise self.unknown(name)
 
     def unknown(self, name: str) -> UsageError:
-        """Return the error for an unknown column, with the nearest name or a vector's axes."""
+        """Return the error for an unknown column name, with the nearest name or a vector's axes."""
         known = [column.name for column in self.columns]
         axes = [each for each in known if each.rpartition(".")[0] == name]
         hint = f"; its columns are {', '.join(axes)}" if axes else did_you_mean(str(name), known)
         return UsageError(f"stream '{self.stream}' has no column '{name}'{hint}")
 
     def table(self, names: Sequence[str] | None = None) -> pa.Table:
-        """Return all rows with the named columns, in that order (None: all columns).
+        """Read all rows of the stream with the named columns, in that order (None: all columns).
 
         Raises:
             UsageError: unknown column.
@@ -74,12 +74,12 @@ class StreamParts:
         return pa.concat_tables(self.tables(names))
 
     def tables(self, names: Sequence[str] | None = None) -> Iterator[pa.Table]:
-        """Yield the parts one by one, each read on demand; raises as ``table``."""
+        """Yield the tables of the stream's Parquet files in order, each read on demand; raises as ``table``."""
         chosen = [column.name for column in self.columns] if names is None else [self.column(n).name for n in names]
         return (self._read_part(number, self._arrow_schema, chosen) for number in self._usable)
 
     def tables_between(self, names: Sequence[str], start: float, end: float) -> Iterator[pa.Table]:
-        """Yield the parts that have rows of times from ``start`` to ``end`` [s], whole; raises as ``table``."""
+        """Yield whole Parquet files that have rows from time ``start`` to ``end`` [s]; raises as ``table``."""
         chosen = [self.column(name).name for name in names]
         # Parts follow each other in time, so only a few are opened.
         first = bisect.bisect_left(self._usable, start, key=lambda number: self._span(number)[1])
@@ -89,7 +89,7 @@ class StreamParts:
             yield self._read_part(number, self._arrow_schema, chosen)
 
     def _span(self, number: int) -> tuple[float, float]:
-        """Return the first and last time [s] of a part."""
+        """Return the first and last time [s] in the stream's Parquet file ``number``."""
         if number not in self._spans:
             times = self._read_part(number, self._arrow_schema, ["time"])["time"]
             self._spans[number] = (times[0].as_py(), times[-1].as_py()) if len(times) else (-math.inf, -math.inf)
@@ -97,17 +97,17 @@ class StreamParts:
 
     @cached_property
     def _spans(self) -> dict[int, tuple[float, float]]:
-        """Cache of part number -> begin and end [s]."""
+        """Cache: number of a Parquet file -> its first and last time [s]."""
         return {}
 
     @cached_property
     def _arrow_schema(self) -> pa.Schema:
-        """Arrow schema of the first readable part."""
+        """Arrow schema of the stream's first readable Parquet file."""
         return self._open_part(self._usable[0]).schema_arrow
 
     @cached_property
     def _usable(self) -> list[int]:
-        """Numbers of the readable parts, ascending; raises RunError if there are none."""
+        """Numbers of the stream's readable Parquet files, ascending; raises RunError if no file is readable."""
         expected = range(max(self.count, 1, *(number + 1 for number in self.found[-1:])))
         usable, schema = [], None
         for number in expected:
@@ -130,11 +130,11 @@ class StreamParts:
 
     @cached_property
     def _found_set(self) -> set[int]:
-        """Numbers of the parts that exist, as a set."""
+        """Numbers of the stream's Parquet files that exist, as a set."""
         return set(self.found)
 
     def _open_part(self, number: int) -> pq.ParquetFile:
-        """Open a part of the stream with checksums; raises RunError if it is damaged."""
+        """Open one of the stream's Parquet files with checksums; raises RunError if it is damaged."""
         try:
             file = check_file(self.folder / part_name(number))
             found = pq.ParquetFile(file, page_checksum_verification=True)
@@ -145,7 +145,7 @@ class StreamParts:
             raise self._damage_error(number, _first_line(error)) from error
 
     def _read_part(self, number: int, schema: pa.Schema, names: Sequence[str]) -> pa.Table:
-        """Return some columns of a part; raises RunError if it is damaged."""
+        """Read some columns of one of the stream's Parquet files; raises RunError if it is damaged."""
         with self._open_part(number) as file:
             if not file.schema_arrow.equals(schema):
                 raise self._damage_error(number, "its columns are not those of the parts before it")
@@ -155,7 +155,7 @@ class StreamParts:
                 raise self._damage_error(number, _first_line(error)) from error
 
     def _damage_error(self, number: int, reason: str) -> RunError:
-        """Return the error for a damaged part, or warn once if damage is skipped."""
+        """Return the error for a damaged Parquet file of the stream, with the reason."""
         total = max(self.count, len(self.found))
         error = RunError(
             f"{self.folder / part_name(number)} (part {number + 1} of {total} of '{self.stream}') "

@@ -34,14 +34,14 @@ _ENDED = {
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure of a size in inches; it needs no display."""
+    """Return an empty Matplotlib figure of a size in inches; it needs no display."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
 def save_picture(draw: Callable[[], Figure], path: Path) -> None:
-    """Draw into a file; its format is checked first.
+    """Check the picture format of ``path``, then call ``draw`` and save its figure there.
 
     Raises:
         UsageError: the ending of the name is none that can be drawn.
@@ -65,7 +65,7 @@ def colours_of(count: int) -> Floats:
 
 
 def title_of(run: Run, vehicles: Sequence[str], stopped: int, end: float, mark: str = " (X)") -> str:
-    """Return the title: scenario, vehicles drawn, number stopped, and how the run ended at ``end`` [s]."""
+    """Return a figure's title: scenario, vehicles drawn, number stopped, and how the run ended at ``end`` [s]."""
     who = f"{len(vehicles)} vehicle{'s' if len(vehicles) > 1 else ''}"
     if len(vehicles) == 1 < len(run.vehicles):
         who = vehicles[0]
@@ -75,7 +75,7 @@ def title_of(run: Run, vehicles: Sequence[str], stopped: int, end: float, mark: 
 
 
 def name_vehicles(figure: Figure, handles: Sequence[Artist], names: Sequence[str]) -> None:
-    """Add a legend of the vehicles' names below the panels."""
+    """Add a legend of the vehicles' names below the panels of a figure."""
     columns = math.ceil(len(names) / 2) if sum(map(len, names)) > 100 else len(names)
     figure.legend(handles, names, loc="outside lower center", ncols=columns, fontsize=9)
 
@@ -90,7 +90,7 @@ class Bins(NamedTuple):
 
 
 def binned(time: Floats, values: Floats) -> Bins:
-    """Group values (T, n) at times (T,) into BINS bins of equal numbers of ticks.
+    """Summarise values (T, n) at times (T,) in BINS bins of equal numbers of ticks, for drawing long runs.
 
     No value is lost to a picture by this: the lowest and the highest of each bin stay what they were.
     """
@@ -104,17 +104,17 @@ def binned(time: Floats, values: Floats) -> Bins:
 
 
 def is_long(time: Floats) -> bool:
-    """Return whether lines are drawn as bins, because there are many ticks."""
+    """Return whether a line over these times is drawn as bins, because there are many ticks."""
     return len(time) > MOST_TICKS
 
 
 def binned_text(time: Floats) -> str:
-    """Return the note on how a long line's ticks are drawn; "" for short ones."""
+    """Return the note, for a title, that a line over these times shows bins of ticks; "" if it shows every tick."""
     return f"; lines: mean and range of {(time[-1] - time[0]) / BINS:.2g} s each" if is_long(time) else ""
 
 
 def trace(axes: Axes, time: Floats, values: Floats, **look: Any) -> Any:
-    """Draw values (T,) as a line, or, if there are many, mean and range in bins; return the line."""
+    """Draw values (T,) as a line, or many as mean and range in bins, in style ``look``; return the line."""
     if not is_long(time):
         return axes.plot(time, values, **look)[0]
     bins = binned(time, values[:, None])
@@ -127,7 +127,7 @@ def trace(axes: Axes, time: Floats, values: Floats, **look: Any) -> Any:
 
 
 def path_rows(points: Floats, most: int) -> NumpyArray:
-    """Return about ``most`` row indices of a path (T, 2) that keep its shape and extremes.
+    """Return the indices of about ``most`` points of a path (T, 2) that keep its shape and extremes.
 
     Every so-many-th point would cut the corners off.
     """
@@ -145,7 +145,7 @@ def path_rows(points: Floats, most: int) -> NumpyArray:
 
 
 def spread(axes: Axes, time: Floats, values: Floats, colour: Any, style: Any = "-") -> Any:
-    """Draw median, quartiles and range of values (T, n) over the vehicles; return the median's line."""
+    """Draw median, quartiles and range of values (T, n) over the vehicles against time; return the median's line."""
     # Once all vehicles have stopped there is no value left, and no range; the gap stays a gap.
     some = np.isfinite(values).any(axis=1)
     five = np.full((5, len(time)), np.nan)
@@ -161,7 +161,7 @@ def spread(axes: Axes, time: Floats, values: Floats, colour: Any, style: Any = "
 
 
 def time_limits(axes: Axes, first: float, last: float) -> None:
-    """Set the same time span in every panel; a single tick gets a small span."""
+    """Set the limits of a time axis to ``first`` and ``last`` [s]; a single tick gets a small span."""
     axes.set_xlim(first, max(last, first + 1e-3))
 
 

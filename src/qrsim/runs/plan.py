@@ -65,17 +65,17 @@ class Paths:
 
     @property
     def few(self) -> bool:
-        """Whether there are few enough vehicles for a colour each."""
+        """Whether there are few enough vehicles to give each its own colour."""
         return len(self.names) <= MOST_NAMED
 
     @property
     def many(self) -> bool:
-        """Whether only the paths of vehicles are drawn, because there are many."""
+        """Whether there are so many vehicles that only their paths are drawn."""
         return len(self.names) > MOST_NUMBERED
 
 
 def draw_plan(axes: Axes, paths: Paths, around: Surroundings, terrain: Terrain) -> None:
-    """Draw paths, legs, ground and surroundings from above, north up."""
+    """Draw vehicles' paths, set-points, terrain and surroundings in plan view, north up."""
     seen = [paths.position, paths.setpoint]
     seen += [paths.reported] if paths.few and paths.reported is not None else []
     flown = np.concatenate([part[..., :2].reshape(-1, 2) for part in seen])
@@ -109,7 +109,7 @@ def draw_plan(axes: Axes, paths: Paths, around: Surroundings, terrain: Terrain) 
 
 
 def _plan_title(paths: Paths, around: Surroundings, whole: bool) -> str:
-    """Return the title of the plan view, which explains its lines."""
+    """Return the title of the plan view, which explains its lines; ``whole``: the whole area is shown."""
     path = "true path (thick), GNSS (thin)" if paths.few and paths.reported is not None else "true path"
     numbers = ", numbers: order" if not paths.few and not paths.many else ""
     size = np.ptp(around.outline, axis=0) if len(around.outline) else None
@@ -118,7 +118,7 @@ def _plan_title(paths: Paths, around: Surroundings, whole: bool) -> str:
 
 
 def span(values: Floats, least: float) -> tuple[float, float]:
-    """Return axis limits around all values, at least ``least`` apart."""
+    """Return axis limits that hold all values, at least ``least`` apart."""
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     half = 0.55 * max(high - low, least)
     return (low + high) / 2 - half, (low + high) / 2 + half
@@ -131,7 +131,7 @@ def _limits(points: Floats) -> tuple[Floats, Floats]:
 
 
 def _is_whole(around: Surroundings, low: Floats, high: Floats) -> bool:
-    """Return whether to draw the whole area, because the flight fills much of it or it has contents."""
+    """Return whether the plan view shows the whole area, because the flight fills much of it or it has contents."""
     if not len(around.outline):
         return False
     part = np.max(high - low) / np.max(np.ptp(around.outline, axis=0))
@@ -139,7 +139,7 @@ def _is_whole(around: Surroundings, low: Floats, high: Floats) -> bool:
 
 
 def draw_surroundings(axes: Axes, around: Surroundings) -> None:
-    """Draw area, obstacles, plume, persons and places."""
+    """Draw area, obstacles, plume, persons and marked places in plan view."""
     if around.plume is not None and around.plume.values.max() > 0:
         # Over three decades: a plume falls off like a power of the distance.
         values = np.log10(np.maximum(around.plume.values / around.plume.values.max(), 1e-30))
@@ -181,7 +181,7 @@ def draw_surroundings(axes: Axes, around: Surroundings) -> None:
 
 
 def zone_patches(zone: Zone) -> list[Patch]:
-    """Return the patches of a zone from above: its edges, and hatching where vehicles may not be."""
+    """Return Matplotlib patches of a zone in plan view: its edges, and hatching where vehicles may not be."""
     outline, *holes = (np.array(ring)[:, ::-1] for ring in (zone.outline, *zone.rings[1:]))
     keep_out = {"fc": (*share(KEEP_OUT), 0.12), "ec": share(KEEP_OUT), "hatch": "///", "lw": 1.2, "zorder": 1}
     barred: dict[str, Any] = {**keep_out, "label": "stay out"}
@@ -203,7 +203,7 @@ def name_marks(axes: Any, around: Surroundings) -> None:
 
 
 def _marks(around: Surroundings) -> list[tuple[str, Floats, dict[str, Any]]]:
-    """Return the marks of sources, goals, persons and interferers: label, points (P, 2 or 3) and style."""
+    """Return the marks of sources, goals, persons and interferers: label, points (P, 2 or 3) [m] and plot style."""
     found = np.isfinite(around.found)
     small = {"marker": "s", "ms": 3, "mfc": "none", "mec": "dimgray", "mew": 0.8}
     pin = {"marker": "v", "ms": 8}
@@ -224,7 +224,7 @@ def _marks(around: Surroundings) -> list[tuple[str, Floats, dict[str, Any]]]:
 
 
 def _said(item: Interferer) -> str:
-    """Return the legend text of an interferer."""
+    """Return the legend text of an interferer (such as a jammer)."""
     if not math.isfinite(item.radius):
         return item.label
     return f"{item.label}: {'heard' if item.kind == 'spoofer' else 'lost'} within {item.radius:.3g} m"
@@ -240,7 +240,7 @@ def _with_interferers(around: Surroundings, low: Floats, high: Floats) -> tuple[
 
 
 def _footprint(obstacle: Any) -> Patch:
-    """Return an obstacle's outline from above as a patch."""
+    """Return a Matplotlib patch of an obstacle's outline from above."""
     look: dict[str, Any] = {"fc": "0.75", "ec": "0.35", "lw": 1.0, "zorder": 1}
     if "radius" in obstacle:
         return Circle((obstacle["y"], obstacle["x"]), obstacle["radius"], **look)
@@ -252,7 +252,7 @@ def _footprint(obstacle: Any) -> Patch:
 
 
 def _draw_vehicles(axes: Any, paths: Paths, most: int) -> None:
-    """Draw paths, set-points and stops of the vehicles."""
+    """Draw each vehicle's path (about ``most`` points), set-points and stop in plan view."""
     few = paths.few
     # Many laps over each other are told apart by thin lines only.
     width = 0.5 if len(paths.position) > 10 * MOST_TICKS else 1.8 if few else 1.0
@@ -276,7 +276,7 @@ def _draw_vehicles(axes: Any, paths: Paths, most: int) -> None:
 
 
 def _swarm(axes: Axes, paths: Paths, most: int) -> None:
-    """Draw many vehicles as thin paths and small points."""
+    """Draw many vehicles in plan view as thin paths of about ``most`` points and small dots."""
     own = [paths.position[:, i, :2] for i in range(len(paths.names))]
     lines = [path[path_rows(path, most)][:, ::-1] for path in own]
     axes.add_collection(LineCollection(lines, colors=paths.colours, linewidths=0.6, alpha=0.7, rasterized=True))
@@ -297,7 +297,7 @@ def held_places(setpoint: Floats) -> Floats:
 
 
 def _without_repeats(points: Floats) -> Floats:
-    """Return points (L, 2) in the order flown, each once."""
+    """Return the finite points (L, 2) in the order flown, without a point that repeats the one before."""
     points = points[np.isfinite(points).all(axis=1)]
     fresh = np.ones(len(points), bool)
     fresh[1:] = np.any(points[1:] != points[:-1], axis=1)
@@ -305,7 +305,7 @@ def _without_repeats(points: Floats) -> Floats:
 
 
 def _contours(axes: Axes, terrain: Terrain, low: Floats, high: Floats) -> None:
-    """Draw lines of equal height of the ground between two corners."""
+    """Draw height contours of the terrain between two corners (2,), north and east [m]."""
     north, east = (np.linspace(low[axis], high[axis], CONTOUR_CELLS) for axis in (0, 1))
     heights = -terrain.down(*np.meshgrid(north, east, indexing="ij"))
     if not np.isfinite(heights).all() or np.ptp(heights) < LEAST_RELIEF_M:
@@ -315,7 +315,7 @@ def _contours(axes: Axes, terrain: Terrain, low: Floats, high: Floats) -> None:
 
 
 def _wind_arrow(axes: Any, mean: Floats) -> None:
-    """Draw an arrow below the plan that points where the mean wind blows to."""
+    """Draw an arrow below the plan view that points downwind; ``mean`` is the mean wind (3,) NED [m/s]."""
     speed = float(np.hypot(mean[0], mean[1]))
     if speed == 0.0:
         return

@@ -15,7 +15,7 @@ _poses_of_ticks = on_host(lambda vehicle, states: jax.vmap(vehicle.pose)(states)
 
 
 def poses_of(fleet: Fleet, states: object) -> object:
-    """Return the poses (T, n) of vehicle states (T, n), computed with NumPy."""
+    """Compute the poses (T, n) of a fleet's vehicle states (T, n), with NumPy."""
     ticks = len(jax.tree.leaves(states)[0])
     if not ticks < _TICKS <= _MOST_POSES / fleet.size:
         return _poses_of_ticks(fleet.vehicle, states)

@@ -19,18 +19,18 @@ class Quantity:
 
     @property
     def name(self) -> str:
-        """Name of the quantity, STREAM.COLUMN."""
+        """Name of the logged quantity, STREAM.COLUMN."""
         return f"{self.stream}.{self.column.name}"
 
 
 def quantities(run: Run) -> list[Quantity]:
-    """Return all quantities in the order in which they were recorded."""
+    """Return all logged quantities of a run in the order in which they were recorded."""
     streams = [stream for stream in run.streams if stream != EVENTS]
     return [each for stream in streams for each in _of_stream(run, stream)]
 
 
 def readable_quantities(run: Run) -> list[Quantity]:
-    """Return the quantities of all streams but those whose columns cannot be read."""
+    """Return the logged quantities of all streams, without streams with columns that cannot be read."""
     found: list[Quantity] = []
     for stream in run.streams:
         with suppress(RunError):
@@ -39,12 +39,12 @@ def readable_quantities(run: Run) -> list[Quantity]:
 
 
 def _of_stream(run: Run, stream: str) -> list[Quantity]:
-    """Return the quantities of a stream; raise RunError if its columns cannot be read."""
+    """Return the logged quantities of a stream; raise RunError if its columns cannot be read."""
     return [Quantity(stream, column) for column in run.describe(stream)[len(INDEX) :]]
 
 
 def find_quantities(run: Run, name: str) -> list[Quantity]:
-    """Return the quantities that a name means: one, or the components of a vector or other group.
+    """Return the logged quantities that a name means: one, or the components of a vector or other group.
 
     Raises:
         UsageError: there is none of this name.
@@ -60,7 +60,7 @@ def find_quantities(run: Run, name: str) -> list[Quantity]:
 
 
 def _groups(every: list[Quantity]) -> dict[str, list[Quantity]]:
-    """Return group name -> members, for groups (such as vectors) whose members are all numbers.
+    """Return group name -> its quantities, for groups (such as vectors) with only numbers as members.
 
     ``truth.position_ned`` is a group of three; a sensor with a vector among its quantities is none.
     """
@@ -72,7 +72,7 @@ def _groups(every: list[Quantity]) -> dict[str, list[Quantity]]:
 
 
 def _unknown_quantity(run: Run, name: str, known: list[str]) -> str:
-    """Return the message for a quantity that a run lacks."""
+    """Return the error message for a quantity that the run did not log, with near names."""
     if not name:
         return "a panel needs the name of a quantity before, between and after its commas; --list shows all quantities"
     stream, _, column = name.partition(".")

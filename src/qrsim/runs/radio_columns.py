@@ -23,7 +23,7 @@ _OF_LINKS = {
 
 
 def radio_columns(world: World, history: History) -> list[tuple[str, NumpyArray, str, str]]:
-    """Return (column, array (T, n), unit, doc) of everything logged about the radio; [] without one."""
+    """Return (column, array (T, n), unit, doc) of each quantity logged about radio packets; [] without a radio."""
     if world.radio is None:
         return []
     items = [
@@ -40,5 +40,5 @@ def radio_columns(world: World, history: History) -> list[tuple[str, NumpyArray,
 
 
 def links_logged(columns: Iterable[str]) -> int:
-    """Return how many links per vehicle a log with these columns describes; 0 without a radio."""
+    """Return how many neighbours per vehicle a log with these columns describes; 0 without a radio."""
     return sum(column.startswith("radio.sender.") for column in columns)

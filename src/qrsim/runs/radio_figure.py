@@ -28,7 +28,7 @@ STYLES = {"too weak": (0, (1, 1)), "by chance": "--", "to others": "-."}
 
 
 def draw_radio(run: Run, vehicles: Sequence[str] = (), start: float | None = None, end: float | None = None) -> Figure:
-    """Draw who received whose packets in a span of time, and delivery and connectivity over time.
+    """Draw the graph of received radio packets in a span of time [s], and delivery and connectivity over time.
 
     Args:
         run: of a scenario with ``world.radio``.
@@ -60,7 +60,7 @@ def draw_radio(run: Run, vehicles: Sequence[str] = (), start: float | None = Non
 
 
 def _radios(run: Run) -> Floats:
-    """Return a bool array (n,) of which vehicles have a radio."""
+    """Return a bool array (n,) of which vehicles of the run have a radio."""
     fleets = run.scenario["fleets"].values()
     own = [(fleet.get("radio") or {}).get("works", True) is not False for fleet in fleets]
     found = np.repeat(own, [len(fleet["vehicles"]) for fleet in fleets])
@@ -68,7 +68,7 @@ def _radios(run: Run) -> Floats:
 
 
 def _graph(figure: Figure, axes: Axes, run: Run, packets: Packets) -> None:
-    """Draw vehicles at their last positions, and received packets as half-lines at the receiver's end."""
+    """Draw vehicles at their last positions, and each link's received packets as a half-line at the receiver's end."""
     truth = run["truth"]
     row = np.searchsorted(truth.time, packets.time[-1] - 1e-9).clip(max=len(truth.time) - 1)
     north, east = (truth[f"position_ned.{axis}"][row] for axis in "xy")
@@ -102,7 +102,7 @@ def _graph(figure: Figure, axes: Axes, run: Run, packets: Packets) -> None:
 
 
 def _width(strength: Floats) -> Floats:
-    """Return line widths for received strengths [dBm]; thin for NaN (nothing received)."""
+    """Return line widths [points] for received signal strengths [dBm]; thin for NaN (nothing received)."""
     there = np.isfinite(strength)
     if not there.any():
         return np.full(strength.shape, 0.8)
@@ -111,7 +111,7 @@ def _width(strength: Floats) -> Floats:
 
 
 def _draw_delivery(axes: Axes, found: Connectivity) -> None:
-    """Draw the fractions of packets that were received and lost over time."""
+    """Draw the fractions of radio packets that were received, and lost by cause, over time."""
     axes.plot(found.time, found.delivery, color=colours_of(2)[0], lw=1.8, label="heard")
     for name, part in found.lost.items():
         axes.plot(found.time, part, color="0.35", ls=STYLES[name], lw=1.1, label=f"lost: {name}")
@@ -121,7 +121,7 @@ def _draw_delivery(axes: Axes, found: Connectivity) -> None:
 
 
 def _draw_groups(axes: Axes, found: Connectivity) -> None:
-    """Draw the largest connected group and the number of groups over time."""
+    """Draw the fraction of vehicles in the largest connected group, and the number of groups, over time."""
     first, second = colours_of(2)
     [part] = axes.plot(found.time, found.largest, color=first, lw=1.8)
     axes.set(xlabel="time [s]", ylabel="part in the largest group", ylim=(-0.03, 1.03))

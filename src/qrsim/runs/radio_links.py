@@ -38,25 +38,26 @@ class Packets:
 
     @property
     def meant(self) -> NumpyArray:
-        """Whether a packet was sent and meant for the receiver, (P, K, n) bool."""
+        """Mask (P, K, n): a packet was sent to the receiver; P periods, K nearest senders, n receivers."""
         return (self.sender >= 0) & (self.outcome != Outcome.NOTHING)
 
     @property
     def heard(self) -> NumpyArray:
-        """Whether a packet was sent and received, (P, K, n) bool."""
+        """Mask (P, K, n): a packet was sent and received; P periods, K nearest senders, n receivers."""
         return (self.sender >= 0) & (self.outcome == Outcome.HEARD)
 
     def part(self, rows: NumpyArray) -> Packets:
-        """Return the packets of the selected periods."""
+        """Return the packets of the periods with indices ``rows``."""
         return Packets(self.time[rows], self.sender[rows], self.outcome[rows], self.rssi[rows], self.flies[rows])
 
     def counts(self) -> tuple[NumpyArray, NumpyArray, NumpyArray]:
-        """Return packets sent and received from i to j (n, n), and their mean strength [dBm], NaN without any."""
+        """Return three arrays (n, n) by sender and receiver: packets sent, packets received, mean strength [dBm] or
+        NaN."""
         n = self.flies.shape[1]
         pair = np.where(self.sender >= 0, self.sender, 0) * n + np.arange(n)
 
         def total(which: NumpyArray, weights: NumpyArray | None = None) -> NumpyArray:
-            """Return the sums of weights over the pairs of vehicles (n, n) of selected packets."""
+            """Return sums (n, n) by sender and receiver over the packets in a mask, each with its weight or 1."""
             chosen = None if weights is None else weights[which].astype(np.float64)
             return np.bincount(pair[which], weights=chosen, minlength=n * n).reshape(n, n)
 
@@ -65,7 +66,7 @@ class Packets:
 
 
 def packets_of(run: Run, start: float | None = None, end: float | None = None) -> Packets:
-    """Return the packets that a run has logged in a span of time [s].
+    """Return the radio packets that a run logged in a span of time [s].
 
     Raises:
         UsageError: the run has no radio, or no period in the span.
@@ -121,7 +122,7 @@ class Connectivity:
 
 
 def connectivity(packets: Packets, bins: int, radios: NumpyArray) -> Connectivity:
-    """Return connectivity over time; a link is a pair that received packets both ways within a bin.
+    """Return radio connectivity in ``bins`` of time; a link is a pair that received packets both ways within a bin.
 
     Args:
         packets: of P periods.
@@ -142,7 +143,7 @@ def connectivity(packets: Packets, bins: int, radios: NumpyArray) -> Connectivit
 
 
 def components_of(packets: Packets, radios: NumpyArray) -> tuple[int, float]:
-    """Return the number of connected groups of flying vehicles with radios, and the largest group's share."""
+    """Return the number of connected groups of flying vehicles with radios, and the fraction in the largest."""
     there = np.flatnonzero(packets.flies[-1] & radios)
     if not len(there):
         return 0, float("nan")

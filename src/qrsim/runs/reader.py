@@ -45,7 +45,7 @@ MOST_PARTS = 10_000_000
 
 
 def open_run(path: Path | str, *, skip_damaged: bool = False, code: bool = False) -> Run:
-    """Open a run folder for reading, as it is now; reopen it to see newer data.
+    """Open a run folder for reading, as it is now; reopen it to see newer data. ``code``: load its scenario's files.
 
     Args:
         path: the run folder; or a folder of the episodes of a server's session, which is the run of its episode where
@@ -97,7 +97,7 @@ class Run(Tabled):
         self._streams: dict[str, Stream] = {}
 
     def _table(self) -> Table:
-        """Return the table of streams that is shown for a run."""
+        """Return the table of the run's streams that notebooks and printing show."""
         rows = []
         for stream, parts in self._parts.items():
             columns = [column.name for column in parts.columns]
@@ -134,7 +134,7 @@ class Run(Tabled):
 
     @property
     def injections(self) -> list[Content]:
-        """Entries of ``injections.yaml``, the requests made in flight; empty without the file.
+        """Entries of ``injections.yaml``, the faults and other requests made in flight; empty without the file.
 
         Raises:
             RunError: the file is no list of entries.
@@ -154,12 +154,12 @@ class Run(Tabled):
 
     @property
     def episodes(self) -> tuple[Run, ...]:
-        """The runs in the folder of a server session, in order; for a single run, itself."""
+        """Runs in the folder of a server session, in order; for a single run only itself."""
         return (self,)
 
     @property
     def unfinished(self) -> str:
-        """Text that says that the run is still being written or was killed; "" for a finished run."""
+        """Text which says that the run is still being written or was killed; "" for a finished run."""
         if self.info.state != "running":
             return ""
         return f"{self.folder}: the run has not ended, or was killed; the data end at its last flush"
@@ -189,7 +189,7 @@ class Run(Tabled):
         return stream in self._parts
 
     def table(self, stream: str, columns: Sequence[str] | None = None) -> pa.Table:
-        """Return a stream as recorded: one row per time and vehicle, or per event.
+        """Read a stream as recorded: one row per time and vehicle, or per event (``columns`` None: all).
 
         Args:
             stream: its name.
@@ -206,11 +206,11 @@ class Run(Tabled):
         return self._stream_parts(stream).tables(columns)
 
     def describe(self, stream: str) -> tuple[Column, ...]:
-        """Return the description of each column, with time, tick and vehicle; raises as ``table``."""
+        """Return the description of each column of a stream, with time, tick and vehicle; raises as ``table``."""
         return self._stream_parts(stream).columns
 
     def units(self, stream: str) -> dict[str, str]:
-        """Return column -> unit ("" without one), with time, tick and vehicle; raises as ``table``."""
+        """Return column -> unit ("" without one) of a stream, with time, tick and vehicle; raises as ``table``."""
         return {column.name: column.unit for column in self.describe(stream)}
 
     @property
@@ -228,7 +228,7 @@ class Run(Tabled):
         return [Event(**row) for row in table.to_pylist()]
 
     def _stream_parts(self, stream: str) -> StreamParts:
-        """Return the parts of a stream; raises UsageError for an unknown one."""
+        """Return the reader of a stream's Parquet files; raises UsageError for an unknown stream."""
         if stream not in self._parts:
             raise UsageError(f"{self.folder} has no stream '{stream}'{did_you_mean(str(stream), self._parts)}")
         return self._parts[stream]
@@ -241,7 +241,7 @@ class _Episodes(Run):
         self.folder, self._found, self._skip_damaged, self._code = folder, found, skip_damaged, code
 
     def _table(self) -> Table:
-        """Return the table of episodes that is shown for a folder."""
+        """Return the table of episodes that notebooks and printing show for a folder of episodes."""
         names = [(folder.name,) for folder in self._found]
         return Table(f"{self.folder}: {len(names)} episodes", ("episode",), names)
 
@@ -258,7 +258,7 @@ class _Episodes(Run):
 
 
 def _part_numbers(folder: Path) -> list[int]:
-    """Return the numbers of the parts in a stream's folder, ascending; temporary files have other names."""
+    """Return the numbers of the Parquet files in a stream's folder, ascending; temporary files do not count."""
     if not folder.is_dir():
         return []
     matches = (re.fullmatch(r"part-(\d{5,9})\.parquet", path.name) for path in folder.iterdir())
@@ -267,7 +267,7 @@ def _part_numbers(folder: Path) -> list[int]:
 
 
 def _not_a_run_message(folder: Path) -> str:
-    """Return the message for a folder that holds no run."""
+    """Return the error message for a folder that is no run folder."""
     if not folder.exists():
         return f"no run at {folder}: there is no such folder"
     hint = ""
@@ -284,7 +284,7 @@ LONGEST_NAME = 200
 
 
 def _problem(info: RunInfo) -> str:
-    """Return a text about the first impossible value in a run's info; "" if all are possible."""
+    """Return a text about the first impossible value in a run's run.json; "" if all are possible."""
     if not info.vehicles:
         return "vehicles: there are none"
     # They may be anybody's, and are shown on pages and terminals.
@@ -305,7 +305,7 @@ def _problem(info: RunInfo) -> str:
 
 
 def _read_info(path: Path) -> RunInfo:
-    """Return the parsed run.json; raises RunError."""
+    """Read and check the run.json of a run folder; raises RunError."""
     try:
         data = json.loads(read_text(path))
         version = data["format"]

@@ -66,26 +66,26 @@ class Watcher(Protocol):
     """Observer of a simulation in flight, which may pace it: a page (see ``qrsim.view.live``)."""
 
     def begin(self, simulation: Simulation, title: str, places: Places | None = None) -> None:
-        """Show a simulation at its start, with the places of its task."""
+        """Show a simulation at its start, with title and the places of its task."""
 
     def note(self, text: str) -> None:
-        """Show one line about the whole run; "" clears it."""
+        """Show one line of text about the whole run; "" clears it."""
 
     def offer(self, history: History) -> None:
-        """Show the states flown since the last call."""
+        """Show the vehicles' states flown since the last call."""
 
     def change(self, simulation: Simulation) -> None:
-        """Apply the changes that the page's users requested since the last call."""
+        """Apply to the simulation the changes that users of the 3-D page requested since the last call."""
 
     def wait(self, ticks: int) -> int:
-        """Wait until ticks may be flown, and return how many, at most ``ticks``."""
+        """Wait until the page lets the simulation go on; return how many ticks to fly, at most ``ticks``."""
 
 
 class Flyer(Protocol):
     """Who flies a simulation from outside: a user's functions (``Pilot``), or an autopilot's firmware."""
 
     def record(self, ticks: int, capacity: int = CHUNK_TICKS) -> History:
-        """Fly at most ``ticks`` ticks and return their states."""
+        """Fly at most ``ticks`` ticks and return their states; ``capacity`` sizes the compiled program's record."""
 
 
 def fly(
@@ -106,7 +106,7 @@ def fly(
     begun: float | None = None,
     injections: Sequence[Injection] = (),
 ) -> Pace:
-    """Fly a scenario from start to end and record it.
+    """Fly a scenario from start to end, record it in a run folder, and return the simulation's pace.
 
     Args:
         scenario: what to fly.
@@ -164,7 +164,8 @@ def fly(
         requests = RequestLog(simulation, writer.note_injection, writer.append_event)
 
         def keep(history: History) -> None:
-            """Write the ticks of a history and the requests before them, and update the view."""
+            """Write the ticks of a history, and the requests made before them, to the run folder, and update the 3-D
+            page."""
             arrays = values(simulation.world, history, wanted)
             with writer.together():
                 # What was asked for before these ticks.
@@ -210,7 +211,7 @@ def fly(
 
 
 def _referee(scenario: Scenario, simulation: Simulation) -> Referee | None:
-    """Return the referee of the task, None for a scenario without one."""
+    """Return the scorer of the scenario's task; None for a scenario without a task."""
     if not scenario.steps:
         return None
     # Imported here, because most runs have none.
@@ -223,7 +224,7 @@ def _referee(scenario: Scenario, simulation: Simulation) -> Referee | None:
 
 @contextmanager
 def _scored(referee: Referee | None, writer: RunWriter, policy: object) -> Iterator[None]:
-    """Context manager: write the task's score when the flight in it ends, also if it is interrupted."""
+    """Context manager: write the task's score when the flight in the block ends, also if it is interrupted."""
     try:
         yield
     except KeyboardInterrupt:
@@ -238,7 +239,7 @@ def _scored(referee: Referee | None, writer: RunWriter, policy: object) -> Itera
 
 
 def _new_pilot(simulation: Simulation, policy: object, estimator: object, policy_ticks: int) -> Pilot:
-    """Return the pilot that calls a user's policy and estimator."""
+    """Return the pilot that calls a user's policy every ``policy_ticks`` ticks, and the user's estimator."""
     # Imported here, because most runs have none.
     from qrsim.simulation.pilot import Pilot
 
@@ -253,7 +254,7 @@ def _new_pilot(simulation: Simulation, policy: object, estimator: object, policy
 
 
 def _record(simulation: Simulation, ticks: int, pilot: Flyer | None, once: bool = False) -> Iterator[History]:
-    """Fly ``ticks`` ticks, or fewer if user functions are slow, yielding their states; ``once``: one call only."""
+    """Fly ``ticks`` ticks, fewer if user functions are slow; yield their states. ``once``: call the pilot once only."""
     capacity = max(ticks, CHUNK_TICKS)
     if pilot is None:
         yield simulation.record(ticks, capacity=capacity)
@@ -266,7 +267,7 @@ def _record(simulation: Simulation, ticks: int, pilot: Flyer | None, once: bool 
 
 
 def make_parent(folder: Path) -> None:
-    """Create the parent of the run folder, before anything is compiled.
+    """Create the parent of the run folder, early, so that errors show before anything is compiled.
 
     Raises:
         RunError: it cannot be made or written to.
@@ -293,7 +294,7 @@ def _loop(
     view: Watcher | None = None,
     chunk: int = CHUNK_TICKS,
 ) -> Pace:
-    """Fly until tick ``ticks`` in chunks, pass each to ``keep``, and return the pace."""
+    """Fly until tick ``ticks`` in chunks, in real time or faster, pass each to ``keep``, and return the pace."""
     if realtime:
         chunk = max(1, min(CHUNK_TICKS, round(REALTIME_CHUNK_S / simulation.world.time_step)))
     start = time.perf_counter()

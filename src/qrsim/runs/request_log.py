@@ -24,11 +24,11 @@ class RequestLog:
 
     @property
     def has_new(self) -> bool:
-        """Whether requests were made since the last ``write_new``."""
+        """Whether in-flight requests (faults, weather changes) were made since the last ``write_new``."""
         return len(self._simulation.requests) > self._count
 
     def write_new(self) -> None:
-        """Write the requests made since the last call."""
+        """Write the in-flight requests (faults, weather changes) made since the last call, and their events."""
         new, time_step = self._simulation.requests[self._count :], self._simulation.world.time_step
         self._count += len(new)
         for request in new:

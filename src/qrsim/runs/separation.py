@@ -26,17 +26,17 @@ class Separation:
 
     @property
     def text(self) -> str:
-        """Sentence about the smallest separation, for tables."""
+        """The smallest separation as a sentence, for tables."""
         one, other = self.vehicles
         return f"separation: {self.distance_m:.2f} m at least, of {one} and {other} at {self.time_s:.2f} s"
 
     def to_json(self) -> dict[str, object]:
-        """Return the fields by name."""
+        """Return the smallest separation as a dict for JSON."""
         return {"distance_m": self.distance_m, "time_s": self.time_s, "vehicles": list(self.vehicles)}
 
 
 def smallest_separation(run: Run) -> Separation | None:
-    """Return the smallest distance of any pair in which a vehicle moves; None without such pairs.
+    """Return the smallest distance of any two vehicles, at least one of which moves; None without such pairs.
 
     It is of the logged ticks, and of pairs of which one moves in the run and has not stopped; as in a rollout, the
     other may have.
@@ -56,7 +56,7 @@ def smallest_separation(run: Run) -> Separation | None:
 
 
 def _nearer(position: Floats, active: NumpyArray, best: float) -> Iterator[tuple[float, int, tuple[int, int]]]:
-    """Yield (distance, tick, pair) for ever smaller distances below ``best`` [m] in positions (T, n, 3).
+    """Yield (distance [m], tick, pair) of ever smaller distances below ``best`` [m] in positions (T, n, 3).
 
     Vehicles are sorted along the axis on which they spread farthest; those that are farther apart than the nearest
     pair along that axis alone are not compared.

@@ -20,7 +20,7 @@ class Setting:
 
 
 def setting_differences(first: Run, second: Run) -> list[Setting]:
-    """Return the differences in run.json and in the resolved scenario; scenario paths begin with "scenario.".
+    """Return the differing entries of two runs' run.json and scenarios; scenario paths begin with "scenario.".
 
     Raises:
         RunError: a scenario.yaml is no YAML.
@@ -32,12 +32,12 @@ def setting_differences(first: Run, second: Run) -> list[Setting]:
 
 
 def _scenario(run: Run) -> object:
-    """Return the recorded scenario of a run, as content."""
+    """Return the recorded scenario of a run as nested dicts and lists."""
     return run.scenario
 
 
 def _differences(path: str, first: object, second: object) -> Iterator[Setting]:
-    """Yield the differing settings of two nested structures; lists of plain values count as one value."""
+    """Yield the differing entries of two nested structures at ``path``; a list of plain values counts as one."""
     mine, other = _children(first), _children(second)
     if mine is not None and other is not None:
         for key in dict.fromkeys([*mine, *other]):
@@ -47,7 +47,7 @@ def _differences(path: str, first: object, second: object) -> Iterator[Setting]:
 
 
 def _children(tree: object) -> Mapping[object, object] | None:
-    """Return the children of a mapping, or of a list of nested values; None for leaves."""
+    """Return the children, by key or index, of a mapping or of a list with nested values; None for a leaf."""
     if isinstance(tree, Mapping):
         return tree
     if isinstance(tree, list) and any(isinstance(item, dict | list) for item in tree):

@@ -25,7 +25,7 @@ _FIELDS = ("satellite", "satellite_state", "cn0", "azimuth", "elevation")
 
 
 def draw_sky(run: Run, vehicles: Sequence[str] = (), start: float | None = None, end: float | None = None) -> Figure:
-    """Draw the sky over one vehicle, zenith in the middle and north up (needs no display).
+    """Draw the GNSS satellites over one vehicle in a polar plot, zenith in the middle, north up; needs no display.
 
     Args:
         run: of a scenario whose receiver has ``per_satellite: true``.
@@ -70,7 +70,7 @@ def draw_sky(run: Run, vehicles: Sequence[str] = (), start: float | None = None,
 
 
 def _seen(run: Run, vehicle: int) -> dict[str, Floats]:
-    """Return field -> values (T, K) of the satellites of the first receiver that logs them."""
+    """Return field -> values (T, K) of K satellites, from a vehicle's first receiver that logs them."""
     stream = run["measurements"]
     columns = stream.columns()
     sensor = next((column.removesuffix(".cn0.0") for column in columns if column.endswith(".cn0.0")), None)
@@ -88,7 +88,8 @@ def _seen(run: Run, vehicle: int) -> dict[str, Floats]:
 
 
 def _draw(axes: Axes, name: str, seen: dict[str, Floats], where: NumpyArray) -> str:
-    """Draw the track of one satellite, and return its system's letter."""
+    """Draw the track of the satellite ``name`` in a sky plot; ``where`` selects it in ``seen``. Return its system's
+    letter."""
     system = name[0]
     turn, low = seen["azimuth"][where], 90.0 - np.degrees(seen["elevation"][where])
     state = seen["satellite_state"][where]

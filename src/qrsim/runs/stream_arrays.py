@@ -42,7 +42,7 @@ class Stream(Tabled):
         self.vehicles = tuple(vehicles)
 
     def _table(self) -> Table:
-        """Return the table of columns that is shown for a stream."""
+        """Return the table of the stream's columns that notebooks and printing show."""
         count = len(self.vehicles)
         title = f"stream '{self._parts.stream}' of {count} vehicle{'s' * (count != 1)}, at {len(self.time)} times"
         rows = [(column.name, column.unit, column.dtype, column.doc) for column in self._parts.columns[len(INDEX) :]]
@@ -54,14 +54,14 @@ class Stream(Tabled):
 
     @cached_property
     def _grid(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
-        """Times and ticks, each (T,); raises RunError unless every tick has a row for each vehicle."""
+        """Times [s] and ticks, each (T,); raises RunError unless every tick has a row for each vehicle."""
         # Piece by piece: of all rows only the ticks are kept.
         steps = [self._steps(table) for table in self._parts.tables([column.name for column in INDEX])]
         times, ticks = (np.concatenate(found) for found in zip(*steps, strict=True))
         return times, ticks
 
     def _steps(self, table: pa.Table) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
-        """Return times and ticks, each (T,), of a table's rows; raises as ``_grid``."""
+        """Return times [s] and ticks, each (T,), of a table with a row per tick and vehicle; raises as ``_grid``."""
         count = len(self.vehicles)
         order = _codes(table["vehicle"], self.vehicles)
         times: npt.NDArray[np.float64] = to_numpy(table["time"])
@@ -86,7 +86,7 @@ class Stream(Tabled):
         return self._grid[1]
 
     def columns(self) -> tuple[str, ...]:
-        """Return the names of the columns."""
+        """Return the names of the stream's columns."""
         return tuple(column.name for column in self._parts.columns[len(INDEX) :])
 
     def column(self, name: str) -> Column:
@@ -98,7 +98,7 @@ class Stream(Tabled):
         return self.arrays([name])[name]
 
     def arrays(self, names: Sequence[str] | None = None) -> dict[str, NumpyArray]:
-        """Return several columns (None: all), each of shape (T, n), in one pass over the files.
+        """Read several columns (None: all), each of shape (T, n), in one pass over the files.
 
         Raises:
             UsageError: unknown column.
@@ -112,7 +112,7 @@ class Stream(Tabled):
     def batches(
         self, names: Sequence[str] | None = None, *, start: float = -math.inf, end: float = math.inf
     ) -> Iterator[Batch]:
-        """Yield the ticks of ``arrays`` in batches, for logs larger than memory; raises as ``arrays``.
+        """Yield the arrays of ``arrays`` in batches of ticks, for logs larger than memory; raises as ``arrays``.
 
         Args:
             names: of columns; None: all.
@@ -129,7 +129,7 @@ class Stream(Tabled):
             yield Batch(time, tick, {name: to_numpy(table[name]).reshape(shape) for name in names})
 
     def _checked_names(self, names: Sequence[str] | None) -> Sequence[str]:
-        """Return some column names, by default all; raises UsageError for an unknown one."""
+        """Return the names of columns to read, by default all; raises UsageError for an unknown one."""
         if names is None:
             return self.columns()
         for name in names:
@@ -145,7 +145,7 @@ class Stream(Tabled):
 
 
 def _codes(vehicle: pa.ChunkedArray, vehicles: Sequence[str]) -> npt.NDArray[np.int64]:
-    """Return each row's vehicle index; -1 for a vehicle that is not in the run."""
+    """Return each row's vehicle as an index into ``vehicles``; -1 for an unknown vehicle."""
     index = {name: i for i, name in enumerate(vehicles)}
     chunks = [np.zeros(0, np.int64)]
     # In a file that was damaged it may be plain text, or something else.

@@ -51,7 +51,7 @@ _UNITS = {
 
 
 def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, str, str]]:
-    """Return (column, array (T, n), unit, doc) of one fleet's part of a stream."""
+    """Return (column, array (T, n), unit, doc) of each quantity that one fleet logs to a stream."""
     roots: list[tuple[str, Any]]
     if stream == "truth":
         poses = poses_of(fleet, state.vehicle)
@@ -89,7 +89,7 @@ def _tree(stream: str, fleet: Fleet, state: FleetState) -> list[tuple[str, Any, 
 
 
 def _believed(fleet: Fleet, state: FleetState) -> list[tuple[str, Any]]:
-    """Return (name prefix, record) of the estimate, its standard deviations and innovations; [] without one."""
+    """Return (column prefix, record) of a fleet's estimate, deviations and innovations; [] without an estimator."""
     belief = state.belief
     if belief is None:
         return []
@@ -111,7 +111,7 @@ def _believed(fleet: Fleet, state: FleetState) -> list[tuple[str, Any]]:
 
 
 def loads(fleet: Fleet, state: FleetState, has: set[str]) -> list[tuple[str, Any, str, str]]:
-    """Return (column, array, unit, doc) of thrust, power and voltage of electric vehicles, without those in ``has``."""
+    """Return (column, array (T, n), unit, doc) of electric vehicles' thrust, power and voltage, if not in ``has``."""
     if not fleet.vehicle.gives_power:
         return []
     load = _load(fleet.vehicle, state.vehicle)
@@ -130,7 +130,7 @@ def loads(fleet: Fleet, state: FleetState, has: set[str]) -> list[tuple[str, Any
 
 
 def columns(world: World, history: History) -> dict[str, list[Column]]:
-    """Return the columns of every stream; a quantity of only some fleets is one column for all."""
+    """Return stream -> its columns; a quantity that only some fleets have is one column for all vehicles."""
     found: dict[str, dict[str, Column]] = {stream: {} for stream in STREAMS}
     for stream in STREAMS:
         for fleet, state in zip(world.fleets, history.state.fleets, strict=True):
@@ -142,7 +142,7 @@ def columns(world: World, history: History) -> dict[str, list[Column]]:
 
 
 def values(world: World, history: History, wanted: dict[str, list[Column]]) -> dict[str, Values]:
-    """Return arrays (T, n) for every column of every stream; NaN where a fleet lacks the quantity."""
+    """Return stream -> column -> array (T, n) over all vehicles; NaN where a fleet lacks the quantity."""
     result: dict[str, Values] = {}
     for stream in STREAMS:
         parts = []
@@ -159,12 +159,12 @@ def values(world: World, history: History, wanted: dict[str, list[Column]]) -> d
 
 
 def _side_by_side(parts: list[NumpyArray]) -> NumpyArray:
-    """Return the columns of all fleets side by side; those of a single fleet without a copy."""
+    """Concatenate the fleets' arrays (T, size) to (T, n); the array of a single fleet is not copied."""
     return np.concatenate(parts, axis=1) if len(parts) > 1 else np.asarray(parts[0])
 
 
 def _absent(shape: tuple[int, int], column: Column) -> NumpyArray:
-    """Return the value logged for a quantity that a fleet lacks: NaN, or 0 for types without NaN."""
+    """Return an array of the value logged for a quantity that a fleet lacks: NaN, or 0 for types without NaN."""
     return np.full(shape, np.nan if column.dtype.startswith("float") else 0, column.dtype)
 
 
@@ -185,10 +185,10 @@ class EventFinder:
 
     @staticmethod
     def _sources() -> dict[str, Callable[[History], Any]]:
-        """Return name -> function of a history that gives the array (T, n) whose changes are events."""
+        """Return name -> function of a history that gives an array (T, n), in which each increase is an event."""
 
         def together(pick: Callable[[FleetState], Any]) -> Callable[[History], Any]:
-            """Return a function that joins a value of all fleets to (T, n)."""
+            """Return a function of a history that joins the value ``pick`` of all fleets to (T, n)."""
             return lambda history: np.concatenate([pick(fleet) for fleet in history.state.fleets], axis=1)
 
         return {
@@ -198,7 +198,7 @@ class EventFinder:
         }
 
     def find(self, history: History) -> list[Content]:
-        """Return the events of a history as arguments of ``RunWriter.append_event``, in order of time."""
+        """Return the events in a history, in order of time, as keyword arguments of ``RunWriter.append_event``."""
         found: list[tuple[int, int, Content]] = []
         for key, pick in self._sources().items():
             now = pick(history)
@@ -214,7 +214,7 @@ class EventFinder:
         return [event for _, _, event in found]
 
     def ending(self, history: History) -> list[Content]:
-        """Return the events at the end of a run: unfinished missions, and totals of crowded readings."""
+        """Return events at the end of a run: unfinished missions, totals of readings with too many neighbours."""
         found = [event for _, _, event in self._of_missions(history, self.missions.ending(history))]
         for crowd in crowds_of(self.world, history.state):
             looks = int(crowd.looks[-1].sum())
@@ -224,7 +224,7 @@ class EventFinder:
         return found
 
     def _crowds(self, history: History) -> list[tuple[int, int, Content]]:
-        """Return the first event of each radio, sensor or guidance whose neighbour list overflowed."""
+        """Return (row, vehicle, event) when a radio's, sensor's or guidance's neighbour list first overflowed."""
         found = []
         for crowd in crowds_of(self.world, history.state):
             rows = np.argwhere(crowd.looks > 0)
@@ -241,7 +241,7 @@ class EventFinder:
         return found
 
     def _of_missions(self, history: History, found: Iterable[tuple[int, Found]]) -> list[tuple[int, int, Content]]:
-        """Return the events of missions with their row and vehicle."""
+        """Return (row, vehicle, event) of each mission event in ``found``, given by fleet number."""
         firsts = np.cumsum([0, *(fleet.size for fleet in self.world.fleets)])
         events = []
         for number, (row, own, kind, value, message) in found:
@@ -252,7 +252,7 @@ class EventFinder:
         return events
 
     def _of_watches(self, history: History) -> list[tuple[int, int, Content]]:
-        """Return the events of failsafes and of zones, each with its row and vehicle."""
+        """Return (row, vehicle, event) of each failsafe and zone event in a history."""
         events, found = [], [*self.failsafes.events(history), *self.zones.events(history)]
         for row, vehicle, kind, field, value, message in found:
             event = self._at(history, row, vehicle)
@@ -261,7 +261,7 @@ class EventFinder:
         return events
 
     def _faults(self, history: History) -> list[tuple[int, int, Content]]:
-        """Return the scheduled faults that begin or end."""
+        """Return (row, vehicle, event) of each scheduled fault that begins or ends in a history."""
         found, first = [], 0
         world = self.world
         if world.ranges:
@@ -297,7 +297,7 @@ class EventFinder:
         return found
 
     def _losses(self, history: History) -> list[tuple[int, int, Content]]:
-        """Return the events at which a flying vehicle's GNSS receiver loses its fix or regains it."""
+        """Return (row, vehicle, event) when a flying vehicle's GNSS receiver loses its fix or regains it."""
         found, first = [], 0
         for fleet, state in zip(self.world.fleets, history.state.fleets, strict=True):
             for sensor, reading in zip(fleet.sensor_names, state.readings, strict=True):
@@ -324,7 +324,7 @@ class EventFinder:
         return found
 
     def _persons(self, history: History) -> list[tuple[int, int, Content]]:
-        """Return the events of found persons, each with row and nearest vehicle."""
+        """Return (row, nearest vehicle, event) of each person found in a history."""
         persons = history.state.contents.persons
         if persons is None:
             return []
@@ -339,7 +339,7 @@ class EventFinder:
         return found
 
     def _landings(self, history: History) -> list[tuple[int, int, Content]]:
-        """Return the events of landings and take-offs, each with row and vehicle."""
+        """Return (row, vehicle, event) of each landing and take-off in a history."""
         found, first = [], 0
         for number, (fleet, state) in enumerate(zip(self.world.fleets, history.state.fleets, strict=True)):
             standing = on_ground(fleet, state)
@@ -357,11 +357,11 @@ class EventFinder:
         return found
 
     def _at(self, history: History, row: int, vehicle: int) -> Content:
-        """Return time, tick and vehicle as the fields of an event."""
+        """Return the fields time, tick and vehicle of an event at a row of a history."""
         return {"time": float(history.time[row]), "tick": int(history.ticks[row]), "vehicle": self.names[vehicle]}
 
     def _event(self, key: str, history: History, row: int, vehicle: int) -> Content:
-        """Return the event of a change at a tick: stop, waypoint or clipped command."""
+        """Return the event at a row of a history; ``key`` names its source: stop, waypoint or clipped command."""
         event = self._at(history, row, vehicle)
         name, time = event["vehicle"], event["time"]
         if key == "reached":
@@ -381,12 +381,12 @@ class EventFinder:
         return {**event, "kind": kind, "field": field, "value": value, "message": message}
 
     def _nearest(self, history: History, row: int, vehicle: int) -> str:
-        """Return the name of the vehicle nearest to another."""
+        """Return the name of the vehicle nearest to vehicle ``vehicle`` at a row of a history."""
         own = self._positions(history, row)[vehicle]
         return self.names[self._nearest_to(history, row, own, vehicle)]
 
     def _nearest_to(self, history: History, row: int, where: NumpyArray, but: int | None = None) -> int:
-        """Return the index of the vehicle nearest to a place (3,), ignoring vehicle ``but``."""
+        """Return the index of the vehicle nearest to a place (3,) [m] at a row, ignoring vehicle ``but``."""
         distance = np.linalg.norm(self._positions(history, row) - where, axis=1)
         if but is not None:
             distance[but] = np.inf
@@ -394,6 +394,6 @@ class EventFinder:
 
     @staticmethod
     def _positions(history: History, row: int) -> NumpyArray:
-        """Return the positions (n, 3) of all vehicles."""
+        """Return the positions (n, 3) NED [m] of all vehicles at a row of a history."""
         positions = [position_of(fleet) for fleet in history.state.fleets]
         return np.stack([np.concatenate([getattr(each, axis)[row] for each in positions]) for axis in "xyz"], axis=1)

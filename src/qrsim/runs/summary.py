@@ -90,7 +90,7 @@ class VehicleSummary:
     failsafes: int = 0
 
     def to_json(self) -> dict[str, object]:
-        """Return the fields by name, None in place of NaN (JSON has no NaN)."""
+        """Return the summary of a vehicle's flight as a dict for JSON, with None in place of NaN."""
         return {
             name: None if isinstance(value, float) and not np.isfinite(value) else value
             for name, value in asdict(self).items()
@@ -133,7 +133,7 @@ def score_text(score: Mapping[str, Any]) -> str:
 
 
 def common_rows(run: Run, *streams: str) -> list[Rows]:
-    """Return for each stream the rows of the ticks that all of them have.
+    """Return, for each stream, the row indices of the ticks that all of the streams have.
 
     Streams of different decimation have different ticks. Where a disk ran full or the process was killed, some streams
     are longer than others: the rows end where the first of all ends.
@@ -146,13 +146,13 @@ def common_rows(run: Run, *streams: str) -> list[Rows]:
 
 
 def vectors(stream: Stream, name: str, rows: Rows | slice = slice(None)) -> Floats:
-    """Return the vectors (T, n, 3) of a quantity recorded as NAME.x, NAME.y, NAME.z, at some rows or all."""
+    """Read a vector quantity logged as NAME.x, NAME.y, NAME.z as an array (T, n, 3), at some rows or all."""
     arrays = stream.arrays([f"{name}.{axis}" for axis in "xyz"])
     return np.stack([np.asarray(array, np.float64)[rows] for array in arrays.values()], axis=-1)
 
 
 def waypoints_of(run: Run, rows: Rows | slice = slice(None)) -> Floats:
-    """Return the waypoint (T, n, 3) [m] that each vehicle was sent to, NaN under other commands and after landings."""
+    """Return each vehicle's target waypoint (T, n, 3) NED [m]; NaN under other commands and after landings."""
     commands = run["commands"]
     if "setpoint.position_ned.x" in commands:
         found = vectors(commands, "setpoint.position_ned", rows)
@@ -163,7 +163,7 @@ def waypoints_of(run: Run, rows: Rows | slice = slice(None)) -> Floats:
 
 
 def stops_of(run: Run) -> dict[int, Event]:
-    """Return the event that ended each stopped vehicle's flight, by index of the vehicle."""
+    """Return vehicle index -> the event that ended the vehicle's flight, for each stopped vehicle."""
     stops = [event for event in run.events if event.kind not in NOT_A_STOP and event.vehicle is not None]
     return {run.vehicles.index(str(event.vehicle)): event for event in reversed(stops)}
 
@@ -177,7 +177,7 @@ def gnss_sensor(run: Run) -> str | None:
 
 
 def gnss_error(run: Run) -> tuple[Floats, Floats]:
-    """Return (times (E,), errors (E, n, 3) [m] in NED) at the epochs E at which any receiver reported a new fix.
+    """Return times (E,) [s] and GNSS errors (E, n, 3) NED [m] at the E epochs at which any receiver had a new fix.
 
     An error is the reported position minus the true one at the time of the fix, so the latency of a receiver is none.
     Epochs at which the last receiver loses its fix are there too, as NaN. Epochs at which the truth was not logged are
@@ -199,7 +199,7 @@ def gnss_error(run: Run) -> tuple[Floats, Floats]:
 
 
 def gnss_latency(run: Run, sensor: str) -> Floats:
-    """Return the latency (n,) [s] of a receiver's fixes, from the run's scenario."""
+    """Return the latency (n,) [s] of a receiver's fixes for each vehicle, from the run's scenario."""
     found: list[float] = []
     fleets = run.scenario.get("fleets") if isinstance(run.scenario, dict) else None
     for fleet in fleets.values() if isinstance(fleets, dict) else ():
@@ -270,7 +270,7 @@ def _without_start(waypoints: Floats, flying: Floats) -> Floats:
 
 
 def summarise(run: Run) -> list[VehicleSummary]:
-    """Return one summary per vehicle, in the order of the run's vehicles."""
+    """Return a summary of each vehicle's flight (errors, distances, battery), in the order of the run's vehicles."""
     position = vectors(run["truth"], "position_ned")
     flying = np.where(run["truth"]["valid"].astype(bool), 1.0, np.nan)
     [rows] = common_rows(run, "truth")
@@ -312,7 +312,7 @@ def summarise(run: Run) -> list[VehicleSummary]:
 
 
 def _battery(run: Run, position: Floats, flying: Rows) -> tuple[Floats, Floats]:
-    """Return the lowest charge of each vehicle (n,) and its endurance [s]; NaN without a battery that drains."""
+    """Return each vehicle's lowest charge (0 to 1) and endurance [s], each (n,); NaN without a battery that drains."""
     truth = run["truth"]
     if CHARGE not in truth or not len(position):
         none = np.full(len(run.vehicles), math.nan)

@@ -79,19 +79,19 @@ class Surroundings:
 
     @property
     def places(self) -> Places:
-        """The places of the task, for pictures."""
+        """The places of the task (goals, sources, locations), for pictures."""
         from qrsim.tasks.places import Places
 
         return Places(self.goals, self.sources, self.locations)
 
     @property
     def drawn(self) -> bool:
-        """Whether persons, sources or locations were drawn at random."""
+        """Whether persons, sources or task locations were drawn at random."""
         return bool(len(self.persons) or len(self.sources) or len(self.locations))
 
 
 def surroundings_of(run: Run) -> Surroundings:
-    """Return the surroundings of a run: area, obstacles, and the contents drawn for its seed.
+    """Return the surroundings of a run: area, obstacles, and the contents that its seed draws.
 
     Raises:
         RunError: the events are damaged, or the scenario is no YAML.
@@ -120,7 +120,7 @@ def surroundings_of(run: Run) -> Surroundings:
 
 
 def fixed_parts(world: Content) -> Content:
-    """Return the attributes of ``Surroundings`` that follow from a scenario's world alone, in NED.
+    """Return as a dict the attributes of ``Surroundings`` that follow from a scenario's ``world`` alone, in NED.
 
     Raises:
         KeyError, TypeError, ValueError: it is of another version of qrsim.
@@ -136,7 +136,7 @@ def fixed_parts(world: Content) -> Content:
 
 
 def _area(area: Any) -> tuple[Floats, tuple[float, float]]:
-    """Return the corners (V, 2) of a scenario's area, and its top and bottom."""
+    """Return corners (V, 2) [m] of a scenario's area, and its (top, bottom) [m, down]."""
     down = (float(area["z_min"]), float(area["z_max"]))
     if zones := _zones(area):
         kept = [zone.bounds for zone in zones if zone.keep] or [zone.bounds for zone in zones]
@@ -164,7 +164,7 @@ def _zones(area: Any) -> tuple[Zone, ...]:
 
 
 def _goals(run: Run) -> dict[str, Floats]:
-    """Return {"goals": positions} of a task with goals for its vehicles; {} without truth or vehicles."""
+    """Return {"goals": positions} of a task with goals for its vehicles; {} without logged truth or vehicles."""
     from qrsim.core.vectors import Vec3
     from qrsim.tasks.places import goals_of
 
@@ -178,7 +178,7 @@ def _goals(run: Run) -> dict[str, Floats]:
 
 
 def _drawn_again(run: Run) -> Content:
-    """Return persons, sources, locations and the mean plume, drawn again from the seed."""
+    """Return persons, plume sources, task locations and mean plume of a run, drawn again from its seed."""
     import jax
 
     from qrsim.core.noise import Key
@@ -212,7 +212,7 @@ def _drawn_again(run: Run) -> Content:
 
 
 def _task_stream(task: Any, key: Any) -> object:
-    """Return the random stream of a task, None if it draws no numbers."""
+    """Return the random number stream of a task from a key; None if the task draws no numbers."""
     import jax.numpy as jnp
 
     from qrsim.tasks.play import TASK
@@ -228,7 +228,8 @@ class _Beginning(NamedTuple):
 
 
 def _begin(world: World, task: Any, keys: object, stream: Any, places: Any) -> tuple[Any, Any, Any]:
-    """Return drawn contents, a plume task's locations, and the mean concentration at ``places`` (None without)."""
+    """Return a world's drawn contents, a plume task's locations, and mean concentrations at ``places``;
+    None if unused."""
     import jax.numpy as jnp
 
     from qrsim.core.noise import Draw
@@ -248,7 +249,7 @@ def _begin(world: World, task: Any, keys: object, stream: Any, places: Any) -> t
 
 
 def drawn_contents(world: World, keys: Any) -> tuple[tuple[Any, ...], Any]:
-    """Draw the ranges of an episode, and its contents at the start; a pure function of JAX."""
+    """Draw an episode's ranges and initial contents (plume, persons) from random keys; a pure JAX function."""
     import jax.numpy as jnp
 
     from qrsim.world.episode import draw_ranges, episode_draws, start_contents
@@ -259,14 +260,14 @@ def drawn_contents(world: World, keys: Any) -> tuple[tuple[Any, ...], Any]:
 
 
 def _edges(area: object) -> tuple[Floats, Floats]:
-    """Return the edges (CELLS + 1,) of the cells, north and east."""
+    """Return north and east edges [m], each (CELLS + 1,), of the grid cells for the picture of a plume."""
     bounds = [(float(getattr(area, f"{axis}_min")), float(getattr(area, f"{axis}_max"))) for axis in "xy"]
     north, east = (np.linspace(low, high, CELLS + 1) for low, high in bounds)
     return north, east
 
 
 def _grid(area: Any) -> object:
-    """Return the centres of the area's cells at all heights, (HEIGHTS * CELLS * CELLS,)."""
+    """Return the centres NED [m] of the plume picture's grid cells at all heights, (HEIGHTS * CELLS * CELLS,)."""
     from qrsim.core.vectors import Vec3
 
     north, east = (0.5 * (edges[1:] + edges[:-1]) for edges in _edges(area))

@@ -37,7 +37,7 @@ class Terrain:
         self.level = self._ground is None
 
     def down(self, north: Floats, east: Floats) -> Floats:
-        """Return the ground's z coordinate [m, down] at places of any shape; NaN for NaN places."""
+        """Return the ground's z coordinate [m, down] at north and east [m], of any shape; NaN for NaN places."""
         if self._ground is None:
             return np.full(np.shape(north), self._down)
         from qrsim.core.vectors import Vec3
@@ -50,12 +50,12 @@ class Terrain:
 
 @lru_cache(maxsize=2)
 def terrain_of(run: Run) -> Terrain:
-    """Return the ground of a run; built once, because a table and a figure of a run both need it."""
+    """Return the terrain of a run; built once and shared by the run's tables and figures."""
     return Terrain(run)
 
 
 def _built(run: Run) -> Ground | None:
-    """Return the ground of a run's scenario; None, with a warning, if it can no longer be built."""
+    """Build the ground of a run's scenario; None, with a warning, if that is no longer possible."""
     from qrsim.scenarios.build import ground_of
 
     try:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def waiting_since() -> float:
-    """Return when this process was started from a shell, as ``time.perf_counter`` counts.
+    """Return the time at which this process was started from a shell, on the clock of ``time.perf_counter`` [s].
 
     In a program of somebody else's, and where the system does not say, it is now.
     """

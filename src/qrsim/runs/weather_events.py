@@ -45,7 +45,7 @@ def scheduled(world: World) -> Iterator[Injection]:
 
 
 def _course_legs(course: Course) -> Iterator[tuple[int, int, float]]:
-    """Yield start tick, number of ticks and final value of each change of a course."""
+    """Yield (start tick, number of ticks, final value) of each change of a scheduled weather parameter."""
     columns = (np.asarray(part).tolist() for part in (course.start_tick, course.ticks, course.after))
     for start, ticks, after in zip(*columns, strict=True):
         if 0 <= start < LAST_TICK:

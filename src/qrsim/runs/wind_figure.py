@@ -30,7 +30,7 @@ STILL, LEAST_SPAN = 0.05, 30.0
 
 
 def save_wind_picture(scenario: Scenario, path: Path) -> None:
-    """Draw the mean wind at the origin over height, at the start, the middle and the end of the run.
+    """Draw a scenario's mean wind at the origin over height, at start, middle and end of its run; save the figure.
 
     Raises:
         UsageError: the name has another ending than .png, .pdf or .svg.
@@ -40,7 +40,7 @@ def save_wind_picture(scenario: Scenario, path: Path) -> None:
 
 
 def _draw_profile(scenario: ScenarioSpec) -> Figure:
-    """Return the figure of the wind over height."""
+    """Draw the scenario's mean wind over height: speed and bearing at the start, middle and end of the run."""
     top = top_of(scenario.world.area)
     heights = np.linspace(0.0, USUAL_TOP if top is None or top <= 0.0 else top, HEIGHTS)
     winds = _winds(scenario, heights)
@@ -70,7 +70,7 @@ def _draw_profile(scenario: ScenarioSpec) -> Figure:
 
 
 def _winds(scenario: ScenarioSpec, heights: Floats) -> list[tuple[str, Floats, Floats]]:
-    """Return (label, north, east [m/s]) over height at several times, or at one for a steady wind."""
+    """Return (label, north [m/s], east [m/s]) over ``heights`` [m] at several times, or at one for a steady wind."""
     wind = cast(wind_of(scenario), np.float32)
     zero = np.zeros(HEIGHTS, np.float32)
     place = record_of(Vec3, zero, zero, -heights.astype(np.float32))
@@ -86,7 +86,7 @@ def _winds(scenario: ScenarioSpec, heights: Floats) -> list[tuple[str, Floats, F
 
 
 def _unbroken(bearing: Floats, speed: Floats, near: Floats) -> Floats:
-    """Return bearings unwrapped across 360 degrees and near the first values; NaN in calm."""
+    """Return bearings [deg] of winds unwrapped across 360 and close to those in ``near``; NaN in calm."""
     there, found = speed >= STILL, np.full(len(bearing), np.nan)
     if there.any():
         found[there] = np.unwrap(bearing[there], period=360.0)
@@ -96,7 +96,7 @@ def _unbroken(bearing: Floats, speed: Floats, near: Floats) -> Floats:
 
 
 def _widen(axes: Axes, bearings: Floats) -> None:
-    """Widen the axis of bearings to some tens of degrees, so that rounding errors do not show."""
+    """Widen the axis of bearings [deg] to some tens of degrees, so that rounding errors do not show."""
     if not np.isfinite(bearings).any():
         axes.set_xlim(0.0, 360.0)
         return
@@ -107,7 +107,7 @@ def _widen(axes: Axes, bearings: Floats) -> None:
 
 
 def _mark_levels(scenario: ScenarioSpec, axes: Axes, top: float) -> None:
-    """Draw the levels of a profile at its first time as lines with their names."""
+    """Draw the levels of a wind profile up to ``top`` [m], at its first time, as lines with their names."""
     if scenario.world.wind.type != PROFILE:
         return
     for height, name in zip(*start_levels(scenario.world.wind), strict=True):

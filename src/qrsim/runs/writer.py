@@ -93,7 +93,7 @@ class RunWriter:
         flush_rows: int = 200_000,
         flush_seconds: float = 2.0,
     ) -> RunWriter:
-        """Create a run folder, with its parents.
+        """Create a run folder, with its parents, and return its writer, which flushes after some rows or seconds.
 
         Every stream gets an empty first part, so that its columns are known however early the run ends.
 
@@ -144,7 +144,7 @@ class RunWriter:
     def append(
         self, stream: str, ticks: npt.ArrayLike, times: npt.ArrayLike, values: Mapping[str, npt.ArrayLike]
     ) -> None:
-        """Record some ticks of one stream; the arrays are copied and may be reused.
+        """Record some ticks of one stream: ticks and times (T,), values (T, n) by column. The arrays are copied.
 
         Args:
             stream: one of those given to ``create``.
@@ -185,18 +185,18 @@ class RunWriter:
         self._count_rows(1, int(tick))
 
     def note_score(self, score: Mapping[str, object]) -> None:
-        """Note what the flight scored in its task; written with the next flush, or at the end."""
+        """Keep the flight's score in its task for ``run.json``; it is written with the next flush, or at the end."""
         self._check_open()
         self._info = replace(self._info, score=dict(score))
 
     def note_injection(self, entry: Mapping[str, object]) -> None:
-        """Note a request made in flight, an entry of ``injections.yaml``; written with the next flush."""
+        """Keep a request made in flight as an entry of ``injections.yaml``; it is written with the next flush."""
         self._check_open()
         self._injections.append(f"- {dump_line(entry)}\n")
 
     @contextlib.contextmanager
     def together(self) -> Iterator[None]:
-        """Delay due writes until the block ends, so that all streams reach the same tick on disk.
+        """Context manager: delay due writes until the block ends, so that all streams reach the same tick on disk.
 
         Raises as ``append``, when the block ends.
         """
@@ -209,7 +209,7 @@ class RunWriter:
             self._count_rows(0, self._last_tick)
 
     def flush(self) -> None:
-        """Write what is buffered as one part per stream, then ``run.json``, and return when that is on disk.
+        """Write all buffered rows as one Parquet file per stream, then ``run.json``; return when they are on disk.
 
         Raises:
             RunError: it could not be written; the run is closed as failed, its earlier parts stay readable.
@@ -219,7 +219,7 @@ class RunWriter:
         self._finish_writing()
 
     def _begin_writing(self) -> None:
-        """Start a thread that writes the buffered data, after the last one has ended; raises as ``flush``."""
+        """Start a thread that writes the buffered rows, after the previous thread has ended; raises as ``flush``."""
         self._finish_writing()
         pending = {stream: len(buffer.pending) for stream, buffer in self._buffers.items()}
         times = [buffer.last_time for buffer in self._buffers.values() if buffer.last_time is not None]
@@ -229,7 +229,7 @@ class RunWriter:
         self._writing = batch, self._thread.submit(self._write, batch)
 
     def _write(self, batch: _Batch) -> None:
-        """Write a batch to disk; in a thread, while the caller may append."""
+        """Write a batch of buffered rows to disk; runs in a thread, while the caller may append."""
         for stream, buffer in self._buffers.items():
             if batch.pending[stream]:
                 self._doing = f"recording '{stream}'"
@@ -244,7 +244,7 @@ class RunWriter:
         self._write_json(replace(batch.info, ticks=batch.last_tick, parts=self._parts()))
 
     def _finish_writing(self) -> None:
-        """Wait until the thread has written its batch; raises as ``flush``."""
+        """Wait until the writing thread has finished its batch; raises as ``flush``."""
         if self._writing is None:
             return
         batch, writing = self._writing
@@ -257,7 +257,7 @@ class RunWriter:
         self._info = replace(self._info, ticks=batch.last_tick, parts=self._parts())
 
     def close(self, state: FinalState = "finished", message: str = "") -> None:
-        """Write what is buffered and the run's final state; does nothing on a closed run. Raises as ``flush``."""
+        """Write all buffered rows and the run's final state; does nothing on a closed run. Raises as ``flush``."""
         if self._closed:
             return
         self.flush()
@@ -290,7 +290,7 @@ class RunWriter:
                 error.add_note(f"While ending the run: {second}")
 
     def _count_rows(self, rows: int, last_tick: int) -> None:
-        """Count appended rows, and write them once enough are held."""
+        """Count appended rows, and begin to write them once enough are buffered or enough time has passed."""
         self._rows += rows
         self._last_tick = max(self._last_tick, last_tick)
         if self._held:
@@ -299,26 +299,27 @@ class RunWriter:
             self._begin_writing()
 
     def _check_open(self) -> None:
-        """Raise a RunError if the log is closed."""
+        """Raise RunError if the run is closed for writing."""
         if self._closed:
             raise RunError(f"the log in {self.folder} is closed (state: {self._info.state}); nothing more can be added")
 
     def _write_info(self, **changes: Any) -> None:
-        """Write run.json with some changed fields."""
+        """Change some fields of the run's info, and write run.json."""
         self._info = replace(self._info, parts=self._parts(), **changes)
         self._write_json(self._info)
 
     def _write_json(self, info: RunInfo) -> None:
-        """Write run.json atomically."""
+        """Write run.json atomically, by renaming a temporary file."""
         text = json.dumps(info.to_json(), indent=2, ensure_ascii=False)
         write_atomically(self.folder / RUN_FILE, f"{text}\n".encode())
 
     def _parts(self) -> dict[str, int]:
-        """Return how many parts of each stream are on disk."""
+        """Return stream -> number of its Parquet files on disk."""
         return {stream: buffer.number for stream, buffer in self._buffers.items()}
 
     def _fail(self, error: OSError, doing: str) -> RunError:
-        """Mark the run as failed, if the disk still allows it, and return the error to raise."""
+        """Mark the run as failed, if the disk still allows it; return the error to raise, which says what failed
+        (``doing``)."""
         self._closed = True
         self._writing = None
         self._thread.shutdown(wait=False)

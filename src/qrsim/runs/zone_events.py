@@ -32,7 +32,7 @@ class ZoneWatch:
         self._before: NumpyArray | None = None
 
     def events(self, history: History) -> Iterator[Found]:
-        """Yield an event for each vehicle that leaves or enters a zone, in areas that only report this."""
+        """Yield an event for each vehicle that leaves or enters a zone; nothing for areas that end such flights."""
         if self._area is None or self._area.breach != "report":
             return
         places = _places(history)
@@ -56,7 +56,7 @@ class ZoneWatch:
                 yield int(row), int(vehicle), ZONE_LEFT if left else ZONE_ENTERED, zone.name, float(distance), words
 
     def name(self, history: History, row: int, vehicle: int) -> str:
-        """Return the name of the zone that ended a flight, as " ('NAME')"; "" if unknown.
+        """Return the name of the zone that a vehicle broke when its flight ended, as " ('NAME')"; "" if unknown.
 
         A vehicle that ends is put back to where it was, so its last way is followed on from there.
         """
@@ -71,18 +71,18 @@ class ZoneWatch:
 
 
 def _places(history: History) -> NumpyArray:
-    """Return the positions (T, n, 3) of all vehicles."""
+    """Return the positions (T, n, 3) NED [m] of all vehicles."""
     each = [position_of(fleet) for fleet in history.state.fleets]
     return np.stack([np.concatenate([getattr(one, axis) for one in each], axis=1) for axis in "xyz"], axis=-1)
 
 
 def _ground(ground: Ground | None) -> Callable[[float, float], float] | None:
-    """Return a function from north and east [m] to the ground's z coordinate [m, down]; None without one."""
+    """Return a function of north and east [m] that gives the ground's z coordinate [m, down]; None without a ground."""
     if ground is None:
         return None
 
     def down(north: float, east: float) -> float:
-        """Return the ground's z coordinate [m, down] at a position [m]."""
+        """Return the ground's z coordinate [m, down] at north and east [m]."""
         place = record_of(Vec3, *(np.array([value], np.float32) for value in (north, east, 0.0)))
         return float(down_at(ground, place)[0])
 

@@ -22,7 +22,7 @@ LONGEST = 200.0
 
 
 def air_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the problems of the turbulence and the discrete gust, one sentence each."""
+    """Yield the errors in a scenario's turbulence and discrete gust, one sentence each."""
     turbulence, gust = scenario.world.turbulence, scenario.world.gust
     if turbulence.type == FIELD:
         chains, multiple = turbulence.chains, 2 * GROUPS
@@ -67,7 +67,7 @@ _mean = on_host(lambda wind, height: wind.mean_velocity_ned(height))
 
 
 def convection_speed(scenario: ScenarioSpec) -> float:
-    """Return the wind speed [m/s] that carries the gust field along; infinite if the wind's file cannot be read."""
+    """Return the wind speed [m/s] that carries the gust field along; infinite if the wind's file is unreadable."""
     turbulence = vars(scenario.world.turbulence)
     given = turbulence.get("convection_ned")
     if given is not None:
@@ -82,6 +82,6 @@ def convection_speed(scenario: ScenarioSpec) -> float:
 
 
 def _speed_20ft(scenario: ScenarioSpec) -> float:
-    """Return the mean wind speed [m/s] at 20 ft of the turbulence, else of the wind, else 0."""
+    """Return the mean wind speed [m/s] at 20 ft that the turbulence gives, else the wind, else 0."""
     own = vars(scenario.world.turbulence).get("speed_20ft")
     return float(own if own is not None else vars(scenario.world.wind).get("speed_20ft", 0.0))

@@ -25,18 +25,18 @@ class _Polygon(Strict):
 
     @property
     def north(self) -> list[float]:
-        """North coordinates of the corners [m]."""
+        """North coordinates of the polygon's corners [m]."""
         return [north for north, _ in self.corners_ned]
 
     @property
     def east(self) -> list[float]:
-        """East coordinates of the corners [m]."""
+        """East coordinates of the polygon's corners [m]."""
         return [east for _, east in self.corners_ned]
 
 
 @cache
 def polygon_model() -> Any:
-    """Return the schema of a polygon area with its corners."""
+    """Return the pydantic model of an area that is a polygon with its corners."""
     text = "[north, east] [m] of each corner, in order; the last is joined to the first"
     corners = (list[Corner], Field(description=text, min_length=3, max_length=MOST_CORNERS))
     return component_model("polygon", PolygonArea, arrays={"corners_ned": corners}, base=_Polygon)
@@ -44,7 +44,7 @@ def polygon_model() -> Any:
 
 @cache
 def _fence_model() -> type[Strict]:
-    """Return the schema of a fence: a polygon area with its corners in a file."""
+    """Return the pydantic model of an area that is a fence: a polygon with its corners in a file."""
     places = {
         "file": (
             str,
@@ -60,12 +60,12 @@ def _fence_model() -> type[Strict]:
 
 @cache
 def _area_model(name: str, area: type) -> type[Strict]:
-    """Return the pydantic model of an area class, cached by class."""
+    """Return the pydantic model of an area class; ``name`` is its type in scenarios."""
     return component_model(name, area)
 
 
 def _areas() -> dict[str, Maker]:
-    """Return name -> maker of the schema for each area type: those of the catalogue, and "fence"."""
+    """Return type name -> function that makes its pydantic model, for all areas of the catalogue and "fence"."""
     own = {"polygon": polygon_model, "zones": zones_model}
     others = {name: partial(_area_model, name, area) for name, area in known.AREAS.items() if name not in own}
     return {**others, **own, "fence": _fence_model}

@@ -29,7 +29,7 @@ class BeaconSpec(Strict):
 
 
 def beacon_problems(scenario: Any) -> Iterator[str]:
-    """Yield the problems of beacons and of the sensors that range to them."""
+    """Yield the errors in a scenario's ranging beacons and in the sensors that range to them."""
     names = [beacon.name for beacon in scenario.world.beacons]
     for name, count in Counter(names).items():
         if count > 1:
@@ -57,7 +57,7 @@ def beacon_problems(scenario: Any) -> Iterator[str]:
 
 
 def with_beacons(sensor: object, scenario: Any) -> object:
-    """Return a sensor with the positions of its beacons filled in; other sensors unchanged."""
+    """Return a ranging sensor with the positions of its beacons filled in; other sensors unchanged."""
     if not isinstance(sensor, Ranging | IdealRanging):
         return sensor
     places = {beacon.name: beacon.position_ned for beacon in scenario.world.beacons}
@@ -67,5 +67,5 @@ def with_beacons(sensor: object, scenario: Any) -> object:
 
 
 def _asked(sensor: Ranging | IdealRanging, names: list[str]) -> list[str]:
-    """Return the names of a sensor's beacons; "every beacon" means all of ``names``."""
+    """Return the names of the beacons that a sensor ranges to; "every beacon" means all of ``names``."""
     return names if tuple(sensor.beacons) == (EVERY,) else list(sensor.beacons)

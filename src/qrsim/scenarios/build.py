@@ -52,12 +52,12 @@ from qrsim.world.state import Fleet, Start, World
 
 
 def vehicle_of(fleet: FleetSpec, scenario: ScenarioSpec) -> Any:
-    """Build the vehicles of a fleet, with the air density of the site."""
+    """Build a fleet's vehicle component, with the air density of the site."""
     return component(fleet.vehicle, known.VEHICLES, scenario).in_air(air_of(scenario))
 
 
 def build_world(scenario: ScenarioSpec, precision: str) -> World:
-    """Build the World of a scenario without problems; ``precision`` is float32 or float64."""
+    """Build the World of a checked scenario; ``precision`` is float32 or float64."""
     dtype = np.dtype(precision)
     world = scenario.world
     site = scenario.site.at()
@@ -97,7 +97,7 @@ def build_world(scenario: ScenarioSpec, precision: str) -> World:
 
 
 def weather_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the error that building the world raises, if the scenario has ``world.events``."""
+    """Yield the error that building the world raises; nothing for a scenario without ``world.events``."""
     if scenario.world.events:
         try:
             build_world(scenario, "float64")
@@ -106,33 +106,33 @@ def weather_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def build_task(scenario: ScenarioSpec, precision: str) -> Any:
-    """Build the task of a scenario without problems; ``NoTask`` if it has none."""
+    """Build the task of a checked scenario; ``NoTask`` if it has none."""
     return cast(component(scenario.task, known.TASKS, scenario), np.dtype(precision))
 
 
 def network_of(scenario: ScenarioSpec) -> Network | None:
-    """Build the radio network of a world without its fleets' own settings; None without a radio."""
+    """Build the scenario's radio network, without settings that fleets override; None without a radio."""
     return None if scenario.world.radio is None else component(scenario.world.radio, Network, scenario)
 
 
 def _area(scenario: ScenarioSpec, ground: object) -> Any:
-    """Build the area of a scenario, with the ground for zones above terrain."""
+    """Build the scenario's area; ``ground`` is for zones with heights above terrain."""
     area = component(scenario.world.area, known.AREAS, scenario)
     return area.of(zones_of(scenario.world.area), ground) if isinstance(area, ZonesArea) else area
 
 
 def _skyline(scenario: ScenarioSpec, obstacles: Obstacles) -> Any:
-    """Return the skyline of receivers, with the obstacles as solids if there are jammers; None without one."""
+    """Build obstacle masks of GNSS receivers, with obstacles as solids if there are jammers; None if not needed."""
     found = skyline(scenario)
     jams = any(entry.kind == "jammer" for entry in scenario.world.interference)
     return replace(found, solids=obstacles) if found is not None and jams else found
 
 
 def _obstacles(scenario: ScenarioSpec) -> Obstacles:
-    """Gather the obstacles of each kind into one record of arrays."""
+    """Gather a scenario's obstacles into one record with arrays for each kind."""
 
     def gather(kind: str) -> object:
-        """Return all obstacles of a kind as one record, each field an array with one number per obstacle."""
+        """Return all obstacles of a kind as one record; each field is an array with one number per obstacle."""
         cls = known.OBSTACLES[kind]
         specs = [spec for spec in scenario.world.obstacles if spec.type == kind]
         names = [field.name for field in dataclasses.fields(cls)]
@@ -148,19 +148,19 @@ def _obstacles(scenario: ScenarioSpec) -> Obstacles:
 
 
 def _largest_radius(scenario: ScenarioSpec) -> float:
-    """Return the largest distance [m] at which a vehicle of the scenario collides with an obstacle."""
+    """Return the largest distance [m] from an obstacle at which any vehicle of the scenario collides."""
     own = [fleet.radius for fleet in scenario.fleets.values() if fleet.radius is not None]
     return float(max([0.5 * scenario.world.collision_distance, *own]))
 
 
 def wind_of(scenario: ScenarioSpec) -> Any:
-    """Build the wind; a wind file is read for the length of the run, and for the area."""
+    """Build the scenario's wind; a wind file is read for the length of the run, and for the area."""
     wind = component(scenario.world.wind, known.WINDS, scenario).at(scenario.duration)
     return wind.within(bounds_of(scenario.world.area), top_of(scenario.world.area))
 
 
 def updraft_of(scenario: ScenarioSpec, number: int, **changes: object) -> Any:
-    """Build an updraft, with some parameters changed, for the area and its obstacles.
+    """Build updraft ``number`` of a scenario, with ``changes`` of its parameters, for the area and its obstacles.
 
     Raises:
         UsageError: it cannot be there.
@@ -172,20 +172,20 @@ def updraft_of(scenario: ScenarioSpec, number: int, **changes: object) -> Any:
 
 
 def ground_of(scenario: ScenarioSpec) -> Any:
-    """Build the ground; a file of elevations is read for the site and the area."""
+    """Build the scenario's ground; a file of elevations is read for the site and the area."""
     return component(scenario.world.ground, known.GROUNDS, scenario).at(
         scenario.site.at(), bounds_of(scenario.world.area)
     )
 
 
 def on_ground(scenario: ScenarioSpec) -> ScenarioSpec:
-    """Return a scenario with the heights of starts on the ground computed; unchanged if the ground cannot be built."""
+    """Return a scenario with start heights on the ground filled in; unchanged if the ground cannot be built."""
     ground = ground_if_any(scenario) if any(v.on_ground for f in scenario.fleets.values() for v in f.vehicles) else None
     if ground is None:
         return scenario
 
     def standing_height(fleet: FleetSpec) -> NumpyArray:
-        """Return the height of each vehicle's origin (n,) over level ground [m] at rest."""
+        """Return the height [m] of each vehicle's origin (n,) above level ground when it rests there."""
         try:
             height = vehicle_of(fleet, scenario).standing_height()
         except UsageError:
@@ -197,7 +197,7 @@ def on_ground(scenario: ScenarioSpec) -> ScenarioSpec:
 
 
 def ground_if_any(scenario: ScenarioSpec) -> Any:
-    """Return the ground, None where it cannot be built, which another check reports."""
+    """Build the scenario's ground; None if it cannot be built, which another check reports."""
     try:
         return ground_of(scenario)
     except UsageError:
@@ -205,7 +205,7 @@ def ground_if_any(scenario: ScenarioSpec) -> Any:
 
 
 def _guidance(spec: FleetSpec, scenario: ScenarioSpec, controller: object) -> Any:
-    """Build the guidance of a fleet; a fixed wing reaches a waypoint from its loiter circle."""
+    """Build a fleet's guidance; that of fixed wings counts a waypoint as reached on its loiter circle."""
     guidance = component(spec.guidance, known.GUIDANCE, scenario)
     if isinstance(guidance, RouteFollower) and isinstance(controller, FixedWingController):
         # Who goes round a place has reached it on the circle, and never comes nearer.
@@ -258,7 +258,7 @@ def _fleet(name: str, spec: FleetSpec, scenario: ScenarioSpec, ground: object) -
 
 
 def _estimator(spec: FleetSpec, scenario: ScenarioSpec, sensors: Sequence[Any], fittings: Sequence[Any]) -> Any:
-    """Build the estimator of a fleet, with the delays and noise of its sensors; None where it has none."""
+    """Build a fleet's state estimator from the delays and noise of its sensors; None for a fleet without one."""
     if spec.estimator is None:
         return None
     ages = {}
@@ -275,7 +275,7 @@ def _estimator(spec: FleetSpec, scenario: ScenarioSpec, sensors: Sequence[Any], 
 
 
 def _start(spec: FleetSpec) -> Start:
-    """Return the start of a fleet: positions, headings and body velocities, each (n,); level, no rates."""
+    """Return the start of a fleet's vehicles: positions, headings and body velocities, each (n,); level, no rates."""
     yaw = np.array([vehicle.yaw_rad for vehicle in spec.vehicles])
     zero = np.zeros_like(yaw)
     return Start(
@@ -287,7 +287,7 @@ def _start(spec: FleetSpec) -> Start:
 
 
 def _route(spec: FleetSpec) -> Route:
-    """Return the route of each vehicle: its waypoints, or its start if it has none."""
+    """Return the waypoints of each vehicle as a route; a vehicle without waypoints stays at its start."""
     routes = [vehicle.waypoints_ned or [vehicle.position_ned] for vehicle in spec.vehicles]
     longest = max(map(len, routes))
     padded = np.array([route + [route[-1]] * (longest - len(route)) for route in routes])

@@ -23,7 +23,8 @@ _LOWEST = math.tan(math.radians(5.0))
 
 
 def with_buildings(scenario: ScenarioSpec, quiet: bool = False) -> tuple[ScenarioSpec, list[str]]:
-    """Return a scenario with the buildings of its file as obstacles, and the problems of that file.
+    """Return a scenario with the buildings of its map file as obstacles, and that file's errors; ``quiet``: no
+    warnings.
 
     Buildings without a height are told in a warning, as is what is no polygon. Those too far from the area to matter
     are left out.
@@ -72,7 +73,7 @@ def with_buildings(scenario: ScenarioSpec, quiet: bool = False) -> tuple[Scenari
 
 
 def _tell(file: str, found: BuildingsFile, default: float) -> None:
-    """Warn of a file's buildings without a usable height, and of features that were left out."""
+    """Warn of a file's buildings without a usable height (``default`` [m] is used), and of features left out."""
     unread = [building for building in found.buildings if building.unread]
     if unread:
         first, *others = unread
@@ -95,7 +96,7 @@ def _tell(file: str, found: BuildingsFile, default: float) -> None:
 
 
 def _prism(building: Building, height: float, ground: Ground | None) -> object:
-    """Return a building as a prism obstacle; its base is at the lowest ground of its corners."""
+    """Convert a building of a map file to a prism obstacle; its base is at the lowest ground of its corners."""
     outline, *holes = building.rings
     down = 0.0
     if ground is not None and not ground.at_zero:
@@ -113,7 +114,7 @@ def _prism(building: Building, height: float, ground: Ground | None) -> object:
 
 
 def _matters(building: Building, height: float, bounds: tuple[float, float, float, float] | None) -> bool:
-    """Return whether a building rises above 5 deg of elevation within ``bounds``: south, north, west, east [m]."""
+    """Return whether a building is seen above 5 deg of elevation from ``bounds``: south, north, west, east [m]."""
     if bounds is None:
         return True
     corners = np.array(building.rings[0])
@@ -126,7 +127,7 @@ def _matters(building: Building, height: float, bounds: tuple[float, float, floa
 
 
 def _elsewhere(found: BuildingsFile, bounds: object) -> str:
-    """Return the problem of a file with no building near the area: the extent of its buildings [m]."""
+    """Return the problem of a map file with no building near the area: the extent of its buildings [m]."""
     corners = np.concatenate([np.array(building.rings[0]) for building in found.buildings])
     (south, west), (north, east) = corners.min(axis=0), corners.max(axis=0)
     return (
@@ -136,7 +137,7 @@ def _elsewhere(found: BuildingsFile, bounds: object) -> str:
 
 
 def prism_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the prisms with an outline that is not a polygon; those of files were checked when they were read."""
+    """Yield the prism obstacles with an outline that is no polygon; those of files were checked when read."""
     for i, obstacle in enumerate(scenario.world.obstacles):
         if obstacle.type == "prism":
             for name, ring in (

@@ -78,7 +78,7 @@ class BuildingsFile:
 
 
 def read_buildings(file: str, frame: str, site: Site, trees: float | None = None) -> BuildingsFile:
-    """Read a file of buildings.
+    """Read the buildings of a GeoJSON file in coordinates ``frame``; ``trees``: height of trees [m], None: none.
 
     Args:
         file: a GeoJSON file with polygons or multipolygons.
@@ -128,7 +128,7 @@ def read_buildings(file: str, frame: str, site: Site, trees: float | None = None
 
 
 def _content(file: str) -> Content:
-    """Return the GeoJSON object of a file; raises UsageError if it is not GeoJSON with polygons."""
+    """Read the GeoJSON object of a map file; raises UsageError if it is not GeoJSON with polygons."""
     with readable(file):
         text = read_text(file, LARGEST_TABLE)
     try:
@@ -145,7 +145,7 @@ def _content(file: str) -> Content:
 
 
 def _check_frame(file: str, content: Mapping[str, object], frame: str) -> None:
-    """Raise UsageError if the file states other coordinates than ``frame``."""
+    """Raise UsageError if the map file itself states other coordinates than ``frame``."""
     crs = content.get("crs")
     properties = crs.get("properties") if isinstance(crs, dict) else None
     name = properties.get("name") if isinstance(properties, dict) else None
@@ -157,7 +157,7 @@ def _check_frame(file: str, content: Mapping[str, object], frame: str) -> None:
 
 
 def _features(file: str, content: Mapping[str, object]) -> Iterator[tuple[str, Content, Content]]:
-    """Yield (name, properties, geometry) of each feature."""
+    """Yield (name, properties, geometry) of each GeoJSON feature."""
     features: object = [content]
     if content["type"] == "FeatureCollection":
         features = content.get("features")
@@ -178,7 +178,7 @@ def _features(file: str, content: Mapping[str, object]) -> Iterator[tuple[str, C
 def _chosen(
     everything: list[tuple[str, Content, Content]], trees: bool
 ) -> tuple[list[tuple[str, Content, Content]], BuildingsFile]:
-    """Return the features that become obstacles, and the counts of those left out.
+    """Return the GeoJSON features that become obstacles (``trees``: also trees), and counts of those left out.
 
     In exports of OpenStreetMap the buildings are ``building=*``; in files without its keys all polygons are.
     """
@@ -199,12 +199,12 @@ def _chosen(
 
 
 def trees_left_out(found: BuildingsFile) -> str:
-    """Return a remark on trees that were left out, "" if none were."""
+    """Return a remark, for a message, on trees of a map file that were left out; "" if none were."""
     return f"; {found.trees} are woods or trees (world.buildings.trees makes them obstacles)" if found.trees else ""
 
 
 def _has(properties: Mapping[str, object], *tags: str) -> bool:
-    """Return whether one of some OpenStreetMap tags is set, to anything but "no"."""
+    """Return whether a feature has one of these OpenStreetMap tags, set to anything but "no"."""
     return any(properties.get(tag) not in (None, False, "", "no") for tag in tags)
 
 
@@ -214,7 +214,7 @@ def _is_tree(properties: Mapping[str, object]) -> bool:
 
 
 def _polygons(geometry: Mapping[str, object]) -> list[object]:
-    """Return the polygons of a geometry, each a list of rings; [] for other geometries."""
+    """Return the polygons of a GeoJSON geometry, each a list of rings; [] for other geometries."""
     found, parts = [], [geometry]
     while parts:
         part = parts.pop()
@@ -238,7 +238,7 @@ def _points(geometry: Mapping[str, object]) -> int:
 
 
 def _outline(rings: object, frame: str, site: Site) -> list[Ring]:
-    """Return the rings of a polygon as [north, east] [m] corners; raises UsageError if they are invalid."""
+    """Return the rings of a GeoJSON polygon as [north, east] [m] corners; raises UsageError if they are invalid."""
     if not isinstance(rings, list) or not rings:
         raise UsageError("its coordinates are no rings of pairs of numbers")
     placed = [_placed(ring, frame, site) for ring in rings]
@@ -247,7 +247,7 @@ def _outline(rings: object, frame: str, site: Site) -> list[Ring]:
 
 
 def _crown(properties: Mapping[str, object], geometry: Mapping[str, object], frame: str, site: Site) -> Ring:
-    """Return a circle of [north, east] [m] corners: the crown of a tree that is a point."""
+    """Return the crown of a tree given as a point: a circle of [north, east] [m] corners."""
     ((north, east),) = _in_metres(_pairs([geometry.get("coordinates")]), frame, site)
     radius = (_length(properties, "diameter_crown") or _CROWN) / 2.0
     angles = [2.0 * math.pi * i / _CROWN_CORNERS for i in range(_CROWN_CORNERS)]
@@ -255,7 +255,7 @@ def _crown(properties: Mapping[str, object], geometry: Mapping[str, object], fra
 
 
 def _placed(ring: object, frame: str, site: Site) -> Ring:
-    """Return a ring's corners as [north, east] [m], without repeats; raises UsageError for too few or too many."""
+    """Convert a GeoJSON ring to [north, east] [m] corners without repeats; raises UsageError for a wrong count."""
     corners = _pairs(ring)
     corners = corners[np.append((corners[1:] != corners[:-1]).any(axis=1), True)]
     if len(corners) > 1 and (corners[0] == corners[-1]).all():
@@ -277,7 +277,7 @@ def _pairs(points: Any) -> NumpyArray:
 
 
 def _in_metres(corners: NumpyArray, frame: str, site: Site) -> Ring:
-    """Convert corners (k, 2) of a file to [north, east] [m] pairs; raises UsageError out of range."""
+    """Convert corners (k, 2) of a map file to [north, east] [m] pairs; raises UsageError out of range."""
     if frame == "local":
         far = float(np.hypot(*corners.T).max())
         if far > FARTHEST:
@@ -297,7 +297,7 @@ def _in_metres(corners: NumpyArray, frame: str, site: Site) -> Ring:
 
 
 def _check(placed: list[Ring]) -> None:
-    """Raise UsageError for an outline that crosses itself, or a hole outside it."""
+    """Raise UsageError for a building's outline that crosses itself, or a hole outside it."""
     if len(placed) - 1 > MOST_HOLES:
         raise UsageError(f"it has {len(placed) - 1} holes; allowed: at most {MOST_HOLES}")
     shapely = load("buildings", "a file of buildings", "shapely")
@@ -323,7 +323,7 @@ def _check(placed: list[Ring]) -> None:
 
 
 def _heights(properties: Mapping[str, object]) -> tuple[float | None, float]:
-    """Return height and base [m] of a building over the ground; None for a height that the file lacks.
+    """Return height and base [m] of a building above ground from its properties; None for a height that is missing.
 
     The rules are those of OpenStreetMap's Simple 3D Buildings: ``height`` includes the roof, ``building:levels`` does
     not. A height or a number of levels of 0 is none.
@@ -345,7 +345,7 @@ def _heights(properties: Mapping[str, object]) -> tuple[float | None, float]:
 
 
 def _unread(properties: Mapping[str, object]) -> str:
-    """Return the first height property with a value that is no height, as "name 'value'"; "" without one."""
+    """Return the first height property with a value that is not a height, as "name 'value'"; "" without one."""
     for names, read in ((_HEIGHTS, _length), (_LEVELS, _levels)):
         for name in names:
             value = properties.get(name)
@@ -355,7 +355,7 @@ def _unread(properties: Mapping[str, object]) -> str:
 
 
 def _length(properties: Mapping[str, object], *names: str) -> float | None:
-    """Return the first of the named properties that is a length, in metres; None without one."""
+    """Return the first of the named properties that is a length, in metres; None if none of them is."""
     for name in names:
         value = properties.get(name)
         number = _plain(value)
@@ -372,7 +372,7 @@ def _length(properties: Mapping[str, object], *names: str) -> float | None:
 
 
 def _levels(properties: Mapping[str, object], *names: str) -> float | None:
-    """Return the first of the named properties that is a number of levels (largest of a list "1,2"); else None.
+    """Return the first of the named properties that is a number of storeys (largest of a list "1,2"); else None.
 
     Levels below the ground do not count.
     """
@@ -388,7 +388,7 @@ def _levels(properties: Mapping[str, object], *names: str) -> float | None:
 
 
 def _plain(value: object) -> float | None:
-    """Return a property as a finite number; None if it is not one."""
+    """Return the value of a property as a finite number; None if it is not one."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     try:

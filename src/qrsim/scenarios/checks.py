@@ -12,7 +12,7 @@ from qrsim.models.scene.fence import polygon_problems
 
 
 def area_problems(area: Any) -> Iterator[str]:
-    """Yield the problems of an area's own bounds and corners."""
+    """Yield the errors in the bounds or corners of a scenario's area."""
     for axis in "xyz":
         low, high = vars(area).get(f"{axis}_min"), vars(area).get(f"{axis}_max")
         if low is not None and high is not None and low >= high:
@@ -23,7 +23,7 @@ def area_problems(area: Any) -> Iterator[str]:
 
 
 def outside(path: str, point: list[float], area: Any, floor: bool = True) -> Iterator[str]:
-    """Yield each limit of an area that a point NED [m] breaks; without ``floor``, z_max = 0 is no limit."""
+    """Yield each limit of an area that a point NED [m] breaks; with ``floor`` False, z_max = 0 is no limit."""
     for axis, value in zip("xyz", point, strict=True):
         low, high = vars(area).get(f"{axis}_min"), vars(area).get(f"{axis}_max")
         if axis == "z" and high == 0.0 and not floor:

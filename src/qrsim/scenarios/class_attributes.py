@@ -14,7 +14,7 @@ from qrsim.tasks.agents import Axis
 
 
 def is_record(value: object) -> bool:
-    """Return whether a class is a record: a frozen dataclass that is a PyTree of JAX."""
+    """Return whether a value is a record class: a frozen dataclass that is registered as a JAX PyTree."""
     if not isinstance(value, type) or not dataclasses.is_dataclass(value):
         return False
     own = vars(value).get("__dataclass_params__")
@@ -29,7 +29,7 @@ def is_record(value: object) -> bool:
 
 
 def _whole(value: object) -> bool:
-    """Return whether a value is an integer from 0; a bool is not."""
+    """Return whether a value is an integer of at least 0; a bool is not."""
     return isinstance(value, int) and not isinstance(value, bool) and value >= 0
 
 
@@ -39,7 +39,7 @@ def _tuple_of(kind: type) -> Callable[[object], bool]:
 
 
 def _feed(value: object) -> bool:
-    """Return whether a value names an allowed feed of a controller."""
+    """Return whether a value names a state source of a controller: "measurements", "truth" or "filter"."""
     return value in ("measurements", "truth", "filter")
 
 
@@ -59,7 +59,7 @@ _DECLARED: dict[str, tuple[Callable[[object], bool], str]] = {
 
 
 def attribute_type_problems(kind: str, component: type, contract: type | None) -> Iterator[str]:
-    """Yield a sentence for each class attribute with a type that differs from its kind's contract."""
+    """Yield an error for each class attribute of a component with a type that its kind's contract does not allow."""
     fields = getattr(component, "__dataclass_fields__", {})
     for name, declared in getattr(contract, "__annotations__", {}).items():
         fits, words = _DECLARED.get(str(declared).replace('"', "'"), (None, ""))
@@ -75,7 +75,7 @@ def attribute_type_problems(kind: str, component: type, contract: type | None) -
 
 
 def _command_problems(component: type[Vehicle]) -> Iterator[str]:
-    """Yield the problems of a vehicle class's ``command_type`` and ``actions``."""
+    """Yield the errors in the class attributes ``command_type`` and ``actions`` of a vehicle class."""
     # Of the actions one may be a base class of records.
     own, actions = component.command_type, component.actions
     if not is_record(own):
@@ -87,5 +87,5 @@ def _command_problems(component: type[Vehicle]) -> Iterator[str]:
 
 
 def _wrong(component: type, name: str, value: object, words: str) -> str:
-    """Return the sentence for a wrong class attribute: its value, and the expected one in ``words``."""
+    """Return the error for a wrong class attribute: its value, and the expected one in ``words``."""
     return f"{component.__name__}.{name} is {value!r:.80}; expected {words}"

@@ -28,7 +28,7 @@ WITHOUT_PARAMETERS = ("calm", "still", "none", "clear", "given")
 
 
 def _add_degrees(schema: Content) -> None:
-    """Add to a JSON schema that every angle can be given in degrees, as ``x_deg``."""
+    """Extend a JSON schema, in place, so that every angle ``x_rad`` may be given in degrees as ``x_deg``."""
     properties = schema.get("properties", {})
     for name in [name for name in properties if name.endswith("_rad")]:
         twin = name.removesuffix("_rad") + "_deg"
@@ -50,7 +50,7 @@ def _radians(degrees: object) -> object:
 
 
 def with_default_types(model: type[BaseModel], data: Mapping[str, object]) -> Content:
-    """Return a copy in which components without a type have the type of the field's default, if it has parameters."""
+    """Return a copy of scenario data; components without a type get the field's default type, if it has parameters."""
     found = dict(data)
     for name, field in model.model_fields.items():
         given, default = found.get(name), field.default
@@ -83,25 +83,25 @@ class Strict(BaseModel):
 
 
 def _bounds(info: FieldInfo) -> Content:
-    """Return the bounds of a parameter as pydantic's keyword arguments ge, le, gt."""
+    """Return a parameter's bounds as pydantic's keyword arguments ge, le, gt."""
     bounds = {"ge": info.minimum, "le": info.maximum, "gt": info.above}
     return {name: bound for name, bound in bounds.items() if bound is not None}
 
 
 def _described(info: FieldInfo) -> Content:
-    """Return the description and unit of a parameter as pydantic's keyword arguments."""
+    """Return a parameter's description and unit as pydantic's keyword arguments."""
     inherited = f" (default: that of {info.inherits})" if info.inherits else ""
     inherited = " (default: that of the sensors)" if info.of_sensors else inherited
     return {"description": info.doc + inherited, "json_schema_extra": {"unit": info.unit}}
 
 
 def _optional(info: FieldInfo) -> bool:
-    """Return whether the parameter may be null in a scenario, to be filled from another part."""
+    """Return whether a parameter may be null in a scenario, to be filled in from another part of it."""
     return bool(info.inherits) or info.nullable or info.of_sensors
 
 
 def _one_or_each(value: object) -> str:
-    """Return the tag of a parameter's value: "each" for a list with one number a vehicle, or "one"."""
+    """Return the union tag of a parameter's value: "each" for a list with one number per vehicle, else "one"."""
     return "each" if isinstance(value, list) else "one"
 
 
@@ -114,7 +114,7 @@ _ONE_OR_SEVERAL = Annotated[
 
 
 def _for_each(info: FieldInfo) -> object:
-    """Return the annotation of a fleet's parameter: one number for all vehicles, or a list with one for each."""
+    """Return the pydantic annotation of a fleet's parameter: a number for all vehicles, or a list with one for each."""
     number = Annotated[float, Field(allow_inf_nan=False, strict=True, **_bounds(info))]
     entry = number | None if _optional(info) else number
     return Annotated[
@@ -139,7 +139,7 @@ class _Numbers:
 
 
 def _field(name: str, hint: object, field: dataclasses.Field[object], each: bool) -> tuple[object, object]:
-    """Return the pydantic annotation and field of a component's field; ``each`` allows one number a vehicle."""
+    """Return pydantic annotation and field of a component's dataclass field; ``each``: one number per vehicle too."""
     info = field_info(field)
     annotation: Any
     required = field.default is dataclasses.MISSING
@@ -176,7 +176,7 @@ def component_model(
     base: type[Strict] = Strict,
     more: Mapping[str, object] | None = None,
 ) -> type[Strict]:
-    """Make the pydantic model of one component class.
+    """Make the pydantic model of a component class; ``each``: numbers may be lists with one for each vehicle.
 
     Args:
         name: its name in the catalogue.
@@ -206,13 +206,13 @@ def component_model(
 
 
 def _preset_base(base: type[Strict], presets: Mapping[str, Mapping[str, object]]) -> type[Strict]:
-    """Return a base model that fills missing parameters from the preset that its ``preset`` names."""
+    """Return a pydantic base class that fills in missing parameters from the preset that ``preset`` names."""
 
     class Preset(base):  # type: ignore[misc, valid-type]
         @model_validator(mode="before")
         @classmethod
         def _of_the_preset(cls, data: Any) -> object:
-            """Fill in what the data leave out from the preset that they name."""
+            """Return the data with missing parameters filled in from the preset that they name."""
             name = data.get("preset", cls.model_fields["preset"].default) if isinstance(data, dict) else None
             if not isinstance(name, str) or name not in presets:
                 return data

@@ -14,7 +14,7 @@ from qrsim.scenarios.schema import ScenarioSpec
 
 
 def component(spec: BaseModel, choices: Mapping[str, Any] | type, scenario: ScenarioSpec) -> Any:
-    """Build the component that a part of a scenario describes, with inherited parameters filled in."""
+    """Build a component from its part of a scenario, inherited parameters filled in; ``choices``: type -> class."""
     cls = choices if isinstance(choices, type) else choices[spec.type]  # type: ignore[attr-defined]
     values: dict[str, object] = {}
     for field in dataclasses.fields(cls):
@@ -37,7 +37,7 @@ def component(spec: BaseModel, choices: Mapping[str, Any] | type, scenario: Scen
 
 
 def inherited(scenario: ScenarioSpec, path: str) -> object:
-    """Return the value at a dotted path of the scenario, None if there is no such value."""
+    """Return the value at a dotted path of the scenario; None if it does not exist."""
     value: Any = scenario
     for part in path.split("."):
         value = getattr(value, part, None)

@@ -83,7 +83,7 @@ READABLE = {
 
 
 def conformity_problem(kind: str, component: object) -> str | None:
-    """Return the first fault of a class as a component of a kind, in one sentence, None if it conforms."""
+    """Return a sentence for a class's first error as a component of a kind (such as "sensor"), None if it conforms."""
     if not isinstance(component, type):
         return f"expected a class, found {component!r:.100}"
     checks = [_method_problems] if kind in PLAIN else [_record_problems, _field_problems, _method_problems]
@@ -100,13 +100,13 @@ def file_of_class(component: type) -> str:
 
 
 def _record_problems(kind: str, component: type) -> Iterator[str]:
-    """Yield a problem if a component's class is not a record."""
+    """Yield an error if a component's class is not a record (a frozen dataclass and PyTree)."""
     if not is_record(component):
         yield f"class {component.__name__} is no record; write @qrsim.record above it"
 
 
 def _field_problems(kind: str, component: type, prefix: str = "") -> Iterator[str]:
-    """Yield the problems of a component's fields: unit, doc, name and default."""
+    """Yield the errors in a component's fields: missing unit or doc, bad name or default; ``prefix``: of nested."""
     name = component.__name__
     try:
         hints = get_type_hints(component)
@@ -132,7 +132,7 @@ def _field_problems(kind: str, component: type, prefix: str = "") -> Iterator[st
 
 
 def _default_problems(title: str, field: dataclasses.Field[Any], info: FieldInfo, hint: object) -> Iterator[str]:
-    """Yield the problems of a field's default: its type, and whether its own bounds allow it."""
+    """Yield the errors in the default of a component's field: its type, and its own bounds."""
     default = field.default
     if field.default_factory is not dataclasses.MISSING:
         yield f"{title}: a default_factory has no place in a schema; give a number as its default"
@@ -151,7 +151,7 @@ def _default_problems(title: str, field: dataclasses.Field[Any], info: FieldInfo
 
 
 def _method_problems(kind: str, component: type) -> Iterator[str]:
-    """Yield the methods and attributes of its kind that a class lacks, and signatures that do not fit."""
+    """Yield the methods and attributes of its kind that a class lacks, and methods with a wrong signature."""
     yield from _attribute_problems(kind, component)
     for name, positional, named in _calls(kind, component):
         arguments = (*positional, *(f"{key}=..." for key in named))
@@ -194,7 +194,7 @@ def _shown(part: inspect.Parameter) -> str:
 
 
 def _attribute_problems(kind: str, component: type) -> Iterator[str]:
-    """Yield the attributes of its kind that a class lacks, wrong ones, and unknown names in ``reads``."""
+    """Yield the class attributes of its kind that a class lacks, wrong ones, and unknown names in ``reads``."""
     contract = CONTRACTS.get(kind)
     fields = getattr(component, "__dataclass_fields__", {})
     for name in getattr(contract, "__annotations__", {}):
@@ -216,7 +216,7 @@ def _attribute_problems(kind: str, component: type) -> Iterator[str]:
 
 
 def _calls(kind: str, component: type) -> Iterator[tuple[str, list[str], list[str]]]:
-    """Yield (name, positional, named arguments) of the methods that a kind requires; "..." where they are unknown."""
+    """Yield (method, positional arguments, named arguments) of each method of a kind; "..." for unknown arguments."""
     contract = CONTRACTS.get(kind)
     if contract is None:
         for name, arguments in CALLS.get(kind, {}).items():
@@ -249,13 +249,13 @@ def _arguments(component: object, function: Callable[..., object]) -> tuple[list
 
 
 def _reads(component: object) -> tuple[str, ...]:
-    """Return the class attribute ``reads``; () if it is a property."""
+    """Return the class attribute ``reads`` (quantities that the component needs); () if it is a property."""
     reads = getattr(component, "reads", ())
     return () if isinstance(reads, property) else reads
 
 
 def _common(kind: str) -> list[str]:
-    """Return the sorted names of the public methods that all built-in components of a kind have."""
+    """Return the sorted names of public methods that all built-in components of a kind share."""
     built_in = [known for known in catalogue.KINDS[kind].values() if known.__module__.startswith("qrsim.")]
     methods = [
         {name for name in dir(known) if not name.startswith("_") and callable(getattr(known, name))}
@@ -265,7 +265,7 @@ def _common(kind: str) -> list[str]:
 
 
 def _meant(component: type, name: str, method: bool = False) -> str:
-    """Return a "did you mean" hint with the class's own name nearest to a missing one; "" without one."""
+    """Return a "did you mean" hint: the class's own attribute (``method``: method) nearest to a missing name; or ""."""
     own = [
         known
         for known, value in vars(component).items()
@@ -276,7 +276,7 @@ def _meant(component: type, name: str, method: bool = False) -> str:
 
 
 def _complete(kind: str, component: type) -> None:
-    """Add the default methods of the contract that a class lacks to the class, in place."""
+    """Add to a component class, in place, default methods of its kind's contract that the class lacks."""
     contract = CONTRACTS.get(kind)
     if contract is None or contract in component.__mro__:
         return

@@ -29,7 +29,7 @@ PAIRS = (
 
 
 def contents_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the problems of plume, ground, persons and random starts."""
+    """Yield the errors in a scenario's plume, ground cover, persons and random starts."""
     world = scenario.world
     parts = {f"world.{name}": getattr(world, name) for name in ("plume", "terrain", "persons")}
     parts |= {f"fleets.{name}.placement": fleet.placement for name, fleet in scenario.fleets.items()}
@@ -48,14 +48,14 @@ def contents_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _order_problems(path: str, part: object) -> Iterator[str]:
-    """Yield a problem for each pair of bounds in a part (smallest, largest) that is in the wrong order."""
+    """Yield an error for each pair (smallest, largest) in a part of the scenario that is in the wrong order."""
     for low, high in PAIRS:
         if low in vars(part) and getattr(part, low) > getattr(part, high):
             yield f"{path}.{low}: {getattr(part, low):g}; allowed: at most {high}, {getattr(part, high):g}"
 
 
 def _plume_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a problem if a plume needs a wind and the scenario has none, or needs too many puffs."""
+    """Yield an error if a plume needs a wind and the scenario has none, or needs too many puffs."""
     plume, wind = scenario.world.plume, scenario.world.wind
     if not known.PLUMES[plume.type].needs_wind:
         return
@@ -77,7 +77,7 @@ def _plume_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def puffs_in_the_air(plume: Any, area: Any, speed: float) -> int:
-    """Return the number of puffs to store per source: the mean and six standard deviations."""
+    """Return how many puffs to store per plume source: the mean number in the area plus six standard deviations."""
     across = math.hypot(area.x_max - area.x_min, area.y_max - area.y_min)
     flown = across
     for _ in range(20):
@@ -88,7 +88,7 @@ def puffs_in_the_air(plume: Any, area: Any, speed: float) -> int:
 
 
 def _share_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a problem if the shares of persons on clutter and under occlusion exceed 1 together."""
+    """Yield an error if the probabilities that a person is on clutter or occluded exceed 1 together."""
     persons = scenario.world.persons
     if persons.type == "lying" and persons.on_clutter + persons.on_occlusion > 1.0:
         total = persons.on_clutter + persons.on_occlusion
@@ -96,7 +96,7 @@ def _share_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _ring_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a problem for each fleet with more vehicles than fit into its ring of random starts."""
+    """Yield an error for each fleet with more vehicles than fit into its ring of random starts."""
     for name, fleet in scenario.fleets.items():
         if fleet.placement.type != "ring":
             continue

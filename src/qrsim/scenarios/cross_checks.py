@@ -64,7 +64,7 @@ FED = {"measurements": "measurements", "filter": "a filter of measurements"}
 
 
 def problems(scenario: ScenarioSpec) -> list[str]:
-    """Return the problems of parameters that contradict each other, one sentence each."""
+    """Return the errors of parameters of a scenario that contradict each other, one sentence each."""
     return [
         *timing_problems(scenario),
         *fitting_problems(scenario),
@@ -93,7 +93,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
 
 
 def _path_problems(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec, floor: bool) -> Iterator[str]:
-    """Yield problems, as text, of a prescribed path (``moves_on``) that leaves the area or exceeds a fleet's limits."""
+    """Yield an error if a ``moves_on`` path leaves the area (``floor``: by z_max = 0 too) or exceeds fleet limits."""
     path = f"fleets.{fleet_name}.vehicle.moves_on"
     try:
         vehicle = component(fleet.vehicle, known.VEHICLES, scenario).prepared(scenario.duration)
@@ -113,7 +113,7 @@ def _path_problems(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec, fl
 
 
 def _inheritance_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the turbulence parameters that should come from the wind, if the wind lacks them."""
+    """Yield the turbulence parameters that should be inherited from the wind but that the wind lacks."""
     turbulence = scenario.world.turbulence
     cls = known.TURBULENCES[turbulence.type]
     for field in dataclasses.fields(cls):
@@ -126,7 +126,7 @@ def _inheritance_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the problems of each fleet, and of the start and names of its vehicles."""
+    """Yield the errors of each fleet, and of the starts and names of its vehicles."""
     area = scenario.world.area
     names: dict[str, str] = {}
     solids = [component(spec, known.OBSTACLES, scenario) for spec in scenario.world.obstacles]
@@ -163,7 +163,7 @@ def _fleet_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _ground_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a problem if the ground cannot be built, and each start and waypoint below it."""
+    """Yield an error if the ground cannot be built, and one for each start and waypoint below it."""
     try:
         ground = ground_of(scenario)
     except UsageError as error:
@@ -177,7 +177,7 @@ def _ground_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _standing_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the vehicles that start on a ground that ends their flight, and fleets that cannot park."""
+    """Yield the vehicles that start on ground where contact ends their flight, and fleets that cannot be parked."""
     for name, fleet in scenario.fleets.items():
         for i, vehicle in enumerate(fleet.vehicles):
             if vehicle.on_ground and not (rides(fleet) or stands(fleet)):
@@ -204,7 +204,7 @@ def _name_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _length_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield the parameter lists whose length is not the number of vehicles."""
+    """Yield an error for each list of a fleet's parameter that does not have one number per vehicle."""
     size = len(fleet.vehicles)
     parts = {name: getattr(fleet, name) for name in ("vehicle", "controller", "guidance", "limits", "battery")}
     optional = {"estimator": fleet.estimator, "failsafes": fleet.failsafes}
@@ -217,7 +217,7 @@ def _length_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _battery_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield problems, as text, of a fleet's battery: the vehicle cannot drain it, or its voltages rise."""
+    """Yield the errors of a fleet's battery: the vehicle cannot drain it, or its voltages rise with discharge."""
     battery, vehicle = known.BATTERIES[fleet.battery.type], known.VEHICLES[fleet.vehicle.type]
     if battery.needs_power and not vehicle.gives_power:
         yield (
@@ -243,7 +243,7 @@ def _battery_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _numbers(part: BaseModel, path: str) -> Iterator[tuple[str, object]]:
-    """Yield (path, value) of each leaf of a part of a scenario."""
+    """Yield (path, value) of each leaf of a pydantic model; ``path`` is that of the model in the scenario."""
     for name in type(part).model_fields:
         value = getattr(part, name)
         if isinstance(value, BaseModel):
@@ -253,7 +253,7 @@ def _numbers(part: BaseModel, path: str) -> Iterator[tuple[str, object]]:
 
 
 def _guidance_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield a problem if the controller does not take the set-points of the fleet's guidance."""
+    """Yield an error if the controller does not accept the set-points of the fleet's guidance."""
     accepted = known.CONTROLLERS[fleet.controller.type].setpoints
     # Tracks of both are of one kind, but a rover's end where it stops, and a wing's in a circle.
     others = {"rover": "fixed_wing", "fixed_wing": "rover"}.get(fleet.controller.type)
@@ -266,7 +266,7 @@ def _guidance_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _fitting_problems(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a problem if the fleet's controller cannot fly its vehicle."""
+    """Yield an error if the fleet's controller cannot fly its type of vehicle."""
     if any(controller_problems(fleet_name, fleet)):
         return
     try:
@@ -280,7 +280,7 @@ def _fitting_problems(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec)
 
 
 def _too_fast(path: str, velocity_body: list[float], fleet: FleetSpec, i: int) -> Iterator[str]:
-    """Yield the axes of vehicle i's initial body velocity [m/s] that exceed the fleet's limit."""
+    """Yield the components of vehicle i's initial body velocity [m/s] that exceed the fleet's limit."""
     limits = fleet.limits.velocity
     limit = limits[i] if isinstance(limits, list) and i < len(limits) else limits
     if isinstance(limit, list):
@@ -291,18 +291,18 @@ def _too_fast(path: str, velocity_body: list[float], fleet: FleetSpec, i: int) -
 
 
 def _estimated(estimator: str) -> dict[str, str]:
-    """Return quantity -> sensor type for each quantity that an estimator needs."""
+    """Return quantity -> type of sensor that provides it, for each quantity that an estimator needs."""
     kind = known.FILTERS[estimator]
     return {quantity: sensor for sensor in kind.reads for quantity, types in PROVIDED.items() if sensor in types}
 
 
 def _quantity(sensor: str) -> str:
-    """Return the quantity that a type of sensor measures."""
+    """Return the name of the quantity that a type of sensor measures."""
     return next(quantity for quantity, types in PROVIDED.items() if sensor in types)
 
 
 def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield the sensors that a fleet lacks for its estimator, or for the feed of its controller."""
+    """Yield the sensors that a fleet lacks for its estimator, or for the state source of its controller."""
     kind = known.CONTROLLERS[fleet.controller.type]
     # A controller that cannot be told has it as an attribute of its class (control/contracts.py).
     feed = fleet.controller.feed if "feed" in type(fleet.controller).model_fields else kind.feed
@@ -343,7 +343,7 @@ def _feed_problems(name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _wind_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the reason if the wind of a scenario cannot be built."""
+    """Yield an error if the wind of a scenario cannot be built, with the reason."""
     try:
         wind_of(scenario)
     except UsageError as error:
@@ -351,7 +351,7 @@ def _wind_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _orbit_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the problems of the orbits' file: unreadable, or not spanning the run."""
+    """Yield the errors of the file of satellite orbits: unreadable, or not spanning the run."""
     orbits = scenario.world.sky.orbits
     try:
         ephemeris = for_receivers(scenario, component(orbits, known.ORBITS, scenario))

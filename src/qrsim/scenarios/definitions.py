@@ -13,7 +13,7 @@ from qrsim.files import Content
 
 
 def with_short_names(schema: Mapping[str, object]) -> dict[str, object]:
-    """Return a JSON schema with its definitions renamed to their key and type.
+    """Return a JSON schema with its ``$defs`` renamed to short names: key in the scenario, and type.
 
     Args:
         schema: of scenarios, as pydantic makes it.
@@ -30,7 +30,7 @@ def with_short_names(schema: Mapping[str, object]) -> dict[str, object]:
 
 
 def _look(node: object, key: str, names: dict[str, str]) -> None:
-    """Collect long name -> short name of the definitions below ``key`` of a JSON schema into ``names``."""
+    """Collect long name -> short name of a JSON schema's definitions into ``names``; ``key`` is the key of ``node``."""
     if isinstance(node, list):
         for part in node:
             _look(part, key, names)

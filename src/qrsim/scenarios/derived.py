@@ -30,7 +30,7 @@ DRAIN_STEP_S, MOST_ENDURANCE_S = 5.0, 86_400.0
 
 
 def derived_of(scenario: Scenario) -> dict[str, dict[str, float]]:
-    """Return fleet -> derived quantities by name, such as hover throttle and endurance; units end the names."""
+    """Return fleet -> quantity -> value, such as hover throttle and endurance; quantities' names end with units."""
     found = {}
     for name, fleet in scenario.spec.fleets.items():
         vehicle = vehicle_of(fleet, scenario.spec)
@@ -56,7 +56,7 @@ def derived_of(scenario: Scenario) -> dict[str, dict[str, float]]:
 
 
 def heights_line(scenario: Scenario) -> str:
-    """Return the heights of the site above the ellipsoid and the sea, and that of the geoid, in one line."""
+    """Return a line of text with the site's heights above ellipsoid and sea, and the geoid's height."""
     site = scenario.spec.site
     geoid = site.undulation
     name = "EGM96" if site.geoid is None else site.geoid.source or "given"
@@ -69,7 +69,7 @@ def heights_line(scenario: Scenario) -> str:
 
 
 def _level_flight(vehicle: FixedWing) -> dict[str, float]:
-    """Return throttle, angle of attack and elevator of level cruise, and the stall speed, of the first vehicle."""
+    """Return throttle, angle of attack and elevator in level cruise, and stall speed, of a fleet's first vehicle."""
     alpha, elevator, throttle = cruise(vehicle, np.asarray(vehicle.cruise_airspeed))  # type: ignore[arg-type]
     each: Content = {
         "stall_speed_m_s": stall_speed(vehicle),
@@ -81,19 +81,19 @@ def _level_flight(vehicle: FixedWing) -> dict[str, float]:
 
 
 def _first(leaf: Any) -> Any:
-    """Return the first element of an array as float32: the value of the first vehicle."""
+    """Return the first element of an array as float32: the parameter of a fleet's first vehicle."""
     return np.float32(np.ravel(leaf)[0])
 
 
 def _hover_on_battery(vehicle: Vehicle, battery: Battery) -> dict[str, float]:
-    """Return power, current and endurance of a hover at the height of the site, of the first vehicle."""
+    """Return power, current and endurance of the first vehicle in a hover at the height of the site."""
     if not battery.drains or handling_of(vehicle) is None:
         return {}
     vehicle, battery = map_tree(_first, vehicle), map_tree(_first, battery)
     zero = np.zeros(1, np.float32)
 
     def hover(vehicle: Vehicle, battery: Battery, zero: Array) -> tuple[Load, object, Array | None]:
-        """Return load, battery state and voltage of a vehicle that hovers in still air."""
+        """Return load, battery state and voltage of a vehicle that hovers in still air; ``zero`` is (1,)."""
         still = Vec3(zero, zero, zero)
         load = vehicle.load(vehicle.initial_state(still, Euler(zero, zero, zero), still, still))
         state = battery.init(zero)
@@ -116,7 +116,7 @@ def _hover_on_battery(vehicle: Vehicle, battery: Battery) -> dict[str, float]:
 
 
 def _earth_field(scenario: Scenario) -> dict[str, float]:
-    """Return strength, declination and inclination of the Earth's field at the site."""
+    """Return strength, declination and inclination of the Earth's magnetic field at the site."""
     field = scenario.earth_field_ned
     return {
         "earth_field_uT": float(np.linalg.norm(field)),

@@ -60,7 +60,7 @@ CURRENT_SHARE, CURRENT_READINGS = 0.1, 20.0
 
 
 def sensed(sensors: Sequence[object], calibration_time: float, errors: object = None) -> Stds:
-    """Return filter parameter -> value for those that sensors determine; the first sensor of several counts.
+    """Return filter parameter -> value, of those that follow from sensors' errors; the first of several counts.
 
     Args:
         sensors: of a fleet, in its order.
@@ -77,7 +77,7 @@ def sensed(sensors: Sequence[object], calibration_time: float, errors: object = 
 
 
 def with_sensed(kalman: T, spec: object, sensors: Sequence[object], errors: object) -> T:
-    """Return a filter with the parameters that its spec leaves out computed from the sensors."""
+    """Return a Kalman filter in which parameters that the scenario leaves out are computed from the sensors' errors."""
     if not isinstance(kalman, KalmanParameters):
         return kalman
     found = sensed(sensors, kalman.calibration_time, errors)
@@ -85,19 +85,19 @@ def with_sensed(kalman: T, spec: object, sensors: Sequence[object], errors: obje
 
 
 def left_out(spec: object) -> Iterator[str]:
-    """Yield the names of the filter parameters that come from the sensors and that the spec leaves out."""
+    """Yield names of filter parameters that the scenario leaves out and that follow from the sensors."""
     for field in dataclasses.fields(KalmanParameters):
         if field_info(field).of_sensors and getattr(spec, field.name) is None:
             yield field.name
 
 
 def _imu(imu: Imu, time: float, _: object) -> Stds:
-    """Return the noise, walk, bias and scale of gyroscope and accelerometer for a filter."""
+    """Return filter parameters from an IMU: noise, walk, bias, scale; ``time`` [s]: average at rest before flight."""
     shaken = imu.vibration != "none"
     levels = imu.vibration_levels
 
     def noise(name: str) -> NumpyArray:
-        """Return the squared noise density of a sensor, vibration included as white noise, mean of the axes."""
+        """Return the squared noise density of "gyroscope" or "accelerometer", vibration included, mean of the axes."""
         white = np.square(getattr(imu, f"{name}_noise"))
         if not shaken:
             return white
@@ -134,7 +134,7 @@ def _imu(imu: Imu, time: float, _: object) -> Stds:
 
 
 def _gyroscope(sensor: Gyroscope, time: float, _: object) -> Stds:
-    """Return the errors of a gyroscope that has white noise only: no bias, scale error or g-sensitivity.
+    """Return filter parameters from a gyroscope with white noise only; ``time`` [s] is averaged at rest before flight.
 
     The noise is a density [rad/s/√Hz]; the mean of white noise over ``time`` [s] has a std of density/√time.
     """
@@ -150,7 +150,7 @@ def _gyroscope(sensor: Gyroscope, time: float, _: object) -> Stds:
 
 
 def _accelerometer(sensor: Accelerometer, _: float, __: object) -> Stds:
-    """Return the accelerometer's noise density for a filter; it has no bias, walk or scale error."""
+    """Return filter parameters from an accelerometer: its noise density, and no bias, walk or scale error."""
     density = np.asarray(sensor.white_std) * math.sqrt(sensor.period)
     return {
         "accelerometer_noise": density,
@@ -161,7 +161,7 @@ def _accelerometer(sensor: Accelerometer, _: float, __: object) -> Stds:
 
 
 def _magnetometer(sensor: Magnetometer, _: float, __: object) -> Stds:
-    """Return the bias, noise density [uT] and scale of the measured field for a filter."""
+    """Return filter parameters from a magnetometer: bias, noise density [uT] and scale error of the field."""
     own = np.square(sensor.soft_iron) + (np.square(sensor.scale) + 2.0 * np.square(sensor.misalignment)) / 3.0
     known = sum(np.square(getattr(sensor, f"interference_{axis}")) for axis in "xyz") / 3.0
     current = np.square(sensor.interference) / 3.0 + known
@@ -175,12 +175,12 @@ def _magnetometer(sensor: Magnetometer, _: float, __: object) -> Stds:
 
 
 def _barometer(sensor: Barometer, _: float, __: object) -> Stds:
-    """Return the noise and drift of the height [m] for a filter."""
+    """Return filter parameters from a barometer: noise and drift of the height [m]."""
     return {"height_std": sensor.white_std, "height_drift_std": sensor.drift_std}
 
 
 def _altimeter(sensor: PressureAltimeter, _: float, __: object) -> Stds:
-    """Return the noise and drift of the height [m] for a filter; rotor wash and airflow count as drift."""
+    """Return filter parameters from a pressure altimeter: noise, drift [m]; rotor wash and airflow count as drift."""
     ports = sum(np.square(getattr(sensor, f"port_{side}")) for side in ("forward", "backward", "right", "left")) / 4.0
     by_flow = ports * DYNAMIC**2
     felt = np.square(sensor.rotor_wash) + by_flow
@@ -193,14 +193,14 @@ def _altimeter(sensor: PressureAltimeter, _: float, __: object) -> Stds:
 
 
 def _attitude(sensor: AttitudeEstimator, _: float, __: object) -> Stds:
-    """Return the standard deviation of the yaw [rad] for a filter, larger because errors are correlated."""
+    """Return filter parameters from an attitude sensor: std of yaw [rad], enlarged for correlated errors."""
     # One slow error: readings within its time constant are no more than one.
     readings = 2.0 * np.asarray(sensor.time_constant) / sensor.period
     return {"yaw_std": np.asarray(sensor.std) * np.sqrt(readings)}
 
 
 def _receiver(sensor: GnssReceiver, _: float, errors: object) -> Stds:
-    """Return the noise of position and velocity for a filter, from range errors and a usual DOP."""
+    """Return filter parameters from a GNSS receiver: noise of position and velocity, by range errors and usual DOP."""
     if not isinstance(errors, OrnsteinUhlenbeckErrors | GaussMarkov2):
         return {}
     std, noise = np.asarray(errors.std), np.asarray(sensor.range_noise_std)
@@ -221,7 +221,7 @@ def _receiver(sensor: GnssReceiver, _: float, errors: object) -> Stds:
 
 
 def _airspeed(sensor: Airspeed, _: float, __: object) -> Stds:
-    """Return the standard deviation of the airspeed [m/s] for a filter, near 10 m/s."""
+    """Return filter parameters from an airspeed sensor: its standard deviation [m/s] near 10 m/s."""
     # Of a pressure error at 10 m/s, where a pascal is 1/(1.2 * 10) m/s; and the scale's.
     pressure = np.square(sensor.noise_std) + np.square(sensor.offset_std)
     return {"airspeed_std": np.sqrt(pressure / 144.0 + np.square(5.0 * np.asarray(sensor.scale)))}

@@ -68,7 +68,7 @@ class EventSpec(Strict):
 
 
 def _every_kind(value: object) -> object:
-    """Return the list of all kinds of fault for "all", and any other value unchanged."""
+    """Return the list of all kinds of event that can be injected for "all"; any other value unchanged."""
     return list(TAKES) if value == ALL else value
 
 
@@ -76,6 +76,6 @@ Changeable = Annotated[list[Literal["wind", "gusts", "jam"]], BeforeValidator(_e
 
 
 def may_be_jammed(scenario: Any) -> bool:
-    """Return whether jammers can change their power in flight, so that those with no power are built too."""
+    """Return whether jammers' power may change in flight, so that jammers without power must be built too."""
     world = scenario.world
     return JAM in world.injectable or any(event.jam is not None for event in world.events)

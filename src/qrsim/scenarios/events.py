@@ -18,13 +18,13 @@ EVENTS = (*TAKES, "push")
 
 
 def _change(event: EventSpec) -> tuple[str, dict[str, object]]:
-    """Return an event's kind of change and its parameters that are set."""
+    """Return the kind of weather change of an event, and its parameters that are set."""
     (kind,) = (kind for kind in TAKES if getattr(event, kind) is not None)
     return kind, {name: value for name, value in getattr(event, kind).model_dump().items() if value is not None}
 
 
 def event_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the problems of each event of a scenario."""
+    """Yield the errors of each entry of ``world.events`` in a scenario."""
     for i, event in enumerate(scenario.world.events):
         path = f"world.events.{i}"
         given = [kind for kind in EVENTS if getattr(event, kind) is not None]
@@ -38,7 +38,7 @@ def event_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def with_events(world: World, scenario: ScenarioSpec) -> World:
-    """Return a world with the weather changes of the scenario's events, and slots for those injected in flight.
+    """Return a world with the weather changes of the scenario's events, and empty slots for changes made in flight.
 
     Args:
         world: of the scenario, in its precision.

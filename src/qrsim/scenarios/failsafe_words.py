@@ -10,7 +10,7 @@ from qrsim.scenarios.component_schema import Strict
 
 
 def _add_numbers(schema: Content) -> None:
-    """Add PX4's numbers to the words that a JSON schema allows, in place."""
+    """Add PX4's parameter numbers to the words that a JSON schema allows, in place."""
     for name, words in WORDS.items():
         field = schema["properties"][name]
         field["enum"] = [*words, *words.values()]
@@ -25,7 +25,7 @@ class PX4Numbers(Strict):
     @model_validator(mode="before")
     @classmethod
     def _words_for_numbers(cls, data: object) -> object:
-        """Replace the number of a PX4 parameter in the data by its word; leave unknown ones."""
+        """Replace the number of a PX4 parameter in the data by the word for it; unknown numbers stay."""
         if not isinstance(data, dict):
             return data
         found = dict(data)

@@ -29,7 +29,7 @@ FAR_AWAY = 1e6
 def failsafes(
     given: Failsafes, fleet: FleetSpec, scenario: ScenarioSpec, ground_of: Callable[[ScenarioSpec], Ground]
 ) -> Failsafes:
-    """Return a fleet's failsafes with the area's ceiling and its vehicles' rally points filled in.
+    """Return a fleet's failsafes with the area's ceiling and rally points filled in; ``ground_of`` builds the ground.
 
     Args:
         given: as the scenario has them.
@@ -46,7 +46,7 @@ def failsafes(
 
 
 def _rally(fleet: FleetSpec, number: int, ground: Ground) -> RallyPoint:
-    """Return rally point ``number`` of all vehicles, each (n,); far away for vehicles that have fewer."""
+    """Return rally point ``number`` of all vehicles, arrays (n,); far away for vehicles with fewer rally points."""
     none = [FAR_AWAY, 0.0, 0.0]
     places = [each.rally_ned[number] if number < len(each.rally_ned) else none for each in fleet.vehicles]
     north, east, down = np.array(places, np.float64).T
@@ -70,7 +70,7 @@ def failsafe_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _flight_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield a problem, as text, for each failsafe action that a fleet cannot fly, or cannot land by."""
+    """Yield the errors of a fleet that cannot fly its failsafes, cannot land by them, or in which nothing can fail."""
     controller, guidance = known.CONTROLLERS.get(fleet.controller.type), known.GUIDANCE.get(fleet.guidance.type)
     if controller is None or guidance is None:
         return
@@ -99,12 +99,12 @@ def _flight_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _flies_paths(controller: Any) -> bool:
-    """Return whether a controller, by its class, flies paths; a rover drives along them."""
+    """Return whether a controller class flies paths through the air; that of a rover drives along them."""
     return PathSetpoint in controller.setpoints and not issubclass(controller, RoverController)
 
 
 def _level_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield the problems of a failsafe's battery levels."""
+    """Yield the errors of a failsafe's battery levels: their order, and a battery without a charge."""
     spec: Any = fleet.failsafes
     if spec.COM_LOW_BAT_ACT != "warn" and not known.BATTERIES[fleet.battery.type].drains:
         yield f"{path}.COM_LOW_BAT_ACT: a battery of type '{fleet.battery.type}' has no charge that could be low"
@@ -120,7 +120,7 @@ def _level_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _floor_problems(path: str, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a problem if a vehicle that lands would leave the area."""
+    """Yield an error if a vehicle that a failsafe lands would leave the area by its floor."""
     area = scenario.world.area
     ground = scenario.world.ground
     if area.type in ("box", "polygon", "zones") and ground.type == "flat" and area.z_max < -ground.height:
@@ -131,7 +131,7 @@ def _floor_problems(path: str, scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _link_problems(path: str, name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield problems, as text, of a link failsafe of a fleet that cannot act."""
+    """Yield the errors of a radio-link failsafe of a fleet in which it cannot act."""
     spec: Any = fleet.failsafes
     if spec.NAV_DLL_ACT == "none":
         if spec.link_to:

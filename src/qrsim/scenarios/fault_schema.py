@@ -16,22 +16,22 @@ ALL = "all"
 
 
 def _in_a_list(value: object) -> object:
-    """Return ["all"] for "all", and any other value unchanged."""
+    """Return the list ["all"] for the text "all"; any other value unchanged."""
     return [ALL] if value == ALL else value
 
 
 def _first_rotors(value: object) -> object:
-    """Return rotors 0 to the largest number that may fail for "all", and any other value unchanged."""
+    """Return [0, 1, ...], as many rotors as may fail at most, for "all"; any other value unchanged."""
     return list(range(MOST_FAILED_ROTORS)) if value == ALL else value
 
 
 def _all_of(value: object) -> object:
-    """Return every target that a vehicle has for "all", and any other value unchanged."""
+    """Return a mapping that makes all parts of a vehicle injectable for "all"; any other value unchanged."""
     return {"sensors": ALL, "rotors": ALL, "battery": True, "radio": True, "body": True} if value == ALL else value
 
 
 def or_all(schema: Content) -> None:
-    """Allow the word "all" in a JSON schema, in place."""
+    """Extend a JSON schema, in place, so that it also allows the word "all"."""
     named = {name: schema.pop(name) for name in ("type", "items", "anyOf", "$ref") if name in schema}
     schema["anyOf"] = [*named.pop("anyOf", []), *([named] if named else []), {"const": ALL}]
 
@@ -118,7 +118,7 @@ class RadioFaultSpec(Strict):
 
     @model_validator(mode="after")
     def _share_if_weak(self) -> RadioFaultSpec:
-        """Refuse a weak radio without a share, and a share for any other kind."""
+        """Refuse a radio fault of kind "weak" without a share, and a share for any other kind."""
         if (self.kind == "weak") != (self.share is not None):
             raise ValueError(
                 "share is missing; kind 'weak' needs it" if self.kind == "weak" else "share is for kind 'weak' only"
@@ -173,7 +173,7 @@ _TYPES: dict[str, type[Strict]] = {
 
 
 def _what_fails(fault: object) -> str:
-    """Return the type of a fault in a scenario, such as "rotor"; "sensor" if it is left out."""
+    """Return the type of a fault in a scenario, such as "rotor" or "body"; "sensor" if it is left out."""
     if isinstance(fault, dict):
         fault_type = fault.get("type", "sensor")
         return fault_type if isinstance(fault_type, str) else "sensor"

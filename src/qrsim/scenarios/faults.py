@@ -51,12 +51,12 @@ MOST_READINGS = 50
 
 
 def vehicle_names(fleet_name: str, fleet: FleetSpec) -> tuple[str, ...]:
-    """Return the name of each vehicle of a fleet."""
+    """Return the names of all vehicles of a fleet."""
     return tuple(vehicle.name or f"{fleet_name}_{i}" for i, vehicle in enumerate(fleet.vehicles))
 
 
 def faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[Fault, ...]:
-    """Build the faults of a fleet."""
+    """Build the sensor faults of a fleet."""
     names, dt = vehicle_names(fleet_name, fleet), scenario.time_step
     found, earlier = [], list[FaultSpec]()
     for spec in fleet.faults:
@@ -87,7 +87,7 @@ def faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[F
 
 
 def _draw_alike(one: FaultSpec, other: FaultSpec) -> bool:
-    """Return whether two faults draw the same normals: same sensor, vehicle and start."""
+    """Return whether two sensor faults draw the same random numbers: equal sensor, kind, start, a vehicle in common."""
     shared = one.vehicles is None or other.vehicles is None or set(one.vehicles) & set(other.vehicles)
     return bool(shared) and (one.sensor, one.start, kind_of(one.kind)) == (
         other.sensor,
@@ -97,22 +97,22 @@ def _draw_alike(one: FaultSpec, other: FaultSpec) -> bool:
 
 
 def _white_noise(fleet: FleetSpec, sensor: str, scenario: ScenarioSpec) -> dict[str, Any]:
-    """Return field -> white noise that a sensor's class declares."""
+    """Return reading field -> white noise, as the sensor's class declares it."""
     return component(fleet.sensors[sensor], known.SENSORS, scenario).white_noise()
 
 
 def _numbers_given(spec: FaultSpec) -> dict[str, float | None]:
-    """Return the numbers that a fault sets, by name; None for each that it leaves out."""
+    """Return the numbers of a sensor fault by name; None for each that the scenario leaves out."""
     return {name: getattr(spec, name) for name in NAMES}
 
 
 def tick_of(seconds: float | None, dt: float) -> Any:
-    """Return a time [s] in ticks as an int32 scalar array; None becomes never."""
+    """Convert a time [s] to ticks of ``dt`` [s], an int32 scalar array; None becomes a tick that never comes."""
     return np.array(LAST_TICK if seconds is None else min(round(seconds / dt), LAST_TICK), np.int32)
 
 
 def rotor_faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[RotorFault, ...]:
-    """Build the faults of a fleet's rotors."""
+    """Build the rotor faults of a fleet."""
     names, dt = vehicle_names(fleet_name, fleet), scenario.time_step
     found = []
     for spec in fleet.faults:
@@ -126,7 +126,7 @@ def rotor_faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> t
 
 
 def battery_faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[BatteryFault, ...]:
-    """Build the faults of a fleet's batteries."""
+    """Build the battery faults of a fleet."""
     names, dt = vehicle_names(fleet_name, fleet), scenario.time_step
     found = []
     for spec in fleet.faults:
@@ -138,7 +138,7 @@ def battery_faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) ->
 
 
 def radio_faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[RadioFault, ...]:
-    """Build the faults of a fleet's radios."""
+    """Build the radio faults of a fleet."""
     names, dt = vehicle_names(fleet_name, fleet), scenario.time_step
     return tuple(
         record_of(
@@ -178,7 +178,7 @@ TIMES = ("start", "end", "at")
 
 
 def drawn_paths(fleet: FleetSpec, number: int, name: str) -> list[tuple[str | int, ...]]:
-    """Return the World paths, within a Fleet, of a fault's parameter that an episode may draw; [] for others."""
+    """Return the paths in a ``Fleet`` at which episodes may draw parameter ``name`` of a fault; [] if none may."""
     chosen = fleet.faults[number]
     place = sum(isinstance(fault, type(chosen)) for fault in fleet.faults[:number])
     if not isinstance(chosen, FaultSpec):
@@ -192,7 +192,7 @@ def drawn_paths(fleet: FleetSpec, number: int, name: str) -> list[tuple[str | in
 
 
 def injectable_of(fleet: FleetSpec, has_radio: bool = True) -> InjectableSpec:
-    """Return the targets of a fleet that may fail in flight, with "all" replaced by those it has.
+    """Return the parts of a fleet's vehicles that may fail in flight, all that can if the scenario has "all".
 
     Without ``has_radio``, whether the world has a radio, no radio is among them.
     """
@@ -208,19 +208,19 @@ def injectable_of(fleet: FleetSpec, has_radio: bool = True) -> InjectableSpec:
 
 
 def is_pushable(fleet: FleetSpec) -> bool:
-    """Return whether the vehicles of a fleet can be pushed."""
+    """Return whether external pushes can act on the vehicles of a fleet."""
     return bool(known.VEHICLES[fleet.vehicle.type].pushable)
 
 
 def rotors_of(fleet: FleetSpec) -> int:
-    """Return how many rotors of a fleet's vehicle can fail; 0 for a model without separate rotors."""
+    """Return how many rotors of a fleet's vehicle can fail; 0 for a vehicle model without separate rotors."""
     return len(fleet.vehicle.rotors) if issubclass(known.VEHICLES[fleet.vehicle.type], Multirotor) else 0
 
 
 def slots(
     fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec
 ) -> tuple[tuple[FaultSlot, ...], tuple[RotorFault, ...], BatteryFault | None, RadioFault | None, Push | None]:
-    """Build a fleet's empty slots for injected faults: sensors, rotors, battery, radio, push."""
+    """Build a fleet's empty slots for faults injected in flight: (sensors, rotors, battery, radio, push)."""
     spec = injectable_of(fleet, scenario.world.radio is not None)
     dt, count = scenario.time_step, len(fleet.vehicles)
     sensors = []
@@ -239,12 +239,12 @@ def slots(
 
 
 def mask_of(names: tuple[str, ...], chosen: list[str] | None) -> Any:
-    """Return a bool array (n,) that is True for the chosen vehicle names; all True for None."""
+    """Return a bool array (n,) that marks the ``chosen`` ones of all vehicle names; all True for None."""
     return np.array([chosen is None or name in chosen for name in names])
 
 
 def reading_fields(sensor_type: str) -> list[str]:
-    """Return the dotted field names of a sensor type's reading; [] if its step has no return annotation."""
+    """Return dotted field names of the reading of a sensor type; [] if its ``step`` has no return annotation."""
     sensor = known.SENSORS[sensor_type]
     says = sensor.init if sensor.step is Memoryless.step else sensor.step
     pair = typing.get_args(typing.get_type_hints(says).get("return"))
@@ -268,7 +268,7 @@ def reading_fields(sensor_type: str) -> list[str]:
 
 
 def fault_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the errors in the faults of a scenario."""
+    """Yield the errors in the faults of a scenario's fleets."""
     for fleet_name, fleet in scenario.fleets.items():
         for i, fault in enumerate(fleet.faults):
             path, names = f"fleets.{fleet_name}.faults.{i}", vehicle_names(fleet_name, fleet)
@@ -295,7 +295,7 @@ def fault_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _radio_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield problems, as text, of a radio fault of a fleet without suitable radios."""
+    """Yield an error for a radio fault of a fleet that has no radio it can act on."""
     if scenario.world.radio is None:
         yield f"{path}: there is no world.radio that could fail"
     elif fleet.radio is not None and not fleet.radio.works:
@@ -303,7 +303,7 @@ def _radio_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iter
 
 
 def push_problems(path: str, where: str, push: Any, fleet: FleetSpec) -> Iterator[str]:
-    """Yield problems, as text, of a push that vehicles cannot get; ``where`` is the path of the chosen ones."""
+    """Yield an error for a push that a fleet's vehicles cannot get; ``where`` is the path that chose the vehicles."""
     if not is_pushable(fleet):
         yield f"{where}: a '{fleet.vehicle.type}' cannot be pushed"
     if push.acceleration_ned is None and push.acceleration_body is None:
@@ -311,7 +311,7 @@ def push_problems(path: str, where: str, push: Any, fleet: FleetSpec) -> Iterato
 
 
 def _injectable_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the problems of a fleet's ``injectable``: parts that it lacks, or too many rotors."""
+    """Yield the errors of a fleet's ``injectable``: parts that its vehicles lack, or too many rotors."""
     spec = injectable_of(fleet, scenario.world.radio is not None)
     if spec.radio:
         yield from _radio_problems(f"{path}.radio", fleet, scenario)
@@ -334,7 +334,7 @@ def _injectable_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec) ->
 
 
 def _vehicle_problems(path: str, chosen: list[str] | None, names: tuple[str, ...]) -> Iterator[str]:
-    """Yield a problem for each chosen name that is not a vehicle of the fleet."""
+    """Yield an error for each chosen name that is not a vehicle of the fleet; ``names`` are the fleet's."""
     for name in chosen or []:
         if name not in names:
             yield f"{path}.vehicles: no vehicle of the fleet is called '{name}'{did_you_mean(name, names)}"
@@ -343,7 +343,7 @@ def _vehicle_problems(path: str, chosen: list[str] | None, names: tuple[str, ...
 def _moment_problems(
     path: str, fault: RotorFaultSpec | BatteryFaultSpec | RadioFaultSpec | PushSpec, scenario: ScenarioSpec
 ) -> Iterator[str]:
-    """Yield the problems of ``at`` and ``end`` of a push, or of a fault that is not of a sensor."""
+    """Yield the errors in the times ``at`` and ``end`` of a push, or of a rotor, battery or radio fault."""
     for name, seconds in (("at", fault.at), ("end", fault.end)):
         if seconds and not is_multiple(seconds, scenario.time_step, math.inf):
             yield f"{path}.{name}: {seconds:g} s is not a multiple of the time step {scenario.time_step:g} s"
@@ -353,7 +353,7 @@ def _moment_problems(
 
 
 def _battery_problems(path: str, fault: BatteryFaultSpec, fleet: FleetSpec) -> Iterator[str]:
-    """Yield the problems of a fault of a battery."""
+    """Yield the errors of a battery fault."""
     if not known.BATTERIES[fleet.battery.type].drains:
         yield f"{path}.type: a battery of type '{fleet.battery.type}' has no charge that it could lose"
     if fault.charge is None and fault.health is None:
@@ -363,7 +363,7 @@ def _battery_problems(path: str, fault: BatteryFaultSpec, fleet: FleetSpec) -> I
 
 
 def _rotor_problems(path: str, fault: RotorFaultSpec, fleet: FleetSpec) -> Iterator[str]:
-    """Yield the problems of a fault of a rotor."""
+    """Yield the errors of a rotor fault."""
     if fault.speed is not None and fault.health > 0.0:
         yield f"{path}.health: a rotor that is stuck at a speed has none"
     if not issubclass(known.VEHICLES[fleet.vehicle.type], Multirotor):
@@ -383,7 +383,7 @@ def _span_problems(path: str, fault: FaultSpec, scenario: ScenarioSpec) -> Itera
 
 
 def _sensor_fault_problems(path: str, fault: FaultSpec, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the problems of a sensor fault's sensor and parameters."""
+    """Yield the errors of a sensor fault: its sensor, kind and parameters."""
     if fault.sensor not in fleet.sensors:
         yield f"{path}.sensor: no sensor is called '{fault.sensor}'{did_you_mean(fault.sensor, fleet.sensors)}"
         return

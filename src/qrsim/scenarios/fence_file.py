@@ -18,7 +18,7 @@ CIRCLE_CORNERS = 36
 
 
 def fence_corners(file: str, name: str | None, site: Site) -> tuple[list[list[float]], Plan | None]:
-    """Return the corners [north, east] [m] of a fence file, and its plan if it is one.
+    """Read the corners [north, east] [m] of a fence from a file; also return the plan, if the file is one.
 
     Args:
         file: a map with a polygon (.kml, .kmz, .geojson), or a .plan file with one polygon or circle to stay in.
@@ -51,5 +51,5 @@ def fence_corners(file: str, name: str | None, site: Site) -> tuple[list[list[fl
 
 
 def _corners(site: Site, vertices: Corners) -> list[list[float]]:
-    """Convert vertices (latitude, longitude) [deg] to [north, east] [m] from the site."""
+    """Convert geodetic corners (latitude, longitude) [deg] to [north, east] [m] from the site."""
     return [point[:2] for point in local_ned(site, [(*vertex, 0.0) for vertex in vertices])]

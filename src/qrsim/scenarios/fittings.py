@@ -18,7 +18,7 @@ from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 
 
 def fitting_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the problems of sensors' delays, jitters and mountings."""
+    """Yield the errors of sensors' delays, jitters and mountings in a scenario."""
     dt = scenario.time_step
     for name, fleet in scenario.fleets.items():
         for sensor_name, spec in fleet.sensors.items():
@@ -41,7 +41,7 @@ def fitting_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _given(spec: Any) -> tuple[float, float, list[float] | None, list[float] | None]:
-    """Return delay [s], jitter [s], position and attitude of a sensor's mounting as the scenario gives them.
+    """Return (delay [periods], jitter [s], position, attitude) of a sensor as given; 0 and None for what is not given.
 
     A sensor from outside may have parameters of these names, which are its own affair; but a delay that is compiled is
     one in periods, as that of a GNSS receiver.
@@ -55,7 +55,7 @@ def _given(spec: Any) -> tuple[float, float, list[float] | None, list[float] | N
 
 
 def fitted(spec: FleetSpec, sensors: Sequence[Any]) -> tuple[tuple[Sensor, ...], tuple[Fitting | None, ...]]:
-    """Return a fleet's sensors, and a fitting (mounting, delay) or None for each; () if no sensor has one."""
+    """Return a fleet's sensors, and the fitting (mounting, delay) or None of each; () if no sensor has one."""
     found, fittings = [], []
     for sensor, part in zip(sensors, spec.sensors.values(), strict=True):
         delay, jitter, place, turned = _given(part)

@@ -23,7 +23,7 @@ BANK_RAD = math.radians(40.0)
 
 
 def fixed_wing_problems(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield problems, as text, of a fleet of fixed wings that cannot fly; nothing for other fleets."""
+    """Yield the reasons why a fleet of fixed wings cannot fly; nothing for other fleets."""
     if not issubclass(known.VEHICLES[fleet.vehicle.type], FixedWing):
         return
     try:
@@ -54,12 +54,12 @@ def fixed_wing_problems(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> 
 
 
 def _stalls(stall: float) -> str:
-    """Return the text that an airspeed is below the stall speed ``stall`` [m/s]."""
+    """Return the text which says that an airspeed is below the stall speed ``stall`` [m/s]."""
     return f"is below its stall at {stall:.3g} m/s; allowed: above that"
 
 
 def _on_ground(name: str, fleet: FleetSpec, scenario: ScenarioSpec, span: float) -> Iterator[str]:
-    """Yield starts lower than half a span, where a wing would touch the ground at the first bank."""
+    """Yield the starts lower than half a wing span, where a wing would touch the ground at the first bank."""
     ground = ground_if_any(scenario)
     if ground is None or fleet.placement.type != "given":
         return
@@ -74,7 +74,7 @@ def _on_ground(name: str, fleet: FleetSpec, scenario: ScenarioSpec, span: float)
 
 
 def _inertia(name: str, vehicle: FixedWing) -> Iterator[str]:
-    """Yield a problem if the inertia tensor is impossible: inertia_xz^2 at least inertia_x times inertia_z."""
+    """Yield an error if a fixed wing's inertia tensor is impossible: inertia_xz^2 >= inertia_x * inertia_z."""
     x, z, xz = (np.asarray(part, float) for part in (vehicle.inertia_x, vehicle.inertia_z, vehicle.inertia_xz))
     if np.any(x * z <= xz * xz):
         yield (
@@ -84,7 +84,7 @@ def _inertia(name: str, vehicle: FixedWing) -> Iterator[str]:
 
 
 def _circles(name: str, fleet: FleetSpec, scenario: ScenarioSpec, cruise: float) -> Iterator[str]:
-    """Yield a problem for each circle that is too tight for the bank limit at the downwind ground speed."""
+    """Yield an error for each circle that is too tight for the bank limit at the downwind ground speed."""
     path, radius = "guidance.radius", vars(fleet.guidance).get("radius")
     if fleet.guidance.type == "route":
         path, radius = "controller.loiter_radius", vars(fleet.controller).get("loiter_radius")

@@ -45,7 +45,7 @@ def rollout(
     precision: str = "float32",
     overrides: Iterable[str] = (),
 ) -> Rollout:
-    """Fly many worlds from their start and return the metrics of each flight.
+    """Fly many worlds in parallel from their starts, without recording runs; return the metrics of each flight.
 
     Args:
         world: a scenario by its name (``qrsim list``), the path of its YAML file, its content as a dict or a Scenario;
@@ -128,7 +128,7 @@ class Flight:
 
     @property
     def vehicles(self) -> tuple[str, ...]:
-        """Names of the n vehicles."""
+        """Names of the n vehicles of the flight."""
         return self.simulation.vehicle_names
 
 
@@ -143,7 +143,7 @@ def play(
     precision: str = "float32",
     overrides: Iterable[str] = (),
 ) -> Flight:
-    """Fly a world once with a policy for each team, tick by tick.
+    """Fly a world once, tick by tick, with a policy for each team; ``policies`` maps team to policy.
 
     The same dict is a policy of ``rollout``, which flies many worlds.
 
@@ -196,7 +196,7 @@ def play(
 
 
 def _ticks(ticks: int | None, scenario: Scenario | None) -> int:
-    """Return the number of ticks to fly: the given one, else that of the scenario's duration."""
+    """Return how many ticks to fly: ``ticks`` if given, else the scenario's duration."""
     if ticks is not None:
         return ticks
     if scenario is None:
@@ -205,7 +205,7 @@ def _ticks(ticks: int | None, scenario: Scenario | None) -> int:
 
 
 def _scenario(source: object, overrides: Iterable[str]) -> Scenario | None:
-    """Return the scenario of a source, None of a World."""
+    """Load the scenario that a source names, with overrides applied; None for a World."""
     if isinstance(source, World):
         if overrides:
             raise UsageError("overrides: they are of scenarios, and a World is given")

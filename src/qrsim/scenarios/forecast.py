@@ -23,7 +23,7 @@ TURBULENT = ("dryden", "dryden_field", "dryden_first_order")
 
 
 def insert_forecast(content: Mapping[str, object], source: str) -> None:
-    """Replace a log_shear's forecast parameters by ``speed_20ft`` and turbulence, in place.
+    """Replace, in place, the forecast parameters of a wind of type log_shear by ``speed_20ft`` and turbulence.
 
     A wind that is a number is a ``log_shear`` with that ``speed`` [m/s] from the north.
 
@@ -54,7 +54,7 @@ def insert_forecast(content: Mapping[str, object], source: str) -> None:
 
 
 def turbulence_speed(sigma: float, height: float) -> float:
-    """Return the wind at 20 ft [m/s] by which gusts at a height [m] have a standard deviation [m/s].
+    """Return the wind speed at 20 ft [m/s] for which gusts at a height [m] have standard deviation ``sigma`` [m/s].
 
     MIL-F-8785C, low altitude: sigma_u = 0.1 W20/(0.177 + 0.000823 h)^0.4, h in feet.
     """
@@ -63,7 +63,7 @@ def turbulence_speed(sigma: float, height: float) -> float:
 
 
 def _unknown(wind: Mapping[str, object], forecast: bool) -> str:
-    """Return the problem of an unknown parameter of the wind; "" if all are known.
+    """Return an error text for an unknown wind parameter, without a ``forecast`` only for a misspelt one; or "".
 
     Args:
         wind: without the names of forecasts.
@@ -77,7 +77,7 @@ def _unknown(wind: Mapping[str, object], forecast: bool) -> str:
 
 
 def _problem(given: Content, wind: Content) -> str:
-    """Return the problem of a forecast's numbers, "" if they are valid."""
+    """Return an error text for impossible numbers of a wind forecast; "" if they are valid."""
     for name, value in {**given, "roughness": wind.get("roughness", ROUGHNESS_M)}.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             return f"{name}: expected a number, found {'null' if value is None else f'{value!r:.60}'}"
@@ -97,7 +97,7 @@ def _problem(given: Content, wind: Content) -> str:
 
 
 def _gust_problem(given: Content, speed: float) -> str:
-    """Return the problem of the gust, or gust factor, of a forecast with mean ``speed`` [m/s], or ""."""
+    """Return an error text for the gust or gust factor of a forecast with mean ``speed`` [m/s]; "" if valid."""
     gust, factor = given.get("gust"), given.get("gust_factor")
     if gust is not None and factor is not None:
         return "gust: gives both 'gust' and 'gust_factor'; give one"

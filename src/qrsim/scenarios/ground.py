@@ -22,7 +22,7 @@ NEAR_IT = 0.5
 
 
 def bounds_of(area: Any) -> tuple[float, float, float, float] | None:
-    """Return south, north, west and east [m] of an area; None for an area without known bounds."""
+    """Return the south, north, west and east bounds [m] of an area; None for an area without known bounds."""
     if area.type == "box":
         return area.x_min, area.x_max, area.y_min, area.y_max
     if area.type == "polygon":
@@ -40,19 +40,19 @@ def top_of(area: Any) -> float | None:
 
 
 def has_floor(scenario: ScenarioSpec) -> bool:
-    """Return whether the ground is z = 0 and the area's floor there ends flights."""
+    """Return whether the ground is the plane z = 0, where reaching the area's floor ends flights."""
     ground = scenario.world.ground
     return bool(ground.type == "flat" and ground.height == 0.0)
 
 
 def rides(fleet: FleetSpec) -> bool:
-    """Return whether the vehicles of a fleet drive on the ground."""
+    """Return whether the vehicles of a fleet are ground vehicles."""
     vehicle = known.VEHICLES[fleet.vehicle.type]
     return bool(vehicle.rides)
 
 
 def riding_problems(name: str, fleet: FleetSpec, ground: Ground) -> Iterator[str]:
-    """Yield each start and waypoint of a ground vehicle's fleet that is not on the ground."""
+    """Yield an error for each start and waypoint of a fleet of ground vehicles that is not on the ground."""
     points: dict[str, list[float]] = {}
     for i, vehicle in enumerate(fleet.vehicles):
         path = f"fleets.{name}.vehicles.{i}"
@@ -72,7 +72,8 @@ def riding_problems(name: str, fleet: FleetSpec, ground: Ground) -> Iterator[str
 def put_on_ground(
     scenario: ScenarioSpec, ground: Ground, standing_height: Callable[[FleetSpec], NumpyArray]
 ) -> ScenarioSpec:
-    """Return a scenario in which vehicles with ``on_ground`` have the start height of standing on the ground.
+    """Return a scenario in which vehicles with ``on_ground`` start on the ground, by their ``standing_height`` (n,)
+    [m].
 
     Args:
         scenario: with starts by north and east.
@@ -96,7 +97,7 @@ def put_on_ground(
 
 
 def below_ground(scenario: ScenarioSpec, ground: Ground) -> Iterator[str]:
-    """Yield an error text for each start and waypoint that lies below the ground."""
+    """Yield an error for each start and waypoint of a scenario that lies below the ground."""
     points: dict[str, list[float]] = {}
     for name, fleet in scenario.fleets.items():
         for i, vehicle in enumerate(fleet.vehicles):
@@ -114,7 +115,7 @@ def below_ground(scenario: ScenarioSpec, ground: Ground) -> Iterator[str]:
 
 
 def below(path: str, z: float, down: float) -> str:
-    """Return the problem text of a point at z [m] below a ground at ``down`` [m]."""
+    """Return the error for a point with z coordinate ``z`` [m] below ground that is at ``down`` [m, down]."""
     return (
         f"{path}: z = {z:g} m is {z - down:.4g} m below the ground, which is at z = {down:.6g} m there; allowed: at "
         "most that"
@@ -122,12 +123,12 @@ def below(path: str, z: float, down: float) -> str:
 
 
 def stands(fleet: FleetSpec) -> bool:
-    """Return whether the vehicles of a fleet can stand on the ground: by contact points, or because they are parked."""
+    """Return whether a fleet's vehicles can stand on the ground: they have contact points, or are parked."""
     return has_contact(known.VEHICLES[fleet.vehicle.type]) or vars(fleet).get("ground") == "parked"
 
 
 def standing_problems(name: str, kind: str, vehicle: Vehicle) -> Iterator[str]:
-    """Yield problems, as text, of vehicles that cannot be parked; those with contact points need no parking."""
+    """Yield an error for a vehicle that cannot be parked; those with contact points need no parking."""
     if has_contact(vehicle):
         return
     if "ground" in vehicle.reads:

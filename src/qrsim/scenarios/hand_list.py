@@ -9,7 +9,7 @@ from qrsim.scenarios.schema import ScenarioSpec
 
 
 def hand_lists(scenario: ScenarioSpec) -> list[str]:
-    """Return the paths of the GNSS receivers that use the published list of satellites."""
+    """Return the scenario paths of GNSS receivers that use "hand_list", a published list of satellites."""
     return [
         f"fleets.{name}.sensors.{sensor_name}.satellites"
         for name, fleet in scenario.fleets.items()
@@ -19,7 +19,7 @@ def hand_lists(scenario: ScenarioSpec) -> list[str]:
 
 
 def warn_of_hand_lists(scenario: ScenarioSpec, satellite_ids: NumpyArray) -> None:
-    """Warn of receivers with fewer satellites to choose from than were published."""
+    """Warn of GNSS receivers that use "hand_list" when the orbits lack satellites of that list."""
     there = {int(number) & 0xFF for number in satellite_ids}
     absent = [f"{prn}" for prn in HAND_LIST if prn not in there]
     if absent:

@@ -37,7 +37,7 @@ class RowsSpec(Strict):
 
     @model_validator(mode="after")
     def _one_route(self) -> RowsSpec:
-        """Refuse both waypoints and legs, and legs to places in latitude and longitude."""
+        """Refuse rows of vehicles with both waypoints and legs, or with legs to geodetic positions."""
         if self.waypoints_ned and self.legs:
             raise ValueError("gives both 'waypoints_ned' and 'legs'; give one")
         for number, leg in enumerate(self.legs):
@@ -46,7 +46,7 @@ class RowsSpec(Strict):
         return self
 
     def vehicles(self) -> list[Content]:
-        """Return the vehicles of the rows as a list, in the form that a scenario's list of vehicles has."""
+        """Expand the rows to a list of single vehicles, as scenario content."""
         columns = min(self.columns or math.ceil(math.sqrt(self.count)), self.count)
         rows = -(-self.count // columns)
         legs = [leg.model_dump(exclude_unset=True) | {"type": leg.type} for leg in self.legs]
@@ -71,12 +71,12 @@ class RowsSpec(Strict):
 
 
 def _shifted(point: list[float], off: tuple[float, ...]) -> list[float]:
-    """Return a point [m] of two or three numbers, moved by ``off``."""
+    """Return a point [m] of two or three coordinates, shifted by ``off`` [m]."""
     return [axis + shift for axis, shift in zip(point, off, strict=False)]
 
 
 def one_by_one(value: object) -> object:
-    """Return vehicles given in rows as a list of vehicles; any other value unchanged.
+    """Expand vehicles given in rows to a list of vehicles; return any other value unchanged.
 
     Raises:
         ValueError: the rows are wrong; says what of them.
@@ -95,7 +95,7 @@ def one_by_one(value: object) -> object:
 
 
 def count_of(value: object) -> int:
-    """Return the number of vehicles in a fleet's content, a list or rows; 0 if it is neither."""
+    """Return the number of vehicles in scenario content, a list or rows; 0 if it is neither."""
     if isinstance(value, dict):
         value = value.get("count", 0)
         return value if isinstance(value, int) and not isinstance(value, bool) else 0

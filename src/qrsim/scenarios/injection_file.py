@@ -33,7 +33,7 @@ PLAIN = (BATTERY, RADIO, BODY, LINK)
 
 
 def read_injections(scenario: Scenario, path: Path) -> tuple[Scenario, tuple[Injection, ...]]:
-    """Return a scenario that allows the injections of a file, and the requests to make in flight.
+    """Read a file of injections; return the scenario extended to allow them, and the requests to make in flight.
 
     A file is a list of entries with ``target`` (a sensor, ``rotor N``, ``battery``, ``radio``, ``body``, ``link`` or
     ``world``), ``kind``, ``at`` [s], perhaps ``end`` [s] and ``vehicles``, and the numbers of the kind. Entries of a
@@ -74,7 +74,7 @@ def read_injections(scenario: Scenario, path: Path) -> tuple[Scenario, tuple[Inj
 
 
 def _of_entries(problems: Sequence[str], written: Mapping[str, str]) -> Iterator[str]:
-    """Yield problems with the path of a fault replaced by its entry in the file, each problem once."""
+    """Yield error texts with a fault's scenario path replaced by its entry in the injection file, each text once."""
     told = set[str]()
     for problem in problems:
         found = re.match(r"fleets\.[^.]+\.faults\.\d+\.", problem)
@@ -88,13 +88,13 @@ def _of_entries(problems: Sequence[str], written: Mapping[str, str]) -> Iterator
 
 
 def _in_flight(entry: Content) -> bool:
-    """Return whether an entry must be injected in flight, because a scenario's faults cannot express it."""
+    """Return whether an entry must be injected in flight, because faults in a scenario cannot express it."""
     by_field = any(isinstance(value, dict) for value in entry.values())
     return "tick" in entry or entry["kind"] == OK or entry["target"] == LINK or by_field
 
 
 def _possible(scenario: Scenario, requests: Sequence[Injection], wheres: Sequence[str]) -> Iterator[Injection]:
-    """Yield the requests sorted by tick, with vehicle names filled in; raises UsageError for an impossible one.
+    """Yield the requests by tick, with vehicle names filled in; raises UsageError for one that the world cannot take.
 
     Raises:
         UsageError: one is not possible.
@@ -110,7 +110,7 @@ def _possible(scenario: Scenario, requests: Sequence[Injection], wheres: Sequenc
 
 
 def _entries(path: Path) -> list[object]:
-    """Return the entries of a YAML list of injections; raises UsageError for any other content."""
+    """Read the entries of a YAML file that lists injections; raises UsageError for any other content."""
     try:
         text = read_text(path, LARGEST_BYTES)
     except OSError as error:
@@ -125,7 +125,7 @@ def _entries(path: Path) -> list[object]:
 
 
 def _checked(entry: object, where: str) -> Content:
-    """Return an entry unchanged; raises UsageError if a part of it has the wrong type."""
+    """Check an entry, and return it with "rotor 2" for "rotor_2" and "ok" for "clear"; raises UsageError."""
     if not isinstance(entry, dict):
         raise UsageError(f"{where}: expected target, kind, at and others, not {type(entry).__name__}")
     for name in ("target", "kind", "at"):
@@ -157,13 +157,13 @@ def _checked(entry: object, where: str) -> Content:
 
 
 def _rotor(target: str) -> int | None:
-    """Return the number in "rotor N"; None for any other target."""
+    """Return the rotor number N if a target is "rotor N"; None for any other target."""
     found = re.fullmatch(r"rotor ([0-9]{1,3})", target)
     return int(found[1]) if found else None
 
 
 def _has(fleet: FleetSpec, target: str, world: WorldSpec) -> bool:
-    """Return whether a fleet has a target of injections: a rotor, sensor, link, radio, body or battery."""
+    """Return whether a fleet has a target of injections, such as a rotor, a sensor, the radio or the battery."""
     rotor = _rotor(target)
     if rotor is not None:
         return rotor < rotors_of(fleet)
@@ -177,7 +177,7 @@ def _has(fleet: FleetSpec, target: str, world: WorldSpec) -> bool:
 
 
 def _fleets(scenario: Scenario, where: str, entry: Content) -> list[tuple[str, list[str] | None]]:
-    """Return (fleet, chosen vehicles or None for all) of an entry; raises UsageError if no fleet has the target."""
+    """Return (fleet, chosen vehicles or None: all) of the fleets that an entry affects; raises UsageError if none."""
     target, vehicles = entry["target"], entry.get("vehicles")
     found, placed = [], set[str]()
     for name, fleet in scenario.spec.fleets.items():
@@ -197,7 +197,7 @@ def _fleets(scenario: Scenario, where: str, entry: Content) -> list[tuple[str, l
 
 
 def _targets(scenario: Scenario) -> list[str]:
-    """Return the names of all targets that may fail in any fleet."""
+    """Return the names of all targets that may fail in any fleet of the scenario."""
     fleets = scenario.spec.fleets.values()
     sensors = {sensor for fleet in fleets for sensor in fleet.sensors}
     rotors = [f"rotor {i}" for i in range(max(map(rotors_of, fleets)))]
@@ -209,12 +209,12 @@ def _targets(scenario: Scenario) -> list[str]:
 
 
 def _numbers(entry: Content) -> Content:
-    """Return the entry without the keys that every entry has: the parameters of its fault."""
+    """Return the parameters of an entry's fault: the entry without the keys that every entry has."""
     return {name: value for name, value in entry.items() if name not in KEYS and value is not None}
 
 
 def _fault(where: str, entry: Content, vehicles: list[str] | None) -> Content:
-    """Return an entry as the content of a fault in a scenario's fleet; raises UsageError."""
+    """Convert an entry of an injection file to a fault of a fleet, as scenario content; raises UsageError."""
     target, kind, numbers = entry["target"], entry["kind"], _numbers(entry)
     rest = {"end": entry["end"]} if "end" in entry else {}
     rest |= {} if vehicles is None else {"vehicles": vehicles}
@@ -242,7 +242,7 @@ def _fault(where: str, entry: Content, vehicles: list[str] | None) -> Content:
 
 
 def _request(scenario: Scenario, where: str, entry: Content) -> Injection:
-    """Return an entry as an injection request, without a ``tick`` made as late as possible; raises UsageError."""
+    """Convert an entry to a request to make in flight, as late as possible if it has no ``tick``; raises UsageError."""
     dt, target = scenario.spec.time_step, entry["target"]
     for name in ("at", "end"):
         if entry.get(name) and not is_multiple(entry[name], dt, math.inf):
@@ -266,7 +266,7 @@ def _request(scenario: Scenario, where: str, entry: Content) -> Injection:
 
 
 def _make_room(content: Content, entry: Content, fleets: list[tuple[str, list[str] | None]]) -> None:
-    """Declare in a scenario's content, in place, the slots that a request needs."""
+    """Extend the scenario's ``injectable`` parts, in place, so that ``fleets`` can take an entry's request."""
     target, rotor = entry["target"], _rotor(entry["target"])
     if target == WORLD and entry["kind"] in TAKES and (entry["kind"] != WIND or entry.get("over")):
         world = content["world"]

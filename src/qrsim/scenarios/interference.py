@@ -55,7 +55,7 @@ _GIVEN: dict[str, dict[str, tuple[object, object]]] = {
 
 @cache
 def _model(kind: str) -> type[Strict]:
-    """Return the schema of a kind of interference, with the kind as its name."""
+    """Return the pydantic model of a kind of GNSS interference (jammer, spoofer, outage)."""
     named = {"kind": (Literal[kind], Field(description="what it is"))}
     return component_model(kind, _CLASSES[kind], tagged=False, arrays={**named, **_GIVEN[kind]})
 
@@ -64,7 +64,7 @@ InterferenceSlot: Any = slot(lambda: {kind: partial(_model, kind) for kind in PL
 
 
 def interference(scenario: object, ephemeris: Ephemeris) -> Interference | None:
-    """Build the interference of a world, without jammers of no power; None if nothing is left."""
+    """Build a world's GNSS interference, without jammers that have no power; None if nothing is left."""
     kept = _kept(scenario)
     if not kept:
         return None
@@ -75,7 +75,7 @@ def interference(scenario: object, ephemeris: Ephemeris) -> Interference | None:
 
 
 def _kept(scenario: Any) -> list[tuple[int, Any]]:
-    """Return (number, spec) of the interferers to build: all but jammers that can never have power."""
+    """Return (index, specification) of each interferer to build: all but jammers that can never have power."""
     drawn, jammed = {item.path for item in scenario.ranges}, may_be_jammed(scenario)
     return [
         (i, spec)
@@ -85,7 +85,7 @@ def _kept(scenario: Any) -> list[tuple[int, Any]]:
 
 
 def _built(spec: Any, ephemeris: Ephemeris) -> object:
-    """Build an interferer from its spec, with a missing time or radius as unlimited."""
+    """Build an interferer from its specification; a missing time or radius is unlimited."""
     cls = _CLASSES[spec.kind]
     values: dict[str, object] = {}
     for field in dataclasses.fields(cls):
@@ -100,14 +100,14 @@ def _built(spec: Any, ephemeris: Ephemeris) -> object:
 
 
 def _failing(spec: Any, ephemeris: Ephemeris) -> NumpyArray:
-    """Return which satellites (S,) an outage silences, as bool."""
+    """Return a bool array (S,) of the satellites that an outage silences."""
     names, systems = spec.satellites or (), spec.systems or ""
     pairs = zip(ephemeris.satellites, ephemeris.system_of, strict=True)
     return np.array([name in names or letter in systems for name, letter in pairs])
 
 
 def world_path(scenario: object, path: str) -> tuple[str | int, ...] | None:
-    """Return the World path of ``world.interference.I.NAME``, None if it is not built."""
+    """Return the World path of the scenario path ``world.interference.I.NAME``; None if the interferer is not built."""
     _, _, number, *rest = path.split(".")
     before: dict[str, int] = {}
     for i, spec in _kept(scenario):
@@ -119,14 +119,14 @@ def world_path(scenario: object, path: str) -> tuple[str | int, ...] | None:
 
 
 def spoofed(scenario: object, names: Sequence[str]) -> tuple[NumpyArray, ...] | None:
-    """Return for each spoofer a bool array over ``names``: the vehicles that it affects; None without a spoofer."""
+    """Return a bool array over ``names`` for each spoofer: the vehicles that it affects; None without a spoofer."""
     specs = [spec for _, spec in _kept(scenario) if spec.kind == "spoofer"]
     chosen = tuple(np.array([spec.vehicles is None or name in spec.vehicles for name in names]) for spec in specs)
     return chosen or None
 
 
 def interference_problems(scenario: Any, ephemeris: Ephemeris, names: Sequence[str], heard: bool) -> Iterator[str]:
-    """Yield the problems of ``world.interference``.
+    """Yield the errors in ``world.interference``; ``heard``: the scenario has a receiver of type gnss.
 
     Args:
         scenario: with ``world`` and ``duration``.
@@ -151,7 +151,7 @@ def interference_problems(scenario: Any, ephemeris: Ephemeris, names: Sequence[s
 
 
 def _outage_problems(path: str, spec: Any, ephemeris: Ephemeris) -> Iterator[str]:
-    """Yield the problems of an outage: systems or satellites that the orbits do not have, or both."""
+    """Yield the errors of an outage: systems or satellites that the orbits lack, or both kinds given."""
     if (spec.systems is None) == (spec.satellites is None):
         yield f"{path}: an outage is either of systems or of satellites; give one of the two"
     if spec.systems is not None:

@@ -40,17 +40,17 @@ class _LegSpec(Strict):
 
     @model_validator(mode="after")
     def _one_heading(self) -> _LegSpec:
-        """Raise ValueError for a leg with both a yaw and a place to face."""
+        """Refuse a mission leg with both a yaw and a place to face."""
         if self.yaw_rad is not None and self.facing_ned is not None:
             raise ValueError("gives both 'yaw_rad' and 'facing_ned'; give one")
         return self
 
 
 def _called(name: str) -> Callable[[type[S]], type[S]]:
-    """Return a class decorator that gives a schema its type's name in scenarios, which messages use."""
+    """Return a class decorator that names a pydantic model as its leg type in scenarios, for error messages."""
 
     def rename(cls: type[S]) -> type[S]:
-        """Return the class with the name set."""
+        """Return the class with its name set."""
         cls.__name__ = name
         return cls
 
@@ -72,7 +72,7 @@ class FlyLeg(_LegSpec):
 
     @model_validator(mode="after")
     def _one_place(self) -> FlyLeg:
-        """Raise ValueError unless a leg gives exactly one place to fly to."""
+        """Refuse a leg of type fly that does not give exactly one place to fly to."""
         _check_one(self, "to_ned", "to_geodetic")
         return self
 
@@ -112,7 +112,7 @@ class LoiterLeg(_LegSpec):
 
     @model_validator(mode="after")
     def _consistent(self) -> LoiterLeg:
-        """Raise ValueError for a loiter with time and turns, turns without radius, or two places."""
+        """Refuse a loiter leg with both time and turns, turns without radius, or two places."""
         if self.time is not None and self.turns is not None:
             raise ValueError("gives both 'time' and 'turns'; give one, or none for a loiter that does not end")
         if self.turns is not None and self.radius == 0.0:
@@ -134,7 +134,7 @@ class ReturnLeg(_LegSpec):
 
 
 def _fly_by_default(value: object) -> object:
-    """Return a leg's data with the type "fly" where none is given."""
+    """Return a leg's data with the type "fly" if it gives none."""
     return {"type": "fly", **value} if isinstance(value, dict) and "type" not in value else value
 
 
@@ -145,7 +145,7 @@ LegSpec = Annotated[
 
 
 def _check_one(spec: FlyLeg, *names: str) -> None:
-    """Raise ValueError unless a leg gives exactly one of some fields."""
+    """Raise ValueError unless exactly one of the named fields of a leg is given."""
     given = [name for name in names if name in spec.model_fields_set and getattr(spec, name) is not None]
     if len(given) > 1:
         raise ValueError(f"gives both '{given[0]}' and '{given[1]}'; give one")

@@ -46,18 +46,18 @@ class Request:
 
     @property
     def of_world(self) -> bool:
-        """True if the request is for the world, and so affects all vehicles."""
+        """True if the request is for the whole world (weather), and so affects all vehicles."""
         return self.target == WORLD
 
 
 def wind(speed: float, from_deg: float, over: float = 0.0) -> Request:
-    """Return the request for a mean wind: speed [m/s] at 20 ft from ``from_deg`` [deg], reached after ``over`` [s]."""
+    """Return a request for a mean wind of ``speed`` [m/s] at 20 ft from ``from_deg``, reached after ``over`` [s]."""
     later = {"over": over} if over else {}
     return Request(WORLD, WIND, numbers=dict(zip(WIND_NUMBERS, (speed, from_deg), strict=True)) | later)
 
 
 def apply(simulation: Simulation, request: Request, asked_by: str) -> str:
-    """Apply a request from the next tick on; return a line that describes it.
+    """Apply a request to a running simulation from the next tick on; return a line that describes it.
 
     Args:
         simulation: reset, and not being advanced by another thread.
@@ -90,7 +90,7 @@ def apply(simulation: Simulation, request: Request, asked_by: str) -> str:
 
 
 def _weather(simulation: Simulation, request: Request, asked_by: str) -> str:
-    """Change the weather as requested; return a line that describes the change; raises UsageError."""
+    """Change the weather of a running simulation as requested; return a line that describes it; raises UsageError."""
     if request.vehicles is not None:
         raise UsageError(f"vehicles: {request.kind[:LONGEST_WORD]} of the world is that of all")
     if request.at is not None or request.duration is not None:
@@ -109,7 +109,7 @@ def _weather(simulation: Simulation, request: Request, asked_by: str) -> str:
 
 
 def _listed(names: Iterable[str]) -> str:
-    """Return the first four names as text, and the number of further ones."""
+    """Return the first four names as text, and the number of the others."""
     found = list(names)
     return ", ".join(found[:4]) + (f" and {len(found) - 4} more" if len(found) > 4 else "")
 
@@ -118,7 +118,7 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def parsed(text: str) -> Request:
-    """Parse a line such as "gnss off uav1 at=5" to a request; raises UsageError.
+    """Parse a line such as "gnss off uav1 at=5" to a request; raises UsageError for other text.
 
     ``inject TARGET KIND [VEHICLE ...] [NAME=VALUE ...] [at SECONDS] [for SECONDS]``, ``clear [TARGET] [VEHICLE ...]``,
     or ``wind SPEED FROM_DEG [over SECONDS]``.
@@ -151,7 +151,7 @@ def parsed(text: str) -> Request:
 
 
 def numbers_of(text: str) -> dict[str, object]:
-    """Parse a text such as ``field=height bias=2`` to a dict; raises UsageError."""
+    """Parse a text of assignments such as ``field=height bias=2`` to a dict; raises UsageError."""
     names, numbers, times = _arguments(text.replace(",", " ").split())
     for word in [*names, *times]:
         raise UsageError(f"'{word[:LONGEST_WORD]}': expected NAME=VALUE, such as bias=2")
@@ -159,14 +159,14 @@ def numbers_of(text: str) -> dict[str, object]:
 
 
 def _target(words: list[str]) -> tuple[str | None, list[str]]:
-    """Return the target at the start of the words (two words for a rotor), and the remaining words."""
+    """Split the words of a request: return the target (two words for a rotor), and the remaining words."""
     if len(words) > 1 and words[0] == "rotor" and words[1].isdecimal():
         return f"rotor {words[1]}", words[2:]
     return (words[0], words[1:]) if words else (None, [])
 
 
 def _arguments(words: list[str]) -> tuple[list[str], dict[str, object], dict[str, float]]:
-    """Return vehicle names, fault parameters and times [s] in the words of a request."""
+    """Parse words of a request to (vehicle names, fault parameters, times [s])."""
     names: list[str] = []
     numbers: dict[str, object] = {}
     times: dict[str, float] = {}
@@ -185,7 +185,7 @@ def _arguments(words: list[str]) -> tuple[list[str], dict[str, object], dict[str
 
 
 def _number(name: str, word: str) -> float:
-    """Return a finite number from a word of a request; raise UsageError naming ``name`` for other words."""
+    """Parse a word of a request to a finite number; raises UsageError that names the parameter for other words."""
     if not _NUMBER.fullmatch(word) or not math.isfinite(float(word)):
         raise UsageError(f"{name[:LONGEST_WORD]}: '{word[:LONGEST_WORD]}'; expected a number")
     return float(word)
@@ -195,7 +195,7 @@ def _number(name: str, word: str) -> float:
 
 
 def injected_rows(simulation: Simulation) -> list[dict[str, object]]:
-    """Return present and future faults as dicts of plain values; an ``end`` of None is the end of the flight."""
+    """Return present and future injected faults as dicts for JSON; ``end`` None means the end of the flight."""
     dt = simulation.world.time_step
     return [
         {

@@ -15,7 +15,7 @@ FARTHEST = 50_000.0
 
 
 def local_ned(site: Site, places: Sequence[tuple[float, float, float]]) -> list[list[float]]:
-    """Convert (latitude [deg], longitude [deg], height above the site's origin [m]) to NED [m].
+    """Convert (latitude [deg], longitude [deg], height above the site's origin [m]) of places to NED [m].
 
     North and east are those of the place at the site's own height, and down is minus the height: the ground is flat, as
     everywhere in a scenario.
@@ -37,14 +37,14 @@ def local_ned(site: Site, places: Sequence[tuple[float, float, float]]) -> list[
 
 
 def swapped_hint(latitude: object, longitude: object) -> str:
-    """Return a hint if a latitude [deg] can only be a longitude, or a longitude a latitude; else ""."""
+    """Return a hint if latitude and longitude [deg] must be swapped because one is out of range; else ""."""
     pair = [float(each) for each in (latitude, longitude) if isinstance(each, int | float)]
     swapped = len(pair) == 2 and 90.0 < abs(pair[0]) <= 180.0 and abs(pair[1]) <= 90.0
     return "; latitude and longitude seem to be swapped" if swapped else ""
 
 
 def _if_swapped(site: Site, place: tuple[float, float, float]) -> str:
-    """Return a hint if the place is near the site once latitude and longitude [deg] are swapped; else ""."""
+    """Return a hint if a place is near the site once latitude and longitude [deg] are swapped; else ""."""
     latitude, longitude, height = place
     if abs(longitude) > 90.0:
         return ""

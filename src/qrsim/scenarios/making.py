@@ -59,7 +59,7 @@ def make_scenario(
     fleets: Mapping[str, Mapping[str, object]] | None = None,
     **parts: object,
 ) -> Scenario:
-    """Make a checked scenario from parts given in Python.
+    """Make a checked scenario from Python objects; ``parts`` are further keys of a scenario file.
 
     Args:
         vehicles: those of a single fleet, ``vehicles``: positions NED (3,) [m], or dicts as in YAML.
@@ -113,7 +113,7 @@ def make_world(
     precision: str = "float32",
     **parts: object,
 ) -> World:
-    """Make a World from parts given in Python; see ``make_scenario``.
+    """Make a World from Python objects; arguments as ``make_scenario``; ``precision`` is float32 or float64.
 
     A component of your own is given as an object, as the built-in ones are: ``wind=MyWind()``
     (docs/howto/own_component.md).
@@ -127,7 +127,7 @@ def make_world(
 
 
 def _fleet(name: str, fleet: object, extends: bool) -> dict[str, object]:
-    """Return a fleet given in Python as scenario content; with ``extends``, missing parts stay missing."""
+    """Convert a fleet given in Python to scenario content; with ``extends``, missing parts stay missing."""
     if not isinstance(fleet, Mapping):
         raise UsageError(f"make_scenario: fleets.{name}: expected a dict, found {fleet!r}")
     known = ("vehicles", *FLEET_PARTS)
@@ -148,7 +148,7 @@ def _fleet(name: str, fleet: object, extends: bool) -> dict[str, object]:
 
 
 def _sensors(name: str, sensors: object) -> object:
-    """Return a fleet's sensors as scenario content: a dict by name, or the name of a sensor set."""
+    """Convert a fleet's sensors to scenario content: a dict by name, or the name of a sensor set."""
     if isinstance(sensors, Mapping):
         return {sensor: _part(value, sensor, "sensor") for sensor, value in sensors.items()}
     if not isinstance(sensors, str):
@@ -159,7 +159,7 @@ def _sensors(name: str, sensors: object) -> object:
 
 
 def _vehicles(name: str, vehicles: object) -> list[object]:
-    """Return vehicles as scenario content; one that is not a mapping is taken as its position NED [m]."""
+    """Convert vehicles to scenario content; one that is not a mapping is taken as its start position NED [m]."""
     if isinstance(vehicles, str | Mapping) or not hasattr(vehicles, "__iter__"):
         raise UsageError(f"make_scenario: fleets.{name}.vehicles: expected a list of vehicles, found {vehicles!r}")
     plain = [_plain(vehicle, "vehicles") for vehicle in vehicles]
@@ -167,7 +167,7 @@ def _vehicles(name: str, vehicles: object) -> list[object]:
 
 
 def _part(value: object, name: str, kind: str = "") -> object:
-    """Return a component as scenario content: a dict with its type and parameters."""
+    """Convert a component given in Python to scenario content: a dict with its type and parameters."""
     if name == "sky" and isinstance(value, Mapping):
         return {key: entry if key == "period" else _part(entry, f"sky.{key}") for key, entry in value.items()}
     if name == "radio" and isinstance(value, str):
@@ -177,7 +177,7 @@ def _part(value: object, name: str, kind: str = "") -> object:
 
 
 def _plain(value: object, name: str, kind: str = "") -> object:
-    """Return a Python value as YAML can express it: components as dicts, arrays as lists, plain numbers."""
+    """Convert a Python value to one that YAML can express: components to dicts, arrays to lists."""
     if isinstance(value, Mapping):
         return {key: _plain(entry, f"{name}.{key}") for key, entry in value.items()}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

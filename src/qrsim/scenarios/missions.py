@@ -26,7 +26,7 @@ SAME_PLACE = 0.01
 
 
 def limits_of(guidance: Any) -> Limits:
-    """Return the limits of speed and acceleration of a fleet's paths, from its guidance."""
+    """Return the limits of speed and acceleration of a fleet's mission paths, from its guidance."""
     return Limits(
         acceleration=guidance.acceleration,
         jerk=guidance.jerk,
@@ -57,16 +57,16 @@ class _Author:
         self.problems: list[str] = []
 
     def ground_down(self, north: float, east: float) -> float:
-        """Return the z coordinate [m, down] of the ground at a place (north, east) [m]."""
+        """Return the ground's z coordinate [m, down] at a place (north, east) [m]."""
         place = record_of(Vec3, *(np.array([value], np.float64) for value in (north, east, 0.0)))
         return float(down_at(self.ground, place)[0])
 
     def legs(self, specs: Sequence[LegSpec], first: int = 0) -> list[list[Leg]]:
-        """Return for each entry from index ``first`` on the legs that it becomes."""
+        """Convert a mission's entries from index ``first`` on; return a list of legs for each."""
         return [renumbered(self._parts(spec, j), spec.item or j + 1) for j, spec in enumerate(specs[first:], first)]
 
     def _parts(self, spec: LegSpec, j: int) -> list[Leg]:
-        """Return the legs that entry ``j`` becomes; record a problem if its place in the order is wrong."""
+        """Convert entry ``j`` of a mission to legs; record a problem if it cannot follow the entry before."""
         where = f"{self.path}.{j}"
         if self.endless:
             self.problems.append(f"{where}: is never flown, because {self.endless}, a loiter, does not end")
@@ -79,24 +79,24 @@ class _Author:
         return parts
 
     def _own(self, spec: LegSpec) -> Content:
-        """Return speeds, heading and acceptance radius of an entry as keyword arguments of ``Leg``."""
+        """Return an entry's speeds, heading and acceptance radius as keyword arguments of ``Leg``."""
         facing = tuple(spec.facing_ned) if spec.facing_ned else None
         speed = spec.speed or self.guidance.speed
         own = {"speed": speed, "yaw": spec.yaw_rad, "facing_ned": facing, "climb": spec.climb_speed}
         return {**own, "sink": spec.sink_speed, "accept_radius": self.guidance.accept_radius}
 
     def _line(self, place: Sequence[float], spec: LegSpec, **more: object) -> Leg:
-        """Return a straight leg to a position NED [m]; ``more`` overrides values of its entry."""
+        """Return a straight leg to a position NED [m]; ``more`` overrides values of its entry ``spec``."""
         north, east, down = place
         return Leg((north, east, down), **{**self._own(spec), **more})
 
     def _fly(self, spec: FlyLeg, where: str) -> list[Leg]:
-        """Return the leg to a waypoint; a hold implies a stop."""
+        """Return the leg to a waypoint; a hold time implies a stop; ``where`` is the entry's path for messages."""
         radius = spec.accept_radius or self.guidance.accept_radius
         return [self._line(spec.to_ned, spec, hold=spec.hold, stop=spec.stop or spec.hold > 0.0, accept_radius=radius)]
 
     def _take_off(self, spec: TakeOffLeg, where: str) -> list[Leg]:
-        """Return the vertical leg to the height over z = 0; note a height that is not above the vehicle."""
+        """Return the vertical leg to a height above z = 0; record a problem if it is not above the vehicle."""
         north, east, down = self.place
         if -spec.height > down + SAME_PLACE:
             self.problems.append(
@@ -106,14 +106,14 @@ class _Author:
         return [self._line((north, east, -spec.height), spec, stop=True, speed=speed)]
 
     def _land(self, spec: LandLeg, where: str) -> list[Leg]:
-        """Return the legs of a landing, at a place or below the last one."""
+        """Return the legs of a landing at a place, or below the end of the leg before."""
         north, east = spec.at_ned or self.place[:2]
         return self._down_to(north, east, spec, where, hold=spec.hold)
 
     def _down_to(
         self, north: float, east: float, spec: LandLeg | ReturnLeg, where: str, hold: float = 0.0
     ) -> list[Leg]:
-        """Return the legs to a position above a place (north, east) [m] and down to the ground; record problems."""
+        """Return the legs to a position above (north, east) [m] and down to the ground; record problems."""
         down = self.ground_down(north, east)
         if not self.can_stand:
             self.problems.append(
@@ -131,7 +131,7 @@ class _Author:
         return [*over, self._line((north, east, down), spec, kind="land", hold=hold)]
 
     def _loiter(self, spec: LoiterLeg, where: str) -> list[Leg]:
-        """Return the legs of a circle, or of a hold without a radius; note a loiter that does not end."""
+        """Return the legs of a circle, or of a hold in place without a radius; note a loiter that does not end."""
         centre = tuple(spec.to_ned or self.place)
         ends = spec.time is not None or spec.turns is not None
         if not ends:
@@ -141,7 +141,7 @@ class _Author:
         return self._circle(centre, spec)
 
     def _circle(self, centre: tuple[float, ...], spec: LoiterLeg) -> list[Leg]:
-        """Return the leg to the nearest point of a circle, and the circle itself."""
+        """Return the leg to the nearest point of a loiter circle, and the circle itself."""
         north, east = self.place[0] - centre[0], self.place[1] - centre[1]
         first = math.atan2(east, north) if math.hypot(north, east) > SAME_PLACE else 0.0
         radius = abs(spec.radius)
@@ -156,7 +156,7 @@ class _Author:
         return [to_it, self._line(ends[1], spec, kind="circle", centre_ned=(centre[0], centre[1]), angle=turn)]
 
     def _return(self, spec: ReturnLeg, where: str) -> list[Leg]:
-        """Return the legs back to the start, with a climb or landing if the entry asks for them."""
+        """Return the legs back to the start, with a climb or a landing if the entry asks for one."""
         parts = []
         if spec.height is not None and -spec.height < self.place[2] - SAME_PLACE:
             parts.append(self._line((*self.place[:2], -spec.height), spec, stop=True))
@@ -168,30 +168,30 @@ class _Author:
 
 
 def _short(path: str) -> str:
-    """Return the last two parts of a dotted path, such as "legs.3"."""
+    """Return the last two parts of a dotted path, such as "legs.3", for messages."""
     return ".".join(path.split(".")[-2:])
 
 
 def _specs(vehicle: VehicleSpec) -> tuple[str, Sequence[LegSpec]]:
-    """Return the name of a vehicle's list, "legs" or "waypoints_ned", and its entries as legs."""
+    """Return the name of a vehicle's list of places, "legs" or "waypoints_ned", and its entries as leg entries."""
     if vehicle.legs:
         return "legs", vehicle.legs
     return "waypoints_ned", [FlyLeg.model_validate({"to_ned": waypoint}) for waypoint in vehicle.waypoints_ned]
 
 
 def _again(fleet: FleetSpec, vehicle: VehicleSpec) -> int | None:
-    """Return the index of the leg that follows the last one; None if the mission ends."""
+    """Return the index of the leg that follows a mission's last one; None if the mission ends."""
     return 0 if vehicle.repeat_from is None and fleet.guidance.repeat else vehicle.repeat_from
 
 
 def _author(fleet: FleetSpec, vehicle: VehicleSpec, ground: object, path: str) -> _Author:
-    """Return an author that turns the entries of one vehicle's mission into legs from its start."""
+    """Return the converter of one vehicle's mission entries to legs, which begins at the vehicle's start."""
     north, east, down = vehicle.position_ned
     return _Author(fleet.guidance, ground, stands(fleet), (north, east, down), path)
 
 
 def mission_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec, ground: object) -> Iterator[str]:
-    """Yield the problems of a fleet's missions; ``ground`` is that of the world."""
+    """Yield the errors of a fleet's missions; ``ground`` is the world's ground model."""
     if fleet.guidance.type != MISSION:
         for i, vehicle in enumerate(fleet.vehicles):
             if vehicle.legs:
@@ -225,7 +225,7 @@ def mission_problems(path: str, fleet: FleetSpec, scenario: ScenarioSpec, ground
 
 
 def _outside(path: str, parts: list[Leg], scenario: ScenarioSpec, author: _Author) -> Iterator[str]:
-    """Yield a problem for each leg that leads out of the area or below the ground; landings may touch its floor."""
+    """Yield an error for each leg that leaves the area or enters the ground; landings may touch the area's floor."""
     floor = has_floor(scenario)
     for leg in parts:
         north, east, down = leg.position_ned
@@ -242,7 +242,7 @@ def _outside(path: str, parts: list[Leg], scenario: ScenarioSpec, author: _Autho
 
 
 def ways_of(fleet: FleetSpec, vehicle: VehicleSpec, ground: object) -> Iterator[tuple[str, Leg]]:
-    """Yield (path of the entry, leg) for each leg of a vehicle's mission, the repeated part twice."""
+    """Yield (path of the mission's entry, leg) for each leg of a vehicle; legs that are repeated come twice."""
     name, specs = _specs(vehicle)
     again = _again(fleet, vehicle)
     author = _author(fleet, vehicle, ground, name)
@@ -252,7 +252,7 @@ def ways_of(fleet: FleetSpec, vehicle: VehicleSpec, ground: object) -> Iterator[
 
 
 def mission(fleet: FleetSpec, ground: object) -> Mission:
-    """Return the mission of a fleet without problems; a vehicle without legs holds its start."""
+    """Build the missions of a checked fleet's vehicles; a vehicle without legs holds its start."""
     limits = limits_of(fleet.guidance)
     plans, again = [], []
     for vehicle in fleet.vehicles:

@@ -25,7 +25,7 @@ ON_IT = 0.01
 
 
 def multirotor_problems(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield problems, as text, of a fleet of multirotors that cannot fly; nothing for other fleets."""
+    """Yield the reasons why a fleet of multirotors cannot fly; nothing for other fleets."""
     if not issubclass(known.VEHICLES[fleet.vehicle.type], Multirotor):
         return
     path, wrong = f"fleets.{name}.vehicle", False
@@ -39,7 +39,7 @@ def multirotor_problems(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> 
 
 
 def _geometry(path: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield the problems of a multirotor's rotors and feet: number, axes, directions and control authority."""
+    """Yield the errors of a multirotor's rotors and feet: number, axes, spin directions, control authority."""
     rotors, feet = fleet.vehicle.rotors, fleet.vehicle.feet
     if not 4 <= len(rotors) <= MOST_ROTORS:
         yield f"{path}.rotors: {len(rotors) or 'no'} rotors; allowed: 4 to {MOST_ROTORS}"
@@ -61,7 +61,7 @@ def _geometry(path: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def thrust_to_weight(fleet: FleetSpec, scenario: ScenarioSpec) -> float | None:
-    """Return a fleet's smallest ratio of largest thrust to weight at the site; None for other vehicles."""
+    """Return a fleet's smallest ratio of maximum thrust to weight at the site; None for other vehicles."""
     if not issubclass(known.VEHICLES[fleet.vehicle.type], Multirotor):
         return None
     found = _thrust_and_weight(fleet, float(air_of(scenario).site_density))
@@ -69,7 +69,7 @@ def thrust_to_weight(fleet: FleetSpec, scenario: ScenarioSpec) -> float | None:
 
 
 def _thrust_and_weight(fleet: FleetSpec, density: float) -> tuple[NumpyArray, NumpyArray] | None:
-    """Return largest thrust and weight [N] in air of ``density`` [kg/m^3]; None if list lengths differ."""
+    """Return maximum thrust and weight [N], () or (n,), in air of ``density`` [kg/m^3]; None if list lengths differ."""
     spec = fleet.vehicle
     names = ("thrust_coefficient", "speed_max", "mass", "gravity", "air_density")
     each = [np.asarray(getattr(spec, key), float) for key in names]
@@ -82,7 +82,7 @@ def _thrust_and_weight(fleet: FleetSpec, density: float) -> tuple[NumpyArray, Nu
 
 
 def _lift(path: str, fleet: FleetSpec, density: float) -> Iterator[str]:
-    """Yield a problem if a vehicle cannot lift itself in air of ``density`` [kg/m^3]."""
+    """Yield an error if a multirotor cannot lift itself in air of ``density`` [kg/m^3]."""
     spec = fleet.vehicle
     found = _thrust_and_weight(fleet, density)
     if found is None:
@@ -103,7 +103,7 @@ def _lift(path: str, fleet: FleetSpec, density: float) -> Iterator[str]:
 
 
 def _lags(path: str, fleet: FleetSpec, time_step: float) -> Iterator[str]:
-    """Yield a problem for rotors with a lag too short for a substep, so that their speeds would oscillate."""
+    """Yield an error for rotors with a lag too short for a substep, with which their speeds would oscillate."""
     longest = min(fleet.vehicle.longest_substep, time_step)
     for name in ("spin_up", "spin_down"):
         least = float(np.min(getattr(fleet.vehicle, name)))
@@ -115,7 +115,7 @@ def _lags(path: str, fleet: FleetSpec, time_step: float) -> Iterator[str]:
 
 
 def _standing(name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a problem for each start with a foot below the ground."""
+    """Yield an error for each start at which a foot of the multirotor is below the ground."""
     if scenario.world.ground.type != "flat" or fleet.placement.type != "given":
         return
     high, ground = max(foot[2] for foot in fleet.vehicle.feet), -scenario.world.ground.height

@@ -40,33 +40,33 @@ class _Prism(Strict):
 
     @property
     def _edges(self) -> Any:
-        """The edges of the outline and its holes, as ``edges_of`` returns them."""
+        """Edges of the prism's outline and holes, as ``edges_of`` returns them."""
         return edges_of([self.corners_ned, *self.holes_ned])
 
     @property
     def north(self) -> list[float]:
-        """North coordinate of the start of each edge [m]."""
+        """North coordinates of the starts of the prism's edges [m]."""
         return self._edges[0][:, 0].tolist()
 
     @property
     def east(self) -> list[float]:
-        """East coordinate of the start of each edge [m]."""
+        """East coordinates of the starts of the prism's edges [m]."""
         return self._edges[0][:, 1].tolist()
 
     @property
     def north_to(self) -> list[float]:
-        """North coordinate of the end of each edge [m]."""
+        """North coordinates of the ends of the prism's edges [m]."""
         return self._edges[1][:, 0].tolist()
 
     @property
     def east_to(self) -> list[float]:
-        """East coordinate of the end of each edge [m]."""
+        """East coordinates of the ends of the prism's edges [m]."""
         return self._edges[1][:, 1].tolist()
 
 
 @cache
 def prism_model() -> Any:
-    """Return the schema of a prism obstacle."""
+    """Return the pydantic model of a prism obstacle."""
     ring = list[Corner]
     text = "[north, east] [m] of each corner, in order; the last is joined to the first"
     parts = {
@@ -79,11 +79,11 @@ def prism_model() -> Any:
 
 
 def obstacle_slot(choices: Mapping[str, type]) -> object:
-    """Return the annotation of an obstacle of any kind."""
+    """Return the pydantic annotation of an obstacle of any type in ``choices`` (type name -> class)."""
 
     @cache
     def make(name: str, kind: type) -> type[Strict]:
-        """Return the pydantic model of a type of obstacle, made once for each class."""
+        """Return the pydantic model of an obstacle class, cached by class."""
         return component_model(name, kind, more=STEEL)
 
     return slot(

@@ -42,7 +42,7 @@ LAND = "NAV_LAND"
 
 
 def in_ned(scenario: ScenarioSpec) -> tuple[ScenarioSpec, list[str], dict[str, str], list[PlannedVehicle]]:
-    """Return a scenario in NED, its problems, the written path of each converted place, and the vehicles with plans.
+    """Convert all places of a scenario to NED; return it, its errors, path -> path as written, and vehicles with plans.
 
     What a plan asks for that is not flown is told in warnings.
 
@@ -70,7 +70,7 @@ def in_ned(scenario: ScenarioSpec) -> tuple[ScenarioSpec, list[str], dict[str, s
 
 
 def _is_elsewhere(vehicle: VehicleSpec) -> bool:
-    """Return whether a vehicle has places in latitude and longitude, or a plan, to be converted."""
+    """Return whether a vehicle has geodetic places or a plan, which must be converted to NED."""
     legs = any(vars(leg).get("to_geodetic") for leg in vehicle.legs)
     return bool(vehicle.position_geodetic or vehicle.waypoints_geodetic or vehicle.plan or legs)
 
@@ -116,7 +116,7 @@ class _Places:
         self.on_ground = self.fails = False
 
     def _attempt(self, path: str, convert: Callable[[], list[T]]) -> list[T]:
-        """Return the points that ``convert`` returns; if it raises UsageError, record the problem and return []."""
+        """Return the points that ``convert`` gives; if it raises UsageError, record the error and return []."""
         try:
             return convert()
         except ScenarioError as error:
@@ -126,7 +126,7 @@ class _Places:
         return []
 
     def _place(self, site: SiteSpec) -> SiteSpec:
-        """Return the site with its numbers filled in, those of its plan's home if it has a plan."""
+        """Return the site with its numbers filled in; with a plan, from the plan's home."""
         homes = self._attempt("site.plan", lambda: [home_of(site)]) if site.plan else []
         for latitude, longitude, height in homes:
             named = {"latitude_deg": latitude, "longitude_deg": longitude, "height_amsl": height, "plan": None}
@@ -147,7 +147,7 @@ class _Places:
         return site
 
     def fleet(self, path: str, fleet: FleetSpec) -> FleetSpec:
-        """Return a fleet in NED; a fleet with a plan does not repeat routes unless it says so.
+        """Return a fleet with all places in NED; a fleet with a plan does not repeat routes unless it says so.
 
         Where a plan takes off or lands and the fleet does not say what the ground does to it, its vehicles can stand.
         """
@@ -168,14 +168,14 @@ class _Places:
         return fleet.model_copy(update={"vehicles": vehicles, "guidance": guidance})
 
     def _read(self, spec: RoutePlanSpec) -> Plan | None:
-        """Return a plan, None if it cannot be read, which the vehicle's own problem reports."""
+        """Read a vehicle's plan; None if it cannot be read, which the vehicle's own error reports."""
         try:
             return self._planned(spec)
         except UsageError:
             return None
 
     def _planned(self, spec: RoutePlanSpec) -> Plan:
-        """Return a plan, read at the first call."""
+        """Return a vehicle's plan; the file is read at the first call only."""
         label = _label(spec)
         if label not in self.flown:
             home = Home(*spec.home) if spec.home else None
@@ -183,7 +183,7 @@ class _Places:
         return self.flown[label]
 
     def _vehicle(self, path: str, vehicle: VehicleSpec, mission: bool) -> VehicleSpec:
-        """Return a vehicle with all places in NED [m]; record problems and where each place was written."""
+        """Return a vehicle with places in NED [m], its plan as legs if ``mission``; record errors and written paths."""
         start, route, legs = vehicle.position_ned, vehicle.waypoints_ned, list(vehicle.legs)
         again = vehicle.repeat_from
         for j, leg in enumerate(legs):
@@ -224,7 +224,7 @@ class _Places:
         return vehicle.model_copy(update={**changes, "position_geodetic": None, "waypoints_geodetic": [], "plan": None})
 
     def _rally(self, path: str, plan: Plan) -> list[list[float]]:
-        """Return a plan's rally points in NED [m]."""
+        """Return a plan's rally points as lists [north, east, down] [m]."""
         home = (plan.home.latitude_deg, plan.home.longitude_deg, 0.0)
         around = [home, *((each.latitude_deg, each.longitude_deg, 0.0) for each in plan.rally)]
         first, *places = self._attempt(f"{path}.plan", lambda: local_ned(self.site, around)) or [[0.0, 0.0, 0.0]]
@@ -232,7 +232,7 @@ class _Places:
         return [[*place[:2], level - each.height_above_home] for place, each in zip(places, plan.rally, strict=False)]
 
     def _leg(self, path: str, leg: Any) -> Any:
-        """Return a leg with its places in NED [m]."""
+        """Return a mission leg with its places in NED [m]."""
         place = vars(leg).get("to_geodetic")
         if place is None:
             return leg
@@ -241,7 +241,7 @@ class _Places:
         return leg.model_copy(update={"to_ned": points[0] if points else [0.0, 0.0, 0.0], "to_geodetic": None})
 
     def _legs(self, path: str, spec: RoutePlanSpec, start: list[float], yaw_deg: float) -> tuple[list[Any], int | None]:
-        """Return a plan's legs for a vehicle with a start NED [m] and yaw, and the index that follows the last."""
+        """Convert a plan to a vehicle's legs, from its start NED [m] and yaw; also return the index to repeat from."""
         label = _label(spec)
         plan = self.flown[label]
         try:
@@ -251,7 +251,7 @@ class _Places:
             return [], None
 
         def to_ned(place: tuple[float, float]) -> list[float]:
-            """Return [north, east, down] [m] of (latitude, longitude) [deg] at the height of the site."""
+            """Convert (latitude, longitude) [deg] at the height of the site to [north, east, down] [m]."""
             return local_ned(self.site, [(*place, 0.0)])[0]
 
         follows = spec.terrain_tolerance
@@ -266,11 +266,11 @@ class _Places:
         return legs, again
 
     def _waypoints(self, label: str) -> tuple[Waypoint, ...]:
-        """Return the waypoints of a plan by its label; () if it could not be read."""
+        """Return the waypoints of the plan with a label (see ``_label``); () if it could not be read."""
         return self.flown[label].waypoints if label in self.flown else ()
 
     def _note(self, path: str, spec: RoutePlanSpec, items: list[int | None]) -> None:
-        """Record which plan item each leg or waypoint of a vehicle comes from."""
+        """Record which plan a vehicle flies, and which plan item each of its legs or waypoints comes from."""
         label = _label(spec)
         if label in self.flown:
             mission = path.endswith(".legs")
@@ -282,7 +282,7 @@ class _Places:
             self.planned.append(PlannedVehicle(path, label, spec.file, plan, tuple(items), mission, values))
 
     def _placed(self, plan: Plan) -> list[list[float]]:
-        """Return a plan's home on the ground, then its waypoints, as [north, east, down] [m]."""
+        """Return a plan's home on the ground, then its waypoints, each as [north, east, down] [m]."""
         around = [(plan.home.latitude_deg, plan.home.longitude_deg, 0.0)]
         around += [(each.latitude_deg, each.longitude_deg, 0.0) for each in plan.waypoints]
         places = local_ned(self.site, around)
@@ -295,7 +295,7 @@ class _Places:
         return found
 
     def _plan(self, spec: RoutePlanSpec, needs_start: bool) -> list[list[float]]:
-        """Return a plan's start, then its route NED [m]; a landing keeps the height of the waypoint before."""
+        """Return start and route of a vehicle's plan, NED [m]; landings keep the height of the waypoint before."""
         file, plan = _label(spec), self._planned(spec)
         if len(plan.waypoints) > LONGEST_ROUTE:
             raise UsageError(f"{file}: has {len(plan.waypoints)} waypoints; allowed: at most {LONGEST_ROUTE}")
@@ -337,7 +337,7 @@ class _Places:
         return polygon_model()(type="polygon", corners_ned=corners, z_min=area.z_min, z_max=area.z_max)
 
     def _corners(self, file: str, name: str | None) -> list[list[float]]:
-        """Return the corners [north, east] [m] of a fence in a file; raise UsageError for too many."""
+        """Read the corners [north, east] [m] of a fence from a file; raise UsageError for too many."""
         corners, plan = fence_corners(file, name, self.site)
         if len(corners) > MOST_CORNERS:
             raise UsageError(f"{file}: has {len(corners)} corners; allowed: at most {MOST_CORNERS}")
@@ -346,7 +346,7 @@ class _Places:
         return corners
 
     def warn(self) -> None:
-        """Warn of items of plans that are not flown, one warning for each kind and plan."""
+        """Warn of plan items that are not flown, one warning for each kind of item and plan."""
         for file, plan in {**self.fences, **self.flown}.items():
             by_route = file in self.by_route
             notes = [note for note in plan.ignored if note.item is None or file in self.flown]
@@ -377,7 +377,7 @@ class _Places:
             warn_user(words)
 
     def _notes(self, plan: Plan, by_route: bool) -> list[Ignored]:
-        """Return the parts of the plan that are not flown as planned, for warnings."""
+        """Return the parts of a plan that are not flown as planned; ``by_route``: the vehicle flies it as a route."""
         lands = [each for each in plan.waypoints if _lands(each)] if by_route else []
         notes = [Ignored(each.item, LAND, "not landed, but flown over") for each in lands]
         if (plan.polygons or plan.circles) and self.area_type != "fence" and plan not in self.fences.values():
@@ -387,10 +387,10 @@ class _Places:
 
 
 def _parameters(file: str) -> list[dict[str, float]]:
-    """Return a list with one dict: the parameters in a file by name."""
+    """Read a parameter file; return a list with one dict, name -> value."""
     return [read_parameters(file)]
 
 
 def _lands(waypoint: Waypoint) -> bool:
-    """Return whether a waypoint of a plan is a landing."""
+    """Return whether a plan's waypoint is a landing."""
     return waypoint.command == LAND

@@ -28,23 +28,23 @@ class PlanGround:
 
     @property
     def relief(self) -> bool:
-        """True if the ground's height varies."""
+        """True if the scenario's ground is not level."""
         return bool(self._scenario.world.ground.type != "flat")
 
     @cached_property
     def _ground(self) -> Ground | None:
-        """Ground of the scenario, built at first use; None if it cannot be built."""
+        """The scenario's ground model, built at first use; None if it cannot be built."""
         return build.ground_if_any(self._scenario)
 
     def down(self, north: npt.ArrayLike, east: npt.ArrayLike) -> Floats:
-        """Return the ground's z coordinate [m, down] at places north and east (...) [m]; 0 without a ground."""
+        """Return the ground's z coordinate [m, down] at north and east (...) [m]; 0 if there is no ground model."""
         if self._ground is None:
             return np.zeros(np.broadcast(north, east).shape)
         return ground_down(self._ground)(north, east)
 
 
 def ground_down(ground: Ground) -> GroundDown:
-    """Return a function of north and east (...) [m] that returns the ground's z coordinate (...) [m, down]."""
+    """Return a function that maps north and east (...) [m] to the ground's z coordinate (...) [m, down]."""
 
     def down(north: npt.ArrayLike, east: npt.ArrayLike) -> Floats:
         """Return the ground's z coordinate (...) [m, down] at north and east (...) [m]."""

@@ -38,7 +38,7 @@ class PlannedVehicle:
 
 
 def plan_lines(planned: Iterable[PlannedVehicle]) -> Iterator[str]:
-    """Yield printable lines about the plans of vehicles."""
+    """Yield lines of text, for printing, about the plans that vehicles fly and the plan items that are ignored."""
     for vehicle in planned:
         home = vehicle.plan.home
         level = "" if math.isnan(home.altitude_amsl) else f", {home.altitude_amsl:g} m above the sea"
@@ -67,7 +67,7 @@ def plan_lines(planned: Iterable[PlannedVehicle]) -> Iterator[str]:
 
 
 def listed(notes: list[Ignored]) -> str:
-    """Return items grouped by kind as text: "DO_GRIPPER (items 3, 5), DO_MOUNT_CONTROL (item 4)"."""
+    """Return ignored plan items, grouped by kind, as text: "DO_GRIPPER (items 3, 5), DO_MOUNT_CONTROL (item 4)"."""
     numbers: dict[str, list[str]] = {}
     for note in notes:
         numbers.setdefault(note.name, []).append(str(note.item))

@@ -23,7 +23,7 @@ USUAL_HEIGHT, FOOT = 150.0, 0.3048
 
 
 def home_of(site: SiteSpec) -> list[float]:
-    """Return latitude [deg], longitude [deg] and altitude above the sea [m] of the home in a site's plan.
+    """Return latitude, longitude [deg] and altitude above the sea [m] of the home in the plan that a site names.
 
     Raises:
         UsageError: the plan cannot be read, no site can be that high, or the site has numbers of its own.
@@ -81,7 +81,7 @@ def ellipsoidal_height(site: SiteSpec) -> float:
 
 
 def height_of_home(scenario: ScenarioSpec) -> float | None:
-    """Return the altitude [m] above mean sea level of the first plan's home near a site with no height; else None.
+    """Return the altitude above mean sea level [m] of the first plan home near a site without a height; else None.
 
     It is that of the first plan with its home near the site; None without one, and for a site that has a height.
     """
@@ -114,7 +114,7 @@ def _distance(site: Site, home: Home) -> float:
 
 
 def far_from_home(plans: Mapping[str, Plan], site: Site, ground_down: GroundDown | None) -> str | None:
-    """Return a sentence about the plan with the home farthest from the site or ground; None if all are near.
+    """Return a sentence about the plan with the home farthest from the site or its ground; None if all are near.
 
     Args:
         plans: by their files.
@@ -144,7 +144,7 @@ def far_from_home(plans: Mapping[str, Plan], site: Site, ground_down: GroundDown
 
 
 def items_far_from_home(file: str, plan: Plan) -> str | None:
-    """Return a sentence if a plan's first item is far from its home; else None."""
+    """Return a warning if the first item of a plan is far from its home; else None."""
     if not plan.waypoints:
         return None
     first, home = plan.waypoints[0], plan.home
@@ -157,7 +157,7 @@ def items_far_from_home(file: str, plan: Plan) -> str | None:
 
 
 def in_feet(file: str, plan: Plan, ceiling: float | None, winged: bool) -> str | None:
-    """Return a hint that a plan's heights may be in feet; None if they are plausible in metres.
+    """Return a hint that a plan's heights may be in feet, from those and the ceiling [m]; None if plausible in metres.
 
     Args:
         file: of the plan.
@@ -182,5 +182,5 @@ def in_feet(file: str, plan: Plan, ceiling: float | None, winged: bool) -> str |
 
 
 def _length(metres: float) -> str:
-    """Return a length [m] as text, in km from 1000 m."""
+    """Format a length [m] as text, in km from 1000 m."""
     return f"{metres / 1000.0:.3g} km" if metres >= 1000.0 else f"{metres:.3g} m"

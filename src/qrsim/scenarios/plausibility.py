@@ -53,7 +53,7 @@ PELICAN = {field.name: field.default for field in dataclasses.fields(Quadrotor)}
 
 
 def plausibility_warnings(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a warning for each part that cannot fly, its path first; ``scenario`` has no problems."""
+    """Yield a warning, its path first, for each implausible part of a checked scenario."""
     yield from air_warnings(scenario)
     yield from zone_warnings(scenario)
     yield from updraft_warnings(scenario)
@@ -79,7 +79,7 @@ def plausibility_warnings(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _sky(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a warning of range errors that move every fix by metres."""
+    """Yield a warning of satellite range errors so large that every GNSS fix is wrong by metres."""
     std = vars(scenario.world.sky.errors).get("std", 0.0)
     read = any(sensor.type in RECEIVERS for fleet in scenario.fleets.values() for sensor in fleet.sensors.values())
     if read and not is_outside("sky", scenario.world.sky.errors.type) and std >= ROUGH_STD_M:
@@ -90,7 +90,7 @@ def _sky(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _wind(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a warning of implausibly fast recorded wind, and of an area beyond its data."""
+    """Yield a warning of implausibly fast recorded wind, and one of an area larger than the wind's data."""
     try:
         wind = component(scenario.world.wind, known.WINDS, scenario).at(scenario.duration)
         found = wind.beyond(bounds_of(scenario.world.area), top_of(scenario.world.area))
@@ -103,7 +103,7 @@ def _wind(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _ground(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the notes on a file of elevations."""
+    """Yield the notes on a file of terrain elevations."""
     ground = component(scenario.world.ground, known.GROUNDS, scenario)
     if isinstance(ground, ElevationFile):
         place = scenario.site
@@ -112,7 +112,7 @@ def _ground(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _fast(file: str, wind: Any) -> Iterator[str]:
-    """Yield a warning of a recorded wind with implausible speeds."""
+    """Yield a warning of a recorded wind, from ``file``, with implausible speeds."""
     axes = (np.asarray(axis, np.float64) for axis in (wind.air_ned.x, wind.air_ned.y, wind.air_ned.z))
     speed = np.sqrt(sum(np.square(axis) for axis in axes))
     row = int(np.unravel_index(int(np.argmax(speed)), speed.shape)[0])
@@ -125,7 +125,7 @@ def _fast(file: str, wind: Any) -> Iterator[str]:
 
 
 def _estimator(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a warning of a filter whose noise parameters are much smaller than its sensors' errors."""
+    """Yield a warning of a Kalman filter with noise parameters much smaller than its sensors' errors."""
     if fleet.estimator is None or not issubclass(known.FILTERS[fleet.estimator.type], KalmanParameters):
         return
     spec = fleet.estimator
@@ -160,13 +160,13 @@ class _Constants:
 
 
 def _worst(path: str, name: str, value: object, score: Any) -> tuple[int, str]:
-    """Return the index of the largest ``score`` and the path of that vehicle's number."""
+    """Return the index of the vehicle with the largest ``score``, and the path of its number for a parameter."""
     i = int(np.argmax(score))
     return i, f"{path}.{name}" + (f".{i}" if isinstance(value, list) else "")
 
 
 def _lift(path: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield a warning of implausible gravity, mass or thrust: a vehicle that cannot stay up or come down."""
+    """Yield a warning of implausible gravity, mass or thrust: a vehicle that cannot climb or cannot descend."""
     of, volts = _Constants(fleet), voltages(fleet)
     if not ((of.gravity >= EARTH[0]) & (of.gravity <= EARTH[1])).all():
         i, where = _worst(path, "vehicle.gravity", fleet.vehicle.gravity, np.abs(of.gravity - 9.81))
@@ -213,7 +213,7 @@ def _battery(path: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _capacity(path: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield a warning of a battery capacity that looks like mAh."""
+    """Yield a warning of a battery capacity [Ah] that looks like mAh."""
     capacity = vars(fleet.battery).get("capacity")
     if capacity is None or is_outside("battery", fleet.battery.type):
         return
@@ -223,7 +223,7 @@ def _capacity(path: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _loops(path: str, fleet: FleetSpec, dt: float) -> Iterator[str]:
-    """Yield the unstable or too fast control loops of the first vehicle that has any; ``dt`` is the time step [s]."""
+    """Yield warnings of unstable or too fast control loops of the first vehicle with any, for time step ``dt`` [s]."""
     of, several = _Constants(fleet), bool(_lists(fleet.vehicle))
     for i in range(of.size if several else 1):
         found = list(_unstable(path, fleet, of, i, dt))
@@ -233,7 +233,7 @@ def _loops(path: str, fleet: FleetSpec, dt: float) -> Iterator[str]:
 
 
 def _unstable(path: str, fleet: FleetSpec, of: _Constants, i: int, dt: float) -> Iterator[str]:
-    """Yield the control loops of vehicle i that are unstable, or too fast for a time step of ``dt`` [s]."""
+    """Yield warnings of control loops of vehicle i that are unstable, or too fast for a time step of ``dt`` [s]."""
     for axis, names, stiffness, damping in _axes(fleet, of, i):
         where = f"{path}.vehicle.{names}"
         numbers = f"stiffness {stiffness:g} 1/s^2 and damping {damping:g} 1/s"
@@ -262,12 +262,12 @@ def _lists(vehicle: Any) -> list[object]:
 
 
 def _growth(z: complex) -> float:
-    """Return the factor by which a step of Heun's rule multiplies a solution of y' = (z / dt) y."""
+    """Return the factor by which one step of Heun's method multiplies a solution of y' = (z / dt) y."""
     return abs(1.0 + z + z * z / 2.0)
 
 
 def _axes(fleet: FleetSpec, of: _Constants, i: int) -> Iterator[tuple[str, str, float, float]]:
-    """Yield (axis, names of its gains, stiffness, damping) of a vehicle's tilt loops, linearised about level."""
+    """Yield (axis, gains' names, stiffness, damping) of each tilt loop of vehicle i, linearised about level flight."""
     law = vars(fleet.vehicle).get("tilt_law", "")
     if law:
         step = 1e-4

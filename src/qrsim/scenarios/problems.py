@@ -45,7 +45,7 @@ _PLAIN = {
 
 
 def describe(error: ValidationError, model: type[BaseModel], data: object) -> list[str]:
-    """Return a sentence for each error of a validation, in schema order; further ones in pydantic's words."""
+    """Return a sentence for each error of ``data`` validated by ``model``; past MOST_PROBLEMS in pydantic's words."""
     found = error.errors(include_url=False)
     told = [_Fault(details, model, data).sentence() for details in found[:MOST_PROBLEMS]]
     # To find the place and the nearest name of a hundred thousand takes many seconds, and nobody reads them.
@@ -53,7 +53,7 @@ def describe(error: ValidationError, model: type[BaseModel], data: object) -> li
 
 
 def component_types(model: type[BaseModel], path: list[str]) -> list[str]:
-    """Return the types of component allowed at a path of a scenario; none if it takes no component."""
+    """Return the types of component allowed at a path of a scenario; [] if no component belongs there."""
     annotation: Any = model
     for part in path:
         models = _models(annotation)
@@ -84,7 +84,7 @@ class _Fault:
         self._locate(data)
 
     def _locate(self, data: object) -> None:
-        """Follow the error's location through data and schema, and set path, owner, field and value."""
+        """Follow the error's location through data and schema; set the path, owner, field and value for the message."""
         for part in self.details["loc"]:
             if part == "[key]":
                 continue
@@ -109,7 +109,7 @@ class _Fault:
             data = self._descend(part, data)
 
     def _name_of(self, model: type[BaseModel]) -> str:
-        """Return the name of a part in scenarios: its type, its kind, or its field."""
+        """Return the name of a pydantic model's part in scenarios: its type, its kind, or its field."""
         if model.__name__.endswith("Spec"):
             return re.sub(r"(?<!^)(?=[A-Z])", " ", model.__name__.removesuffix("Spec")).lower()
         if {"type", "kind"} & set(model.model_fields):
@@ -117,7 +117,7 @@ class _Fault:
         return self.path[-1]
 
     def _descend(self, part: object, data: object) -> object:
-        """Append a key to the path and return the data there; None if there is none."""
+        """Append the key ``part`` to the error's path; return the data there, None if it does not exist."""
         name, self.beside = str(part), data
         if isinstance(data, dict):
             twin = name.removesuffix("_rad") + "_deg"
@@ -129,7 +129,7 @@ class _Fault:
         return data[part] if isinstance(data, list) and isinstance(part, int) and part < len(data) else None
 
     def sentence(self) -> str:
-        """Return the error as one sentence: path, problem, allowed values and hints."""
+        """Return the error as one sentence: path, what is wrong, allowed values and hints."""
         kind, where = self.details["type"], ".".join(self.path) or "scenario"
         value = self.details["input"]
         context = self.details.get("ctx", {})
@@ -178,7 +178,7 @@ class _Fault:
         return f"{where}: {self._shown(value)} {self._fault(kind, context)}{self._meaning()}{hint}"
 
     def _fault(self, kind: str, context: Mapping[str, object]) -> str:
-        """Return the problem of the value as text.
+        """Return as text what is wrong with the value; ``kind`` and ``context`` are pydantic's error type and details.
 
         Args:
             kind: pydantic's type of error.
@@ -199,27 +199,27 @@ class _Fault:
         return swapped_hint(self.details["input"], self.beside.get("longitude_deg"))
 
     def _known(self) -> list[str]:
-        """Return the field names of the owner, with those of angles in degrees."""
+        """Return the field names allowed in the mapping with the error, with those of angles in degrees."""
         names = [name for name in (self.owner.model_fields if self.owner else {}) if name != "type"]
         twins = [name.removesuffix("_rad") + "_deg" for name in names if name.endswith("_rad")]
         return names + twins
 
     def _choices(self) -> list[str]:
-        """Return the allowed values: types of components, or options."""
+        """Return the values allowed where the error is: types of components, or options."""
         models = _models(self.annotation)
         return [model.__name__ for model in models] or [str(option) for option in get_args(_bare(self.annotation))]
 
     def _types(self) -> str:
-        """Return a hint with the types of component that are allowed."""
+        """Return a hint with the types of component allowed where the error is."""
         return f"; it names what this is: {', '.join(self._choices())}"
 
     def _twin(self) -> str:
-        """Return a hint that an angle in radians may be given in degrees; "" for other fields."""
+        """Return a hint that the angle in radians may be given in degrees instead; "" for other fields."""
         name = self.path[-1]
         return f"; or give {name.removesuffix('_rad')}_deg in degrees" if name.endswith("_rad") else ""
 
     def _example(self, value: object) -> str:
-        """Return a text that shows how a component is written, for a component given by its type alone."""
+        """Return a text that shows how to write a component, for one given by its type alone."""
         models = [model for model in _models(self.annotation) if "type" in model.model_fields]
         if not models or not isinstance(value, str):
             return ""
@@ -227,7 +227,7 @@ class _Fault:
         return f" such as {{type: {value if value in names else names[0]}}}"
 
     def _shown(self, value: object) -> str:
-        """Return a value as a message shows it: at most 60 characters, an angle in degrees if so given."""
+        """Format the value for the message: at most 60 characters, an angle in degrees if given so."""
         if self.in_degrees and isinstance(value, float):
             return f"{math.degrees(value):g}"
         if value is None:
@@ -238,17 +238,17 @@ class _Fault:
         return text if len(text) <= 60 else f"{text[:57]}..."
 
     def _rule(self, name: str) -> Any:
-        """Return a bound (such as ``ge``) of the field or of its list's entries; None without one."""
+        """Return a bound (such as ``ge``) of the field, or of its list's entries; None without one."""
         rules = [*(self.field.metadata if self.field else []), *_rules(self.annotation)]
         found = [getattr(rule, name) for rule in rules if getattr(rule, name, None) is not None]
         return found[-1] if found else None
 
     def _holds_numbers(self) -> bool:
-        """Return whether the entries of the list or mapping are numbers."""
+        """Return whether the entries of the field's list or mapping are numbers."""
         return _bare(_entry(self.annotation)) is float
 
     def _length(self) -> str:
-        """Return the allowed number of entries of a list, in words."""
+        """Return the allowed number of entries of the field's list, in words."""
         low, high = self._rule("min_length"), self._rule("max_length")
         what = "numbers" if self._holds_numbers() else "entries"
         if low == high:
@@ -258,7 +258,7 @@ class _Fault:
         return f"at least {low}"
 
     def _range(self) -> str:
-        """Return the allowed range of a number, in words, in degrees if it was given so."""
+        """Return the allowed range of the field's number, in words, in degrees if it was given so."""
         low, high, above = self._rule("ge"), self._rule("le"), self._rule("gt")
         if self.in_degrees:
             low, high, above = (None if bound is None else math.degrees(bound) for bound in (low, high, above))
@@ -269,7 +269,7 @@ class _Fault:
         return f"at least {_number(low)}" if low is not None else f"at most {_number(high)}"
 
     def _meaning(self) -> str:
-        """Return the description and the unit of the field in brackets; "" without a description."""
+        """Return the field's description and unit in brackets; "" without a description."""
         if self.field is None or not self.field.description:
             return ""
         extra = self.field.json_schema_extra
@@ -281,17 +281,17 @@ class _Fault:
 
 
 def _as_model(name: object) -> str:
-    """Return how a parameter set of a multirotor is chosen, by its name; "" for other names."""
+    """Return a hint how to choose a named parameter set of a multirotor; "" for other names."""
     return f"; write {{type: multirotor, model: {name}}}" if isinstance(name, str) and name in SETS else ""
 
 
 def _number(value: float) -> str:
-    """Return a bound as short text: 0.5, 1.5708, 10 000 000."""
+    """Format a bound as short text: 0.5, 1.5708, 10 000 000."""
     return f"{value:,.0f}".replace(",", " ") if 1e4 <= abs(value) < 1e12 else f"{value:g}"
 
 
 def _characters(pattern: str) -> str:
-    """Return in words which characters a pattern such as ^[A-Za-z0-9][A-Za-z0-9_-]*$ allows."""
+    """Return in words which characters a regular expression such as ^[A-Za-z0-9][A-Za-z0-9_-]*$ allows."""
     match = re.fullmatch(r"\^\[A-Za-z0-9\]\[A-Za-z0-9(.*)\]\*\$", pattern)
     return f"letters, digits and any of {' '.join(match[1])}, a letter or digit first" if match else pattern
 
@@ -303,13 +303,13 @@ def _given(annotation: object) -> Any:
 
 
 def _bare(annotation: object) -> object:
-    """Return a type without its Annotated metadata and without null."""
+    """Return a type annotation without its Annotated metadata and without None."""
     annotation = _given(annotation)
     return get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
 
 
 def _tagged(annotation: object, tag: object) -> object:
-    """Return the alternative of a union that carries a tag, None where there is none."""
+    """Return the alternative of a union annotation that carries a tag; None without one."""
     for branch in get_args(_bare(annotation)):
         if any(isinstance(note, Tag) and note.tag == tag for note in get_args(branch)[1:]):
             return branch
@@ -317,12 +317,12 @@ def _tagged(annotation: object, tag: object) -> object:
 
 
 def _entry(annotation: object) -> object:
-    """Return the type of the entries of a list or mapping annotation, None for others."""
+    """Return the type of the entries of a list or mapping annotation; None for other annotations."""
     return (get_args(_bare(annotation)) or (None,))[-1]
 
 
 def _rules(annotation: object) -> list[object]:
-    """Return the constraint objects in an Annotated type."""
+    """Return the constraints in the metadata of an Annotated type."""
     annotation = _given(annotation)
     if get_origin(annotation) is not Annotated:
         return []
@@ -332,7 +332,7 @@ def _rules(annotation: object) -> list[object]:
 
 
 def _slot(annotation: object) -> type[Slot] | None:
-    """Return the ``Slot`` in an annotation, None without one."""
+    """Return the ``Slot`` (place for a component) in an annotation; None without one."""
     bare = _bare(annotation)
     return bare if isinstance(bare, type) and issubclass(bare, Slot) else None
 

@@ -15,14 +15,14 @@ TRUST = "if you trust its author, --code loads it, in Python open_run(..., code=
 
 
 def places(content: object) -> Iterator[tuple[str, str, Content]]:
-    """Yield (path, kind, content) of every component of a scenario that has a type."""
+    """Yield (path, kind, content) of every component in a scenario's content that has a type."""
     for path, kind, part in _parts(content):
         if isinstance(part, dict) and isinstance(part.get("type"), str):
             yield path, kind, part
 
 
 def _parts(content: object) -> Iterator[tuple[str, str, object]]:
-    """Yield (path, kind, content) of each place in a scenario that takes a component."""
+    """Yield (path, kind, content) of each place in a scenario's content that takes a component."""
     world, fleets = _mapping(content, "world"), _mapping(content, "fleets")
     for kind in WORLD_KINDS:
         yield f"world.{kind}", kind, world.get(kind)
@@ -47,14 +47,14 @@ def _mapping(content: object, key: object) -> Content:
 
 
 def anchor_code(content: object, folder: Path) -> None:
-    """Make ``type: ./file.py:Class`` absolute, in place; relative paths are relative to a folder."""
+    """Make file paths in ``type: ./file.py:Class`` absolute, in place; relative ones start in ``folder``."""
     for _, _, part in places(content):
         if code.is_code(part["type"]):
             part["type"] = code.anchored(part["type"], folder)
 
 
 def provide_components(content: object, source: str, named_code: bool = True) -> None:
-    """Load and register the components of a scenario that are not built in.
+    """Load and register the scenario's components from packages or Python files; ``named_code`` allows files.
 
     Args:
         content: of the scenario.
@@ -80,7 +80,7 @@ def provide_components(content: object, source: str, named_code: bool = True) ->
 
 
 def outside_components(content: object) -> list[dict[str, str]]:
-    """Return, for run folders, a record of each component of a scenario that is not built in."""
+    """Return a record for the run folder, as a dict, of each component of a scenario that is not built in."""
     found = []
     for path, kind, part in places(content):
         name = part["type"]
@@ -103,7 +103,7 @@ def outside_components(content: object) -> list[dict[str, str]]:
 
 
 def outside_problems(content: object) -> Iterator[str]:
-    """Yield a problem for each component in an uploaded scenario that would run code of this machine."""
+    """Yield an error for each component in a client's scenario that would make this machine load other code."""
     for path, kind, part in places(content):
         name = part["type"]
         if code.is_code(name) or ":" in name:

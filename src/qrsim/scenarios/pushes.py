@@ -17,7 +17,7 @@ from qrsim.scenarios.timing import is_multiple
 
 
 def pushes(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[Push, ...]:
-    """Build a fleet's pushes: those among its faults, then those of the world's events that affect it."""
+    """Build a fleet's external pushes: those among its faults, then those of ``world.events`` that affect it."""
     names, dt = vehicle_names(fleet_name, fleet), scenario.time_step
     found = [(spec.at, spec.end, spec) for spec in fleet.faults if isinstance(spec, PushSpec)]
     if is_pushable(fleet):
@@ -38,12 +38,12 @@ def pushes(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[P
 
 
 def _vector(acceleration: list[float] | None) -> Vec3:
-    """Return an acceleration [m/s^2] as a vector, zero for None."""
+    """Convert an acceleration of three numbers [m/s^2], NED or body, to a vector; zero for None."""
     return record_of(Vec3, *(acceleration or (0.0, 0.0, 0.0)))
 
 
 def push_event_problems(path: str, push: Any, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the problems of a push among the events of a scenario."""
+    """Yield the errors of a push in ``world.events`` of a scenario."""
     lasts, dt = getattr(push, "for"), scenario.time_step
     if not is_multiple(lasts, dt, math.inf):
         yield f"{path}.for: {lasts:g} s is not a multiple of the time step {dt:g} s"

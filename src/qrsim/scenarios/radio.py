@@ -24,14 +24,14 @@ _MOST_PERIODS = 16
 
 
 def with_fleets(network: Network | None, scenario: ScenarioSpec) -> Network | None:
-    """Return a world's radio with its fleets' own settings filled in; None without a radio."""
+    """Return the world's radio network with settings that fleets override filled in; None without a radio."""
     own = [fleet.radio for fleet in scenario.fleets.values()]
     if network is None or all(spec is None for spec in own):
         return network
     sizes = [len(fleet.vehicles) for fleet in scenario.fleets.values()]
 
     def each(name: str) -> NumpyArray:
-        """Return a fleet radio's parameter for each vehicle (n,), NaN if not given."""
+        """Return a radio parameter that fleets override, for each vehicle (n,); NaN if not given."""
         values = [np.nan if spec is None or getattr(spec, name) is None else getattr(spec, name) for spec in own]
         return np.repeat(np.array(values, np.float64), sizes)
 
@@ -42,7 +42,7 @@ def with_fleets(network: Network | None, scenario: ScenarioSpec) -> Network | No
 
 
 def radio_problems(network: Network | None, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the problems of a world's radio (None: it has none) and of its fleets' settings."""
+    """Yield the errors of the world's radio network (None: it has none) and of fleets' radio settings."""
     for name, fleet in scenario.fleets.items():
         if fleet.guidance.model_dump().get("knows") == "heard":
             yield from _unheard(f"fleets.{name}", fleet, network)
@@ -64,7 +64,7 @@ def radio_problems(network: Network | None, scenario: ScenarioSpec) -> Iterator[
 
 
 def _unheard(path: str, fleet: FleetSpec, network: Network | None) -> Iterator[str]:
-    """Yield a problem if a fleet's guidance has ``knows: heard`` and the fleet cannot receive."""
+    """Yield an error if a fleet's guidance uses only neighbours heard by radio, but the fleet cannot receive."""
     guidance = f"{path}.guidance.knows: 'heard' is by radio"
     if network is None:
         yield f"{guidance}, and there is no world.radio; give one, or knows: all"
@@ -78,7 +78,7 @@ def _unheard(path: str, fleet: FleetSpec, network: Network | None) -> Iterator[s
 
 
 def _times(network: Network, dt: float) -> Iterator[str]:
-    """Yield a problem if the MAC period is off the time step, or a packet does not fit into a slot."""
+    """Yield an error if the radio's MAC period is no multiple of ``dt`` [s], or a packet does not fit into a slot."""
     mac, air = network.mac, network.air_time
     path = "world.radio.mac"
     if not is_multiple(mac.period, dt):

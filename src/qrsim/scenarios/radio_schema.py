@@ -13,7 +13,7 @@ NONE = "none"
 
 
 def _of_a_name(data: object) -> object:
-    """Return {"preset": name} for a name, and other data as they are."""
+    """Return {"preset": name} for the name of a radio preset; other data unchanged."""
     return {"preset": data} if isinstance(data, str) else data
 
 
@@ -34,7 +34,7 @@ class FleetRadioSpec(Strict):
     @model_validator(mode="before")
     @classmethod
     def _none(cls, data: object) -> object:
-        """Turn "none" into a fleet with no radio; raises ValueError for other texts."""
+        """Convert the text "none" to the settings of a fleet without a radio; raises ValueError for other texts."""
         if isinstance(data, str):
             if data != NONE:
                 raise ValueError(f"is {data!r}; expected 'none', or values that differ from world.radio")

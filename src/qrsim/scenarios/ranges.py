@@ -45,7 +45,7 @@ Path = tuple[str | int, ...]
 
 
 def range_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the problems of a scenario's ``ranges``."""
+    """Yield the errors of a scenario's ``ranges``, from which episodes draw parameters."""
     seen: set[str] = set()
     for i, item in enumerate(scenario.ranges):
         path = in_radians(item)[0]
@@ -63,14 +63,14 @@ def range_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def in_radians(item: RangeSpec) -> tuple[str, float, float]:
-    """Return path, low and high of a range, with angles in radians."""
+    """Return path, low and high of a range; those of an angle in degrees are converted to radians."""
     if item.path.endswith("_deg"):
         return item.path.removesuffix("_deg") + "_rad", math.radians(item.low), math.radians(item.high)
     return item.path, item.low, item.high
 
 
 def _value_at(scenario: ScenarioSpec, parts: list[str]) -> tuple[object, str]:
-    """Return (value at a path of the scenario, ""), or (None, problem of the path)."""
+    """Return (value at a path of the scenario, "") or, if the path is wrong, (None, error text)."""
     value = scenario
     for i, part in enumerate(parts):
         if isinstance(value, list):
@@ -87,7 +87,7 @@ def _value_at(scenario: ScenarioSpec, parts: list[str]) -> tuple[object, str]:
 
 
 def _path_problem(scenario: ScenarioSpec, path: str) -> str:
-    """Return the reason that the number at a path cannot be drawn for each episode; "" if it can."""
+    """Return the reason why episodes cannot draw the number at a path; "" if they can."""
     parts = path.split(".")
     value, problem = _value_at(scenario, parts)
     if problem:
@@ -109,7 +109,7 @@ def _path_problem(scenario: ScenarioSpec, path: str) -> str:
 
 
 def _is_setting(scenario: ScenarioSpec, path: str) -> bool:
-    """Return whether a number is a setting of its component, which is compiled."""
+    """Return whether the number at a path is a setting that is compiled, and so cannot vary."""
     parts = path.split(".")
     for depth in range(len(parts) - 1, 0, -1):
         spec, _ = _value_at(scenario, parts[:depth])
@@ -121,7 +121,7 @@ def _is_setting(scenario: ScenarioSpec, path: str) -> bool:
 
 
 def _group(parts: list[str]) -> Mapping[str, type] | None:
-    """Return type name -> class of the components at a path without its last part; None for other paths."""
+    """Return type name -> class of components that a path may have, such as fleets.NAME.battery; None for others."""
     if parts[:2] == ["world", "updrafts"]:
         return known.UPDRAFTS
     if parts[0] == "world":
@@ -138,7 +138,7 @@ def _group(parts: list[str]) -> Mapping[str, type] | None:
 
 
 def _static(owner: Any, names: list[str]) -> bool:
-    """Return whether a field of a component, or of one nested in it, is compiled and cannot vary."""
+    """Return whether a field of a component, or of one nested in it along ``names``, is compiled and cannot vary."""
     fields = {field.name: field for field in dataclasses.fields(owner)}
     # What a scenario says of every sensor, as its delay, is no field of the sensor and is compiled.
     if names[0] not in fields:
@@ -148,7 +148,7 @@ def _static(owner: Any, names: list[str]) -> bool:
 
 
 def _bound_problems(scenario: ScenarioSpec, i: int, item: RangeSpec, path: str) -> Iterator[str]:
-    """Yield a problem if a range exceeds the bounds of its parameter."""
+    """Yield an error if a range, the ``i``-th of the scenario, exceeds the bounds of its parameter."""
     _, low, high = in_radians(item)
     for end, value in (("low", low), ("high", high)):
         content = copy.deepcopy(scenario.model_dump(mode="json"))
@@ -165,7 +165,7 @@ def _bound_problems(scenario: ScenarioSpec, i: int, item: RangeSpec, path: str) 
 
 
 def world_path(scenario: ScenarioSpec, path: str) -> Path | None:
-    """Return the World path of a scenario's parameter, None if episodes cannot draw it."""
+    """Return the path in a World of a scenario's parameter; None if episodes cannot draw it."""
     for prefix, where in IN_WORLD.items():
         if path.startswith(f"{prefix}.") and (prefix != "world.base_station" or base_station(scenario) is not None):
             return (*where, *path.removeprefix(f"{prefix}.").split("."))
@@ -190,13 +190,13 @@ def world_path(scenario: ScenarioSpec, path: str) -> Path | None:
 
 
 def is_time_of_fault(path: str) -> bool:
-    """Return whether a scenario path is a time of a fault, stored in ticks in a World."""
+    """Return whether a scenario path is a fault's time, which a World stores in ticks."""
     parts = path.split(".")
     return len(parts) == 5 and parts[0] == "fleets" and parts[2] == "faults" and parts[-1] in TIMES
 
 
 def ranges_of(scenario: ScenarioSpec) -> tuple[Range, ...]:
-    """Build the ranges of a scenario without problems."""
+    """Build the ranges from which episodes draw parameters, of a checked scenario."""
     found = []
     for item in scenario.ranges:
         path, low, high = in_radians(item)
@@ -210,7 +210,7 @@ def ranges_of(scenario: ScenarioSpec) -> tuple[Range, ...]:
 
 
 def _heirs(scenario: ScenarioSpec, path: str) -> Iterator[Path]:
-    """Yield the further World paths of a parameter that inherit or repeat its value."""
+    """Yield the other paths in a World at which a scenario's parameter is inherited or repeated."""
     parts = path.split(".")
     if parts[0] == "fleets" and parts[2] == "faults":
         fleet = list(scenario.fleets).index(parts[1])

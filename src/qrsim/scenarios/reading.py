@@ -35,7 +35,7 @@ def built_in_names() -> list[str]:
 
 
 def read_scenario(source: str | Path | Content) -> tuple[str, Content]:
-    """Read a scenario from a name, a YAML path or a dict; return (label of the source, content).
+    """Read a scenario from a built-in name, a YAML path or a dict; return (label of the source, content).
 
     What it extends is merged in, and every ``file:`` that a file names is absolute.
     """
@@ -45,7 +45,7 @@ def read_scenario(source: str | Path | Content) -> tuple[str, Content]:
 
 
 def _read(source: str | Content, children: list[tuple[str, str]]) -> tuple[str, Content]:
-    """Read a source and merge in what it extends; ``children`` are the sources that extend it; refuses a loop."""
+    """Read a scenario and merge it over what it extends; ``children`` are sources that extend it, to refuse loops."""
     identity, folder = _origin(source)
     name = "scenario" if isinstance(source, dict) else source
     if identity in (known for known, _ in children):
@@ -74,7 +74,7 @@ def _read(source: str | Content, children: list[tuple[str, str]]) -> tuple[str, 
 
 
 def _origin(source: str | Content) -> tuple[str, Path]:
-    """Return an identity of a source, "" for a dict, and the folder that its paths are relative to."""
+    """Return an identity of a scenario source, "" for a dict, and the folder that its relative paths start in."""
     if isinstance(source, dict):
         return "", Path.cwd()
     if source in built_in_names():
@@ -84,12 +84,12 @@ def _origin(source: str | Content) -> tuple[str, Path]:
 
 
 def _is_file(name: str) -> bool:
-    """Return whether a source name is the path of a file, by its ending."""
+    """Return whether the name of a scenario is the path of a file, by its suffix."""
     return Path(name).suffix in (".yaml", ".yml")
 
 
 def _read_file(name: str, folder: Path) -> Content:
-    """Return the content of a built-in scenario or a file, its files anchored to the folder."""
+    """Read a built-in scenario or a YAML file; file names in it become absolute, relative ones start in ``folder``."""
     if name in built_in_names():
         text = resources.files("qrsim.scenarios").joinpath(*f"{name}.yaml".split("/")).read_text("utf-8")
         return _as_mapping(parse_yaml(text, name), name)
@@ -139,7 +139,7 @@ def check_size(content: object, source: str) -> None:
 
 
 def checked_overrides(overrides: Iterable[str]) -> list[str]:
-    """Return overrides as a list; raises UsageError for other types, such as a single text."""
+    """Return overrides as a list of texts; raises UsageError for other types, such as a single text."""
     if isinstance(overrides, str):
         raise UsageError(f"overrides: expected a list such as ['path=value'], found the text {overrides!r:.200}")
     try:
@@ -155,7 +155,7 @@ def checked_overrides(overrides: Iterable[str]) -> list[str]:
 
 
 def merged(parent: Content, child: Content) -> Content:
-    """Return ``parent`` updated recursively by ``child``; values of the child take precedence.
+    """Return scenario content ``parent`` updated recursively by ``child``; values of the child take precedence.
 
     A child of another ``type``, or a site from a ``plan``, replaces the parent wholly. A list replaces a list, an angle
     in one unit that in the other, a wind's ``speed`` its ``speed_20ft``, a site's ``height_amsl`` its ``height``, and
@@ -178,7 +178,7 @@ def merged(parent: Content, child: Content) -> Content:
 
 
 def anchor_files(content: Content, folder: Path) -> None:
-    """Make every ``file:`` of a scenario absolute, in place; relative paths are relative to its folder.
+    """Make every ``file:`` of a scenario absolute, in place; relative paths start in the scenario's folder.
 
     ``plan: FILE`` of the site or a vehicle becomes ``plan: {file: FILE}``, as does ``geoid: FILE`` of the site, and
     ``wind: calm`` becomes ``wind: {type: calm}``, as of every component. A name that is not there but is one of the
@@ -192,7 +192,7 @@ def anchor_files(content: Content, folder: Path) -> None:
 
 
 def _with_plans(content: Content) -> Iterator[object]:
-    """Yield the contents that may name a plan: the site, and each vehicle."""
+    """Yield the parts of a scenario that may name a plan file: the site, and each vehicle."""
     yield content.get("site")
     fleets = content.get("fleets")
     for fleet in fleets.values() if isinstance(fleets, dict) else ():
@@ -201,7 +201,7 @@ def _with_plans(content: Content) -> Iterator[object]:
 
 
 def _spell_out(content: Content, path: list[str]) -> None:
-    """Replace each component given by its type alone by {"type": ...}, in place."""
+    """Replace each component given by its type alone by {"type": ...}, in place; ``path`` is that of ``content``."""
     for key, value in content.items():
         inside = [*path, str(key)]
         if isinstance(value, dict):
@@ -226,13 +226,13 @@ def _anchor(content: object, folder: Path) -> None:
 
 
 def _anchored(name: str, folder: Path) -> str:
-    """Return an absolute file name; a public recording missing in ``folder`` is looked up in the data folder."""
+    """Return an absolute file name; a public recording that ``folder`` lacks is taken from the data folder."""
     file = Path(os.path.abspath(folder / os.path.expanduser(name)))
     return str(data_folder() / name if name in RECORDINGS and not file.exists() else file)
 
 
 def _as_mapping(content: object, source: str) -> Content:
-    """Return the content unchanged; raises ScenarioError unless it is a mapping."""
+    """Return scenario content unchanged; raises ScenarioError unless it is a mapping."""
     if not isinstance(content, dict):
         kinds = {type(None): "nothing", list: "a list", str: "a text"}
         found = kinds.get(type(content), repr(content))
@@ -271,7 +271,7 @@ def apply_override(content: Content, assignment: str) -> None:
 
 
 def _without_a_space(value: object) -> str | None:
-    """Return a key such as 'type:gnss', which lacks the space before its value; None if there is none."""
+    """Return a YAML key such as 'type:gnss', which lacks the space before its value; None if all are right."""
     if isinstance(value, list):
         return next(filter(None, map(_without_a_space, value)), None)
     if not isinstance(value, dict):
@@ -292,7 +292,7 @@ _OF_ONE_SITE = {"height": ("height_amsl",), "height_amsl": ("height",)}
 
 
 def _drop_twin(target: Content, name: str, kept: Container[str] = ()) -> None:
-    """Remove the entries that ``name`` replaces, such as the same angle in other units, except those in ``kept``.
+    """Remove keys of scenario content that ``name`` replaces, such as an angle in another unit, except ``kept``.
 
     Those in ``kept`` are given with it, and stay for the check of the whole to refuse.
     """
@@ -313,7 +313,7 @@ def _drop_twin(target: Content, name: str, kept: Container[str] = ()) -> None:
 
 
 def _enter(target: Any, parts: list[str], depth: int, assignment: str) -> Any:
-    """Return the child of ``target`` that the path names at ``depth``; a missing one becomes {}."""
+    """Return the child of ``target`` under the path's part number ``depth``; a missing child becomes {}."""
     name = parts[depth]
     if isinstance(target, list):
         child = target[_index(target, parts, depth, assignment)]
@@ -328,7 +328,7 @@ def _enter(target: Any, parts: list[str], depth: int, assignment: str) -> Any:
 
 
 def _check_name(target: Content, parts: list[str], depth: int, assignment: str) -> None:
-    """Raise UsageError for an unknown fleet or sensor, which an override would create."""
+    """Raise UsageError for an unknown fleet or sensor in an override's path, which it would otherwise create."""
     is_fleet = depth == 1 and parts[0] == "fleets"
     is_sensor = depth == 3 and parts[0] == "fleets" and parts[2] == "sensors" and parts[4:] != ["type"]
     if (is_fleet or is_sensor) and parts[depth] not in target:
@@ -337,7 +337,7 @@ def _check_name(target: Content, parts: list[str], depth: int, assignment: str) 
 
 
 def _index(target: list[object], parts: list[str], depth: int, assignment: str) -> int:
-    """Return the list index that part ``depth`` of a --set path names; raise UsageError if it has none."""
+    """Convert part number ``depth`` of an override's path to an index of a list; raise UsageError if it is none."""
     text = parts[depth]
     if re.fullmatch("[0-9]{1,9}", text) and int(text) < len(target):
         return int(text)

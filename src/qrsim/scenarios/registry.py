@@ -48,7 +48,7 @@ _ORIGINS: dict[tuple[str, str], Origin] = {}
 
 
 def register(kind: str, name: str, component: type) -> type:
-    """Register a class under a name for scenarios; return the class.
+    """Register a component class of a kind (such as "sensor") under a name for scenarios; return the class.
 
     Args:
         kind: what it is: "sensor", "vehicle", "wind", ... (see docs/howto/own_component.md).
@@ -73,7 +73,7 @@ def register(kind: str, name: str, component: type) -> type:
 
 
 def provide(kind: str, name: str) -> bool:
-    """Load a component if the catalogue lacks it; return whether the catalogue has it now.
+    """Load a component from a package or file if the catalogue lacks it; return whether the catalogue then has it.
 
     Args:
         kind: what is expected.
@@ -102,7 +102,7 @@ def outside_names(kind: str) -> list[str]:
 
 
 def made(kind: str, source: object) -> Any:
-    """Return an instance of the estimator or metrics class that a name or path gives, or the object itself.
+    """Return an estimator or metrics object: an instance of the class that a name or path gives, or ``source`` itself.
 
     Args:
         kind: estimator or metric.
@@ -135,17 +135,17 @@ def built_in_names(kind: str) -> list[str]:
 
 
 def any_outside() -> bool:
-    """Return whether any component from outside is registered."""
+    """Return whether any component that is not built in is registered."""
     return bool(_ORIGINS)
 
 
 def is_outside(kind: str, name: str) -> bool:
-    """Return whether a component is not built in."""
+    """Return whether a component of the catalogue is not built in."""
     return name not in _BUILT_IN[kind]
 
 
 def origin_of(kind: str, name: str) -> Origin:
-    """Return the origin of a component of the catalogue."""
+    """Return where a component of the catalogue comes from: built in, a package, a file or a call."""
     if not is_outside(kind, name):
         return Origin("built in", catalogue.KINDS[kind][name].__module__)
     return _ORIGINS[kind, name]
@@ -168,7 +168,7 @@ def name_of(kind: str, component: type) -> str:
 
 
 def packaged() -> Iterator[tuple[str, str, metadata.EntryPoint]]:
-    """Yield kind, name and entry point of all components of installed packages, without loading any.
+    """Yield (kind, name, entry point) of all components that installed packages offer, without loading any.
 
     Raises:
         UsageError: a package offers a kind that does not exist, a built-in name, or two the same.
@@ -191,7 +191,7 @@ def packaged() -> Iterator[tuple[str, str, metadata.EntryPoint]]:
 
 
 def components() -> list[dict[str, str]]:
-    """Return kind, name, class and origin of every component: built in, registered, offered by packages.
+    """Return a dict with kind, name, class and origin of every component: built in, registered, or in packages.
 
     Raises:
         UsageError: as ``packaged``.
@@ -210,20 +210,20 @@ def components() -> list[dict[str, str]]:
 
 
 def _check_kind(kind: object, what: str = "register") -> None:
-    """Raise UsageError, which begins with ``what``, for a kind of component that does not exist."""
+    """Raise UsageError for a kind of component that does not exist; the message begins with ``what``."""
     if kind not in catalogue.KINDS:
         raise UsageError(f"{what}: no kind of component is called {kind!r}{did_you_mean(str(kind), catalogue.KINDS)}")
 
 
 def _check_class(kind: str, component: object, what: str) -> None:
-    """Raise UsageError if a class does not conform to its kind."""
+    """Raise UsageError, which begins with ``what``, if a class does not conform to its kind."""
     problem = conformity_problem(kind, component)
     if problem:
         raise UsageError(f"{what}: {problem}")
 
 
 def _take_in(kind: str, name: str, component: type, origin: Origin) -> None:
-    """Add a class to catalogue and schema; raises UsageError, with no change, if it has no schema."""
+    """Add a component class to catalogue and schema; raises UsageError, with no change, if it can have no schema."""
     if code.is_code(name):
         code.taken_in(component.__module__, provide, kind, name)
     group = catalogue.KINDS[kind]
@@ -244,7 +244,7 @@ def _take_in(kind: str, name: str, component: type, origin: Origin) -> None:
 
 
 def _refuse_second(kind: str, name: str, component: type, origin: Origin) -> None:
-    """Raise UsageError if a name is built in, or taken by another class; a reloaded class may replace it."""
+    """Raise UsageError if a name is built in or is that of another class; a reloaded class may replace its old one."""
     if name in _BUILT_IN[kind]:
         built_in = _BUILT_IN[kind][name]
         raise UsageError(
@@ -262,7 +262,7 @@ def _refuse_second(kind: str, name: str, component: type, origin: Origin) -> Non
 
 
 def _origin(how: str, component: type, place: str = "") -> Origin:
-    """Return where a class comes from: how it was found, place, module, file and digest of the file."""
+    """Return how a component class was found (``how``), its place, module, file, and digest of the file."""
     module = sys.modules.get(component.__module__)
     file = getattr(module, "__file__", None) or ""
     if not place:
@@ -275,7 +275,7 @@ def _origin(how: str, component: type, place: str = "") -> Origin:
 
 
 def _load(kind: str, name: str) -> None:
-    """Load a component named ``module:Class`` or ``file.py:Class`` and register it."""
+    """Load a component class from ``module:Class`` or ``file.py:Class`` and register it under this name."""
     component = code.load_object(kind, name, kind="Class")
     if catalogue.KINDS[kind].get(name) is component:
         return
@@ -302,6 +302,6 @@ def _load_entry_point(kind: str, name: str) -> None:
 
 
 def _place_of(point: metadata.EntryPoint) -> str:
-    """Return the package, the version and the object of an entry point, in words."""
+    """Return package, version and object of an entry point as text."""
     found = point.dist
     return f"{found.metadata['Name']} {found.version} ({point.value})" if found else point.value

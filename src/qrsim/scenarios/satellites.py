@@ -32,7 +32,7 @@ FARTHEST_BASE = 50e3
 
 
 def receivers(scenario: ScenarioSpec) -> dict[str, Any]:
-    """Return path -> spec of the receivers of type gnss."""
+    """Return scenario path -> specification of each receiver of type gnss."""
     return {
         f"fleets.{name}.sensors.{sensor_name}": sensor
         for name, fleet in scenario.fleets.items()
@@ -42,12 +42,12 @@ def receivers(scenario: ScenarioSpec) -> dict[str, Any]:
 
 
 def needs_slots(scenario: ScenarioSpec, errors: RangeErrors) -> bool:
-    """Return whether the sky of a scenario stores the satellites in view in slots."""
+    """Return whether the scenario's sky stores satellites in view in a fixed number of slots."""
     return bool(receivers(scenario)) or bool(errors.needs_sight)
 
 
 def for_receivers(scenario: ScenarioSpec, ephemeris: object) -> Any:
-    """Return the ephemeris limited to the receivers' systems, if it is a file and the scenario names no systems.
+    """Return an orbits file limited to the satellite systems that receivers use, if it does not name them itself.
 
     Raises:
         UsageError: the file cannot be read.
@@ -65,7 +65,7 @@ def for_receivers(scenario: ScenarioSpec, ephemeris: object) -> Any:
 
 
 def warn_of_systems(scenario: ScenarioSpec, ephemeris: object) -> None:
-    """Warn of receivers that use systems of which a file of orbits has no satellite."""
+    """Warn of receivers that use satellite systems which the file of orbits lacks."""
     if not isinstance(ephemeris, Sp3Ephemeris):
         return
     for path, sensor in receivers(scenario).items():
@@ -78,7 +78,7 @@ def warn_of_systems(scenario: ScenarioSpec, ephemeris: object) -> None:
 
 
 def _sky_has_other_readers(scenario: ScenarioSpec) -> bool:
-    """Return whether any sensor other than the multi-system receiver reads the sky."""
+    """Return whether any sensor other than a receiver of type gnss reads the sky."""
     return any(
         sensor.type != RECEIVER and "sky" in known.SENSORS[sensor.type].reads
         for fleet in scenario.fleets.values()
@@ -89,7 +89,7 @@ def _sky_has_other_readers(scenario: ScenarioSpec) -> bool:
 def slotted_sky(
     scenario: ScenarioSpec, ephemeris: Ephemeris, orbits: Orbits, errors: RangeErrors, site: Site, start: float
 ) -> SlottedSky:
-    """Build the sky for receivers of type gnss, with the satellites in view in slots."""
+    """Build the sky for receivers of type gnss, with satellites in view in slots, from ``start`` [GPS s] on."""
     masks = [sensor.elevation_mask_rad for sensor in receivers(scenario).values()]
     lowest = math.sin(min(masks, default=MASK_LOWEST))
     return record_of(
@@ -109,7 +109,7 @@ def slotted_sky(
 
 
 def base_station(scenario: ScenarioSpec) -> BaseStation | None:
-    """Build the base station, if any receiver takes its corrections."""
+    """Build the GNSS base station if any receiver uses its corrections; else None."""
     spec = scenario.world.base_station
     if spec is None or not any(
         _takes_base(sensor) and not sensor.moving_base for sensor in receivers(scenario).values()
@@ -131,12 +131,12 @@ def of_vehicles(sensor: object, fleet_name: str, fleet: FleetSpec, scenario: Sce
 
 
 def _takes_base(sensor: Any) -> bool:
-    """Return whether a receiver takes the corrections of a base station."""
+    """Return whether a receiver uses the corrections of a base station."""
     return sensor.corrections in BASED
 
 
 def correction_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a problem, as text, for each receiver that cannot get the corrections that it is set to use."""
+    """Yield an error for each receiver that cannot get the corrections that it is set to use."""
     base = scenario.world.base_station
     own = vars(scenario.world.sky.errors).get("common") == "per_vehicle"
     for fleet_name, fleet in scenario.fleets.items():
@@ -164,7 +164,7 @@ def correction_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _base_problems(base: Any, duration: float) -> Iterator[str]:
-    """Yield the problems of a base station."""
+    """Yield the errors of a GNSS base station; ``duration`` is that of the run [s]."""
     away = math.hypot(*base.position_ned)
     if away > FARTHEST_BASE:
         yield (
@@ -180,7 +180,7 @@ def _base_problems(base: Any, duration: float) -> Iterator[str]:
 
 
 def satellite_problems(scenario: ScenarioSpec, ephemeris: Ephemeris) -> Iterator[str]:
-    """Yield a problem, as text, for each receiver of type gnss that these orbits do not suit."""
+    """Yield an error for each receiver of type gnss that cannot work with these orbits."""
     yield from correction_problems(scenario)
     names = [name for fleet_name, fleet in scenario.fleets.items() for name in vehicle_names(fleet_name, fleet)]
     yield from interference_problems(scenario, ephemeris, names, bool(receivers(scenario)))

@@ -60,7 +60,7 @@ class Scenario(Tabled):
     __repr__ = Tabled.__repr__
 
     def _table(self) -> Table:
-        """Return the table of parts, types and parameters that printing and notebooks show."""
+        """Return the table of the scenario's parts, types and parameters that printing and notebooks show."""
         spec, parts = self.spec, []
         for name in type(spec.world).model_fields:
             parts.append((f"world.{name}", getattr(spec.world, name)))
@@ -76,32 +76,32 @@ class Scenario(Tabled):
 
     @property
     def name(self) -> str:
-        """Short name of the scenario."""
+        """Short name of the scenario, such as "hover"."""
         return self.spec.name
 
     @property
     def duration(self) -> float:
-        """Simulated time [s]."""
+        """Simulated duration of a run [s]."""
         return self.spec.duration
 
     @property
     def ticks(self) -> int:
-        """Number of steps of the whole scenario."""
+        """Number of simulation steps of a run."""
         return round(self.spec.duration / self.spec.time_step)
 
     @property
     def steps(self) -> int:
-        """Number of steps of the scenario's task; 0 without a task."""
+        """Number of decision steps of the scenario's task; 0 without a task."""
         return round(self.spec.duration / self.spec.task.period) if self.spec.task.type != "none" else 0
 
     @property
     def site(self) -> Site:
-        """Origin of the local frame."""
+        """Site of the scenario: the geodetic origin of the local frame."""
         return self.spec.site.at()
 
     @property
     def earth_field_ned(self) -> npt.NDArray[np.float64]:
-        """Earth's magnetic field (3,) at the site and the start in NED [uT], which magnetometers measure.
+        """Earth's magnetic field (3,) in NED [uT] at the site and start time, which magnetometers measure.
 
         Raises:
             UsageError: the start is outside the years of the World Magnetic Model.
@@ -110,11 +110,11 @@ class Scenario(Tabled):
 
     @property
     def outside(self) -> list[dict[str, str]]:
-        """Components that are not built in, a dict each: path, kind, type, class, file, its sha256, origin."""
+        """Components that are not built in: a dict for each with path, kind, type, class, file, its sha256, origin."""
         return outside_components(self.spec.model_dump(mode="json"))
 
     def world(self, precision: str = "float32") -> World:
-        """Build its World, with numbers as arrays of ``precision`` (float32 or float64)."""
+        """Build the scenario's World, with numbers as arrays of ``precision`` (float32 or float64)."""
         return build.build_world(self.spec, precision)
 
     def task(self, precision: str = "float32") -> Any:
@@ -135,7 +135,7 @@ _OF_FLEETS = ("vehicle", "controller", "guidance", "battery")
 
 
 def _given(part: BaseModel) -> str:
-    """Return the scalar parameters of a part as text, with units."""
+    """Return the scalar parameters of a part of a scenario as text, with units."""
     texts = []
     for name, info in type(part).model_fields.items():
         value = getattr(part, name)
@@ -147,7 +147,7 @@ def _given(part: BaseModel) -> str:
 
 
 def _of_content(content: Mapping[str, object]) -> Scenario:
-    """Build a scenario from its content in another process, for unpickling."""
+    """Build a scenario from its content in another process, to unpickle it there."""
     # Another process has yet to load the components from outside.
     provide_components(content, "scenario")
     return Scenario(ScenarioSpec.model_validate(content))
@@ -161,7 +161,7 @@ def load_scenario(
     local: bool = True,
     named_code: bool = True,
 ) -> Scenario:
-    """Read and check a scenario; warns of implausible values; raises ScenarioError for wrong ones.
+    """Read and check a scenario by name, path or content; warn of implausible values, raise ScenarioError for errors.
 
     Args:
         source: a built-in name, the path of a YAML file, or the content as a dict.
@@ -211,6 +211,6 @@ def load_scenario(
 
 
 def _as_written(problem: str, written: dict[str, str]) -> str:
-    """Return a problem with its path as the user wrote it."""
+    """Return an error text with its path replaced by the one that the user wrote; ``written``: path -> path."""
     path, colon, rest = problem.partition(":")
     return f"{written.get(path, path)}{colon}{rest}"

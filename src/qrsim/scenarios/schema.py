@@ -55,7 +55,7 @@ FLEET_KINDS = ("vehicle", "controller", "guidance", "battery")
 
 
 def _time_of_day(value: object) -> object:
-    """Refuse numbers, which pydantic would take for seconds since 1970."""
+    """Refuse numbers for a time, which pydantic would take as seconds since 1970; return other values unchanged."""
     if isinstance(value, datetime) or (isinstance(value, str) and not value.strip().lstrip("+-").isdigit()):
         return value
     raise ValueError("is not a time; expected for example 2026-06-21T10:00:00Z")
@@ -94,7 +94,7 @@ class VehicleSpec(Strict):
 
     @model_serializer(mode="wrap")
     def _without_none(self, handler: SerializerFunctionWrapHandler) -> Content:
-        """Leave out missing rally points when a vehicle is written."""
+        """Leave out rally points without values when a vehicle's specification is written."""
         return {key: value for key, value in handler(self).items() if key != "rally_ned" or value}
 
     @model_validator(mode="after")
@@ -113,7 +113,7 @@ class VehicleSpec(Strict):
 
     @property
     def places_ned(self) -> dict[str, list[float]]:
-        """Path -> position NED [m] of each waypoint and leg that the vehicle flies to."""
+        """Path in the vehicle ("legs.2") -> position NED [m] of each waypoint, rally point and leg but landings."""
         routes = {"waypoints_ned": self.waypoints_ned, "rally_ned": self.rally_ned}
         places = {f"{name}.{j}": point for name, points in routes.items() for j, point in enumerate(points)}
         here = self.position_ned
@@ -150,7 +150,7 @@ FailsafesModel: Any = component_model("failsafes", Failsafes, tagged=False, each
 
 
 def _base_model() -> object:
-    """Return the schema of a base station, with its position and silent times."""
+    """Return the pydantic model of a GNSS base station, with its position and silent times."""
     places = {
         "position_ned": (Position, Field(description="position of its antenna [m]: north, east, down")),
         "silent": (
@@ -274,7 +274,7 @@ class FleetSpec(Strict):
     @model_validator(mode="before")
     @classmethod
     def _guidance_of_the_controller(cls, data: object) -> object:
-        """Fill in the vehicle's default controller, and the guidance that fits it."""
+        """Return a fleet's data with its vehicle's default controller and a guidance that fits it."""
         if not isinstance(data, dict):
             return data
         data = _with_controller({"vehicle": cls.model_fields["vehicle"].default, **data})
@@ -290,20 +290,20 @@ class FleetSpec(Strict):
 
 
 def _has_legs(fleet: Mapping[str, object]) -> bool:
-    """Return whether a vehicle of a fleet has legs, or a plan."""
+    """Return whether a vehicle of a fleet has mission legs, or a plan."""
     vehicles = fleet.get("vehicles")
     each = vehicles if isinstance(vehicles, list) else []
     return any(isinstance(vehicle, dict) and (vehicle.get("legs") or vehicle.get("plan")) for vehicle in each)
 
 
 def _takes_paths(controller: str) -> bool:
-    """Return whether a controller follows the points of a path."""
+    """Return whether a type of controller follows the points of a path."""
     kind = known.CONTROLLERS.get(controller)
     return kind is not None and PathSetpoint in kind.setpoints
 
 
 def _with_limits(fleet: Content) -> Content:
-    """Return a fleet with its vehicle type's state limits if it gives none."""
+    """Return a fleet's data with the default state limits of its vehicle type if it gives none."""
     vehicle, limits = fleet.get("vehicle"), fleet.get("limits", {})
     name = vehicle.get("type") if isinstance(vehicle, dict) else None
     if not isinstance(name, str) or name not in known.VEHICLES or not isinstance(limits, dict):
@@ -313,7 +313,7 @@ def _with_limits(fleet: Content) -> Content:
 
 
 def _with_controller(fleet: Content) -> Content:
-    """Return a fleet with its vehicle type's controller if it names none."""
+    """Return a fleet's data with the default controller of its vehicle type if it names none."""
     vehicle, controller = fleet.get("vehicle"), fleet.get("controller", {})
     name = vehicle.get("type") if isinstance(vehicle, dict) else None
     if not isinstance(name, str) or name not in known.VEHICLES:
@@ -333,7 +333,7 @@ class RangeSpec(Strict):
 
 
 def _only_in_a_source(value: object) -> object:
-    """Raise ValueError: the key may be given in a scenario file only, not by an override."""
+    """Raise ValueError for a key that may be given in a scenario file only, not by an override."""
     raise ValueError("can only be given in the scenario itself, not by an override")
 
 
@@ -362,7 +362,7 @@ class ScenarioSpec(Strict):
 
 
 def refresh(kind: str, name: str | None = None) -> None:
-    """Update the schema with the registered components of a kind; ``name`` is made first, so that errors show."""
+    """Update the pydantic schema after a component of a kind was registered; an error in that of ``name`` is raised."""
     if kind not in _SLOTS:
         return
     if name is not None:

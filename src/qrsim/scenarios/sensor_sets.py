@@ -31,13 +31,13 @@ ESTIMATOR = {"type": "ekf"}
 
 
 def or_a_set(schema: Content) -> None:
-    """Allow the names of sensor sets in the JSON schema of sensors, in place."""
+    """Extend the JSON schema of a fleet's sensors, in place, so that it allows the name of a sensor set."""
     named = {name: schema.pop(name) for name in ("type", "additionalProperties") if name in schema}
     schema["anyOf"] = [named, {"type": "string", "enum": list(SETS)}]
 
 
 def insert_sensor_sets(content: Mapping[str, object], source: str) -> None:
-    """Replace, in place, the name of a set of sensors by the sensors.
+    """Replace the name of a sensor set in each fleet's content by its sensors, in place.
 
     With "noisy" a fleet gets an estimator and, in a wind that states its strength, the world gets turbulence, unless
     the scenario says otherwise; an estimator of null stays none.
@@ -65,7 +65,7 @@ def insert_sensor_sets(content: Mapping[str, object], source: str) -> None:
 
 
 def _add_turbulence(content: Mapping[str, object]) -> None:
-    """Add turbulence to a content's wind if the wind gives the strength of its gusts, in place."""
+    """Add a turbulence model to a scenario's world, in place, if its wind gives the strength of gusts."""
     world = content.get("world")
     wind = world.get("wind") if isinstance(world, dict) else None
     if isinstance(world, dict) and isinstance(wind, dict) and ("speed_20ft" in wind or wind.get("type") in PROFILES):

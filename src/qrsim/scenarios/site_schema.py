@@ -31,7 +31,7 @@ class PlanSpec(Strict):
     @field_validator("file")
     @classmethod
     def _has_home(cls, file: str) -> str:
-        """Refuse a plan in a format without a home position."""
+        """Refuse a plan file in a format that has no home position."""
         if file.lower().endswith(_HOMELESS):
             raise ValueError(f"'{shortened(file, 200)}' has no home; expected a .plan")
         return file
@@ -70,7 +70,7 @@ class RoutePlanSpec(Strict):
     @field_validator("home")
     @classmethod
     def _on_earth(cls, home: list[float] | None) -> list[float] | None:
-        """Refuse a home that is no latitude and longitude [deg]."""
+        """Refuse a home outside the ranges of latitude and longitude [deg]."""
         if home and (abs(home[0]) > 90.0 or abs(home[1]) > 180.0):
             hint = "; is it longitude, latitude?" if abs(home[0]) > 90.0 and abs(home[1]) <= 90.0 else ""
             raise ValueError(f"{home[:2]} is no latitude, longitude{hint}")
@@ -93,19 +93,19 @@ class GeoidSpec(Strict):
 
     @model_validator(mode="after")
     def _one(self) -> GeoidSpec:
-        """Raise ValueError unless a geoid is given either by numbers or by a file."""
+        """Refuse a geoid that is given neither by numbers nor by a file, or by both."""
         if (self.file is None) == (self.height is None):
             raise ValueError("expected one of file and height")
         return self
 
     @property
     def plane(self) -> tuple[float, float, float] | None:
-        """Height [m] and slopes of the geoid; None for a file that is not read yet."""
+        """Height [m] and slopes to north and east of the geoid; None for a file that is not read yet."""
         return None if self.height is None else (self.height, self.slope_north, self.slope_east)
 
 
 def or_its_file(schema: Content) -> None:
-    """Allow a file name alone in the JSON schema of a plan, in place."""
+    """Extend the JSON schema of a plan, in place, so that a file name alone is allowed."""
     schema["anyOf"].append({"type": "string"})
 
 
@@ -141,7 +141,7 @@ class SiteSpec(Strict):
 
     @model_serializer(mode="wrap")
     def _without_none(self, handler: SerializerFunctionWrapHandler) -> Content:
-        """Leave out ``height_amsl`` and ``geoid`` if they are None when a site is written."""
+        """Leave out ``height_amsl`` and ``geoid`` if they are None when a site's specification is written."""
         found: Content = handler(self)
         for name in ("height_amsl", "geoid"):
             if getattr(self, name) is None:
@@ -155,13 +155,13 @@ class SiteSpec(Strict):
         return undulation(self.latitude_deg, self.longitude_deg) if plane is None else plane[0]
 
     def at(self) -> Site:
-        """Return the origin of the local frame."""
+        """Return the site: the geodetic origin of the local frame."""
         plane = self.geoid.plane if self.geoid else None
         return Site.from_degrees(self.latitude_deg, self.longitude_deg, self.height, plane)
 
     @model_validator(mode="after")
     def _one_height(self) -> SiteSpec:
-        """Refuse two heights of the site, unless they agree by the geoid."""
+        """Refuse a site with heights above ellipsoid and sea, unless they agree by the geoid."""
         if self.height_amsl is None or "height" not in self.model_fields_set:
             return self
         # Saved scenarios have both.

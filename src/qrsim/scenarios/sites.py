@@ -23,7 +23,7 @@ MAGNETOMETERS = ("magnetometer", "ideal_magnetometer")
 
 
 def site_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a problem if a magnetometer needs the Earth's field at a start with no model of it."""
+    """Yield an error if a magnetometer needs the Earth's field at a start time that no magnetic model covers."""
     for name, fleet in scenario.fleets.items():
         for sensor_name, sensor in fleet.sensors.items():
             if sensor.type in MAGNETOMETERS and not covers(scenario.start_time):
@@ -35,12 +35,12 @@ def site_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def air_of(scenario: ScenarioSpec) -> SiteAir:
-    """Return the atmosphere above the site of a scenario, on its day."""
+    """Return the model of the atmosphere above the scenario's site, for its day."""
     return SiteAir.of(altitude_of(scenario), scenario.site.temperature_offset)
 
 
 def altitude_of(scenario: ScenarioSpec) -> float:
-    """Return the altitude of the site in the standard atmosphere [m]: its height above mean sea level, if it has one.
+    """Return the site's altitude in the standard atmosphere [m]: its height above mean sea level, if known.
 
     A site with a height above the ellipsoid alone has the air of that height, which differs by the geoid's.
     """
@@ -49,7 +49,7 @@ def altitude_of(scenario: ScenarioSpec) -> float:
 
 
 def at_site(sensor: object, scenario: ScenarioSpec, vehicle: Vehicle) -> object:
-    """Return a sensor with the site's magnetic field, air and steel filled in, if it has such parameters."""
+    """Return a sensor with the site's magnetic field, air and steel obstacles filled in, if it has such parameters."""
     if isinstance(sensor, Magnetometer | IdealMagnetometer):
         place = scenario.site
         site = Site.from_degrees(place.latitude_deg, place.longitude_deg, place.height)
@@ -69,7 +69,7 @@ def at_site(sensor: object, scenario: ScenarioSpec, vehicle: Vehicle) -> object:
 
 
 def _steel(scenario: ScenarioSpec) -> Steel | None:
-    """Return the steel obstacles of a scenario as one record; None without any."""
+    """Return the steel obstacles of a scenario, which disturb magnetometers, as one record; None without any."""
     solid = [each for each in scenario.world.obstacles if each.steel_radius > 0.0]
     if not solid:
         return None
@@ -78,7 +78,7 @@ def _steel(scenario: ScenarioSpec) -> Steel | None:
 
 
 def _centre(obstacle: Any) -> list[float]:
-    """Return the centre [m] of an obstacle: the mean of its corners, half way up."""
+    """Return the centre NED [m] of an obstacle: the mean of its corners, half way up."""
     if obstacle.type == "box":
         level = [0.5 * (obstacle.x_min + obstacle.x_max), 0.5 * (obstacle.y_min + obstacle.y_max)]
     elif obstacle.type == "cylinder":

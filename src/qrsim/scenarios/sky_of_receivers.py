@@ -11,7 +11,7 @@ ORBITS, ERRORS = {"type": "nominal_constellations"}, {"type": "error_budget"}
 
 
 def with_sky(data: Any) -> object:
-    """Return a scenario's content with the sky that its receivers need, unless ``world.sky`` names one."""
+    """Return scenario content with the sky model that its GNSS receivers need, unless ``world.sky`` gives one."""
     fleets = data.get("fleets") if isinstance(data, dict) else None
     world = data.get("world", {}) if isinstance(data, dict) else None
     sky = world.get("sky", {}) if isinstance(world, dict) else None

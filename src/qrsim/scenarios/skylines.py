@@ -40,7 +40,7 @@ class _Plan(NamedTuple):
 
 
 def _plan(scenario: ScenarioSpec) -> _Plan | None:
-    """Return walls, grid and lowest mask of the skyline table; None if no receiver or obstacle needs it.
+    """Plan the table of obstacle masks for GNSS: walls, grid, lowest mask angle; None if no table is needed.
 
     Of PITCHES it is the first whose table is SMALL, else the last.
     """
@@ -62,7 +62,7 @@ def _plan(scenario: ScenarioSpec) -> _Plan | None:
 
 
 def _solid(spec: Any) -> tuple[list[Any], float, float] | None:
-    """Return rings, top and bottom [m] over z = 0 of an obstacle; None for one that hides no satellites."""
+    """Return rings, top and bottom [m] above z = 0 of an obstacle; None for one that hides no satellites."""
     if spec.type == "cylinder":
         if spec.radius <= NARROWEST:
             return None
@@ -79,7 +79,7 @@ def _solid(spec: Any) -> tuple[list[Any], float, float] | None:
 
 
 def skyline_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a problem if the skyline table does not fit into memory, with a pitch that would."""
+    """Yield an error if the table of obstacle masks does not fit into memory, with a grid pitch that would."""
     plan = _plan(scenario)
     if plan is None or plan.frame.size <= LARGEST:
         return
@@ -94,13 +94,13 @@ def skyline_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def frame_size(plan: _Plan, bounds: Bounds | None, pitch: float) -> int:
-    """Return the bytes of the table of a plan at another pitch [m]."""
+    """Return the bytes that a planned table of obstacle masks needs with another grid pitch [m]."""
     frame = frame_of(plan.walls, bounds, plan.lowest, pitch, plan.frame.azimuths)
     return 0 if frame is None else frame.size
 
 
 def skyline(scenario: ScenarioSpec) -> Skyline | None:
-    """Return the table by which obstacles shade and reflect satellites for gnss receivers; None if not needed."""
+    """Return the table by which obstacles shade and reflect satellites for GNSS receivers; None if not needed."""
     plan = _plan(scenario)
     if plan is None or plan.frame.size > LARGEST:
         return None
@@ -125,7 +125,8 @@ class _Held:
 
 @lru_cache(maxsize=2)
 def _made(digest: str, held: _Held) -> Skyline:
-    """Return the skyline table of a plan from the user's cache, or compute and store it."""
+    """Return the planned table of obstacle masks from the user's cache, or compute and store it;
+    ``digest`` is its key."""
     plan = held.plan
     place = _folder() if plan.frame.size >= LEAST_KEPT else None
     found = None if place is None else _read(place / f"{digest}.bin", plan.frame)
@@ -138,7 +139,7 @@ def _made(digest: str, held: _Held) -> Skyline:
 
 
 def _folder() -> Path | None:
-    """Return the cache folder of skylines; None if caching is off or the folder is not private."""
+    """Return the cache folder for tables of obstacle masks; None if caching is off or the folder is not private."""
     if os.environ.get("QRSIM_COMPILATION_CACHE") == "off":
         return None
     place = cache_folder() / "skylines"
@@ -146,7 +147,7 @@ def _folder() -> Path | None:
 
 
 def _read(path: Path, frame: Frame) -> Skyline | None:
-    """Return a cached skyline; None if it is missing or damaged."""
+    """Read a table of obstacle masks from the cache; None if it is missing or damaged."""
     try:
         data = zlib.decompressobj().decompress(path.read_bytes(), frame.size + 1)
     except (OSError, zlib.error):
@@ -155,7 +156,7 @@ def _read(path: Path, frame: Frame) -> Skyline | None:
 
 
 def _write(path: Path, made: Skyline) -> None:
-    """Write a skyline to the cache, compressed; errors of the file system are ignored."""
+    """Write a table of obstacle masks to the cache, compressed; errors of the file system are ignored."""
     # A cache that cannot be written costs time, nothing else.
     with contextlib.suppress(OSError):
         tidy(path.parent)

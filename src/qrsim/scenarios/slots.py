@@ -32,12 +32,12 @@ class Slot:
 
     @classmethod
     def names(cls) -> list[str]:
-        """Return the type names that the slot accepts."""
+        """Return the type names of components that this place of the schema accepts."""
         return list(cls.makers())
 
     @classmethod
     def models(cls) -> list[type[Strict]]:
-        """Return the schemas of all components that the slot accepts."""
+        """Return the pydantic models of all components that this place of the schema accepts."""
         return [make() for make in cls.makers().values()]
 
     @classmethod
@@ -58,21 +58,21 @@ class Slot:
 
 
 def _validated(make: Maker, value: object) -> Strict:
-    """Validate a value with the model that ``make`` returns."""
+    """Validate a value with the pydantic model that ``make`` returns."""
     return make().model_validate(value)
 
 
 def slot(makers: Callable[[], Mapping[str, Maker]], key: str = "type") -> object:
-    """Return the pydantic annotation of a slot; its content is validated by the model of its ``key``."""
+    """Return the pydantic annotation of a place for components; the value of ``key`` selects a model in ``makers``."""
     return type("Slot", (Slot,), {"makers": staticmethod(makers), "key": key})
 
 
 def slot_of(choices: Mapping[str, type], *, each: bool = False, more: Mapping[str, object] | None = None) -> object:
-    """Return the pydantic annotation of a slot for the components in ``choices``, which may grow."""
+    """Return the pydantic annotation of a place for components of ``choices``; ``each``: one number per vehicle too."""
     made: dict[tuple[str, type], type[Strict]] = {}
 
     def make(name: str, component: type) -> type[Strict]:
-        """Return the pydantic model of a component, made once for each name and class."""
+        """Return the pydantic model of a component class, cached by name and class."""
         if (name, component) not in made:
             made[name, component] = component_model(name, component, each=each, more=more)
         return made[name, component]

@@ -14,14 +14,14 @@ from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 
 
 def clearance_of(fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[float, str]:
-    """Return the distance [m] that vehicles of a fleet keep from obstacles, and the parameter that sets it."""
+    """Return the distance [m] that a fleet's vehicles keep from obstacles, and the parameter that sets it, in words."""
     if fleet.radius is None:
         return scenario.world.collision_distance / 2, "half of world.collision_distance"
     return fleet.radius, "radius of the fleet"
 
 
 def close_starts(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a problem for each pair of vehicles that would collide at the start."""
+    """Yield an error for each pair of vehicles that would collide at the start."""
     starts: list[tuple[str, list[float], float]] = []
     for name, fleet in scenario.fleets.items():
         radius, _ = clearance_of(fleet, scenario)
@@ -42,13 +42,13 @@ def close_starts(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def columns(rows: list[list[float]]) -> Vec3:
-    """Convert rows of three numbers [m] to a Vec3 of columns."""
+    """Convert rows [x, y, z] [m] to a Vec3 with an array for each axis."""
     array = np.asarray(rows, np.float64)
     return record_of(Vec3, *(np.ascontiguousarray(array[:, axis]) for axis in range(3)))
 
 
 def _close_pairs(points: NumpyArray, distance: float) -> list[tuple[int, int, float]]:
-    """Return (i, j, distance) with i < j for all pairs of points (n, 3) closer than ``distance`` [m]."""
+    """Return (i, j, distance [m]) with i < j for all pairs of points (n, 3) closer than ``distance`` [m]."""
     if len(points) < 2:
         return []
     # In the order of one coordinate, whoever is close by is a few places further on.
@@ -67,7 +67,7 @@ def _close_pairs(points: NumpyArray, distance: float) -> list[tuple[int, int, fl
 
 
 def obstacle_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the obstacles that have no extent."""
+    """Yield an error for each obstacle without an extent, such as x_min not below x_max."""
     for i, obstacle in enumerate(scenario.world.obstacles):
         for axis in "xyz":
             low, high = vars(obstacle).get(f"{axis}_min"), vars(obstacle).get(f"{axis}_max")
@@ -78,7 +78,7 @@ def obstacle_problems(scenario: ScenarioSpec) -> Iterator[str]:
 def inside_obstacles(
     fleet_path: str, fleet: FleetSpec, solids: list[Any], clearance: float, source: str, called: list[str]
 ) -> dict[int, list[str]]:
-    """Return vehicle number -> problems of starts and waypoints inside or too near an obstacle.
+    """Return vehicle number -> errors: starts and waypoints inside an obstacle, or nearer than ``clearance`` [m].
 
     ``called`` has what to add to the number of each obstacle.
     """

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 
 def moment_problems(path: str, seconds: float, duration: float) -> Iterator[str]:
-    """Yield a problem if a time [s] at which an event begins is outside the run."""
+    """Yield an error if the time [s] of an event at ``path`` is outside the run of ``duration`` [s]."""
     if seconds >= duration:
         yield (
             f"{path}: {seconds:g} s is not within the run; "
@@ -15,7 +15,7 @@ def moment_problems(path: str, seconds: float, duration: float) -> Iterator[str]
 
 
 def span_problems(path: str, start: float, end: float | None, duration: float) -> Iterator[str]:
-    """Yield the problems of ``path.start`` and ``path.end`` [s]; an end of None is unlimited."""
+    """Yield the errors of times ``path.start`` and ``path.end`` [s] in a run; an end of None is unlimited."""
     yield from moment_problems(f"{path}.start", start, duration)
     if end is not None and end <= start:
         yield f"{path}.end: {end:g} s is not after the start, {start:g} s"

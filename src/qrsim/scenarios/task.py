@@ -12,6 +12,7 @@ from qrsim.scenarios.build import build_task
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.timing import is_multiple
+from qrsim.tasks.formation import BEACON
 from qrsim.tasks.perceived import SEEING
 
 # Sensors by the field of a task that names one.
@@ -23,11 +24,11 @@ CONTENTS = {"search": "persons", "plume_mapping": "plume"}
 
 
 def task_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield each problem of a task in its scenario."""
+    """Yield the errors of a task in its scenario: unknown fleets, wrong period, missing contents or sensors."""
     task = scenario.task
     if task.type == "none":
         return
-    for name in ("fleet", "prey"):
+    for name in ("fleet", "prey", "leader"):
         wanted = vars(task).get(name)
         if wanted is not None and wanted not in scenario.fleets:
             yield f"task.{name}: no fleet is called '{wanted}'{did_you_mean(wanted, scenario.fleets)}"
@@ -35,6 +36,8 @@ def task_problems(scenario: ScenarioSpec) -> Iterator[str]:
         yield f"task.period: {task.period:g} s is not a multiple of the time step {scenario.time_step:g} s"
     elif not is_multiple(scenario.duration, task.period):
         yield f"task.period: the duration, {scenario.duration:g} s, is not a multiple of it, {task.period:g} s"
+    if task.type == "keep_formation":
+        yield from _formation_problems(scenario)
     content = CONTENTS.get(task.type)
     if content and getattr(scenario.world, content).type == "none":
         yield f"world.{content}: there is none, and the task '{task.type}' is about it"
@@ -51,8 +54,23 @@ def task_problems(scenario: ScenarioSpec) -> Iterator[str]:
     yield from _fleet_problems(scenario, scenario.fleets[task.fleet])
 
 
+def _formation_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield the problems of a formation: a leader among its followers, or a radio that sends no positions."""
+    task, radio = scenario.task, scenario.world.radio
+    if task.leader == task.fleet:
+        yield f"task.leader: '{task.leader}' is the fleet of the agents, task.fleet; name another one"
+    if radio is None:
+        yield f"world.radio: the task '{task.type}' needs one; give a preset, such as world.radio: sphere"
+    elif not radio.beacon or radio.size < BEACON:
+        yield f"task '{task.type}': it needs beacons; give world.radio beacon: true and a size of at least {BEACON}"
+    for name in {task.leader, task.fleet} & set(scenario.fleets):
+        own = scenario.fleets[name].radio
+        if own is not None and not own.works:
+            yield f"fleets.{name}.radio: none; the task '{task.type}' needs one"
+
+
 def _senses_problems(task: Any, fleet: FleetSpec) -> Iterator[str]:
-    """Yield the problems of the sensors that an agent's observation names."""
+    """Yield the errors of the sensor names in a task's ``senses``, which agents observe."""
     names = vars(task).get("senses") or ()
     if is_outside("task", task.type):
         return
@@ -69,7 +87,7 @@ def _senses_problems(task: Any, fleet: FleetSpec) -> Iterator[str]:
 
 
 def _setpoint_problems(scenario: ScenarioSpec, name: str, asks_for: type | None) -> Iterator[str]:
-    """Yield a problem if a fleet's controller does not take the set-points of its task."""
+    """Yield an error if a fleet's controller does not accept ``asks_for``, the set-points of its task."""
     task, fleet = scenario.task, scenario.fleets[name]
     if asks_for is not None and asks_for not in known.CONTROLLERS[fleet.controller.type].setpoints:
         fitting = [name for name, cls in known.CONTROLLERS.items() if asks_for in cls.setpoints]
@@ -86,7 +104,7 @@ def _setpoint_problems(scenario: ScenarioSpec, name: str, asks_for: type | None)
 
 
 def _fleet_problems(scenario: ScenarioSpec, fleet: FleetSpec) -> Iterator[str]:
-    """Yield the sensors that a task names and its fleet lacks, or has of another type."""
+    """Yield the sensors that a task needs and that its fleet lacks, or has of another type."""
     task = scenario.task
     yield from _senses_problems(task, fleet)
     for field, types in SENSORS.items():

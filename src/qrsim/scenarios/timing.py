@@ -17,13 +17,13 @@ MOST_STEPS = 2**31 - 2
 
 
 def is_multiple(seconds: float, step: float, most: float = MOST_STEPS) -> bool:
-    """Return whether a time [s] is a whole number of steps [s], from 1 to ``most``."""
+    """Return whether a time [s] is a whole multiple, from 1 to ``most``, of ``step`` [s]."""
     ratio = seconds / step
     return math.isfinite(ratio) and 1 <= round(ratio) <= most and math.isclose(ratio, round(ratio), rel_tol=1e-9)
 
 
 def timing_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the problems of time step, duration and periods."""
+    """Yield the errors of a scenario's time step, duration and periods."""
     dt = scenario.time_step
     try:
         split_time(np.int32(0), dt, np.float32)  # type: ignore[arg-type]
@@ -50,7 +50,7 @@ def timing_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _bandwidth_problems(path: str, sensor: Any) -> Iterator[str]:
-    """Yield a problem if a sensor's low-pass exceeds half its rate."""
+    """Yield an error if the low-pass bandwidth of a sensor exceeds half its sampling rate."""
     bandwidth = sensor.bandwidth_hz
     half = 0.5 * sensor.subsamples / sensor.period
     if bandwidth >= half:

@@ -25,8 +25,9 @@ from qrsim.files.code import in_one_line, where_raised
 from qrsim.scenarios import build, catalogue, registry
 from qrsim.scenarios.conformity import CONTRACTS, PLAIN, file_of_class
 from qrsim.scenarios.providing import places
-from qrsim.scenarios.returns import CHECKS, unchanged
+from qrsim.scenarios.returns import CHECKS
 from qrsim.scenarios.schema import ScenarioSpec
+from qrsim.scenarios.value_checks import unchanged
 from qrsim.tasks import Play
 from qrsim.world import tick as ticks
 from qrsim.world.state import World
@@ -74,7 +75,7 @@ class FaultError(UsageError):
 
 
 def trial_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield the problems that components from outside show in the first tick of a scenario."""
+    """Yield the errors of components that are not built in, which show when a scenario's first tick is traced."""
     if not registry.any_outside():
         return
     content = scenario.model_dump(mode="json")
@@ -103,7 +104,7 @@ def trial_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _trace_first_tick(scenario: ScenarioSpec, kinds: dict[type, str]) -> None:
-    """Trace a reset and the first tick with checked components; raises FaultError; results are cached."""
+    """Trace a reset and a tick with checked components (``kinds``: class -> kind), cached; raises FaultError."""
     world, task = build.build_world(scenario, "float32"), build.build_task(scenario, "float32")
     steps = round(scenario.duration / scenario.task.period) if scenario.task.type != "none" else 0
     key = (tuple(kinds), jax.tree.structure((world, task)), tuple(map(np.shape, jax.tree.leaves((world, task)))))
@@ -112,10 +113,10 @@ def _trace_first_tick(scenario: ScenarioSpec, kinds: dict[type, str]) -> None:
             return
 
     def watched(part: object, size: int | None) -> Any:
-        """Return a part of the world with watched components in place of those from outside."""
+        """Return a part of the world with results of not built-in components checked; ``size``: of their fleet."""
 
         def watch(item: Any) -> object:
-            """Return an item as a watched component if its class is from outside, and else unchanged."""
+            """Return a component that is not built in as its checking subclass; any other item unchanged."""
             own: Any = type(item)
             if own not in kinds:
                 return item
@@ -144,7 +145,7 @@ def _trace_first_tick(scenario: ScenarioSpec, kinds: dict[type, str]) -> None:
 
 
 def _check_normals(part: Any, kind: str) -> None:
-    """Raise FaultError if a component draws fewer normals than its class declares."""
+    """Raise FaultError if a component draws fewer random normals than its class declares."""
     component, first = part._watched, getattr(part, "first_normals", 0)
     if getattr(part, "draws_alone", False):
         return
@@ -159,7 +160,7 @@ def _check_normals(part: Any, kind: str) -> None:
 
 
 def _fewer(drawn: int, name: str, declared: int) -> str:
-    """Return the problem text for a method that draws ``drawn`` normals where ``declared`` are declared."""
+    """Return the error for ``drawn`` random normals where the class attribute ``name`` declares ``declared``."""
     count = f"{drawn or 'no'} normal{'' if drawn == 1 else 's'}"
     return f"it draws {count}, and the class declares {name} = {declared}; expected {name} = {drawn}"
 
@@ -176,7 +177,7 @@ class _Counted:
         self._noise, self._where = noise, where
 
     def normals(self, count: int) -> Sequence[Array]:
-        """Return ``count`` arrays of normals."""
+        """Return ``count`` arrays of random normals, and note the count."""
         drawn = _DRAWN.get()
         drawn[self._where] = max(drawn.get(self._where, 0), count)
         return self._noise.normals(count)
@@ -186,7 +187,7 @@ class _Counted:
 
 
 def _trace_tick(world: World, key: Key) -> None:
-    """Trace a reset and a tick of a world without a task; raise FaultError for readings that change in kind."""
+    """Trace a reset and a tick of a world without task; raise FaultError for readings that change structure or type."""
     state = jax.eval_shape(ticks.reset, world, key)
     actions = (None,) * len(world.fleets)
     after = jax.eval_shape(
@@ -201,7 +202,7 @@ def _trace_tick(world: World, key: Key) -> None:
 
 
 def _trace_episode(play: Play, key: Key) -> None:
-    """Trace a reset and a step of an episode of a task."""
+    """Trace a reset and a step of an episode of a task, without running it."""
     keys = play.keys(key)
     episode, _ = jax.eval_shape(lambda play, keys: play.reset(keys), play, keys)
     action = np.zeros((len(play.agents), play.width), np.float32)
@@ -210,7 +211,7 @@ def _trace_episode(play: Play, key: Key) -> None:
 
 @lru_cache(maxsize=64)
 def _watched(component: type, kind: str, size: int | None) -> type:
-    """Return a class derived from a component with checked methods; ``size`` is that of its fleet."""
+    """Return a subclass of a component that checks its methods' results; ``size``: vehicles of its fleet."""
     contract = CONTRACTS.get(kind)
     names = [name for name in vars(contract or component) if not name.startswith("_")]
     methods = {name: getattr(component, name) for name in names if callable(getattr(component, name, None))}
@@ -224,18 +225,18 @@ def _watched(component: type, kind: str, size: int | None) -> type:
 
 
 def _free(component: type, name: str) -> bool:
-    """Return whether a method is static or a class method."""
+    """Return whether method ``name`` of a class is a static or a class method."""
     return isinstance(inspect.getattr_static(component, name), staticmethod | classmethod)
 
 
 def _with_checks(component: type, kind: str, name: str, method: Callable[..., object]) -> Callable[..., object]:
-    """Return a method that also counts normals drawn and raises FaultError for wrong results or an exception."""
+    """Wrap a method: count the normals it draws, and raise FaultError if it fails or returns a wrong result."""
     check = CHECKS.get((kind, name))
     draws = name in _DRAWING.get(kind, ())
 
     @wraps(method)
     def called(self: object, *args: object, **kwargs: object) -> object:
-        """Call the method, and raise FaultError with its place if it fails or returns a wrong result."""
+        """Call the wrapped method; raise FaultError with its place if it fails or returns a wrong result."""
         if draws and not getattr(self, "draws_alone", False):
             args = tuple(_Counted(arg, (component, name)) if isinstance(arg, Draw | Drawn) else arg for arg in args)
         try:
@@ -262,7 +263,7 @@ def _with_checks(component: type, kind: str, name: str, method: Callable[..., ob
 
 
 def _blamed(component: type, method: str, problem: str) -> str:
-    """Return a problem with the file, class and method prepended."""
+    """Return an error text that begins with the file, class and method at fault."""
     return f"{file_of_class(component)}: {component.__name__}.{method}: {problem}"
 
 

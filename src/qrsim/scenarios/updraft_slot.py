@@ -21,7 +21,7 @@ MOST_UPDRAFTS = 20
 
 @cache
 def _model(name: str, kind: type) -> type[Strict]:
-    """Return the pydantic model of an updraft class, cached; thermals have a list of places."""
+    """Return the pydantic model of an updraft class, cached; that of thermals has a list of places."""
     if not issubclass(kind, Thermals):
         return component_model(name, kind)
     text = "[north, east] [m] of each at the start; empty: drawn once an episode"
@@ -30,12 +30,12 @@ def _model(name: str, kind: type) -> type[Strict]:
 
 
 def updraft_slot(choices: Mapping[str, type]) -> object:
-    """Return the annotation of an updraft of any kind."""
+    """Return the pydantic annotation of an updraft of any type in ``choices`` (type name -> class)."""
     return slot(lambda: {name: partial(_model, name, kind) for name, kind in choices.items()})
 
 
 def footprint(solid: BoxObstacle | CylinderObstacle | PrismObstacle) -> Footprint:
-    """Return the outline [m] and heights [m] of an obstacle, for updrafts along its sides."""
+    """Return an obstacle's outline from above and its heights [m], for updrafts along its sides."""
     heights = float(solid.z_min), float(solid.z_max)
     if isinstance(solid, CylinderObstacle):
         return Footprint(np.array([[float(solid.x), float(solid.y)]]), float(solid.radius), *heights)

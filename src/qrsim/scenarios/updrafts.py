@@ -16,7 +16,7 @@ MANY_THERMALS = 200
 
 
 def updraft_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a problem, as text, for each updraft that does not fit the scenario's world."""
+    """Yield an error for each updraft that does not fit the scenario's world."""
     ground = ground_if_any(scenario) if scenario.world.updrafts else None
     for i, updraft in enumerate(scenario.world.updrafts):
         path = f"world.updrafts.{i}"
@@ -34,7 +34,7 @@ def updraft_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def updraft_warnings(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a warning for each updraft that has no effect, or none where the vehicles fly."""
+    """Yield a warning for each updraft that has no effect, or none where vehicles fly."""
     points = {
         f"fleets.{name}.vehicles.{i}": max(-place[2] for place in (vehicle.position_ned, *vehicle.places_ned.values()))
         for name, fleet in scenario.fleets.items()

@@ -15,7 +15,8 @@ MOST_KG = 100.0
 
 
 def controller_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield the problems of a fleet's controller, and of battery or route for a vehicle without commands."""
+    """Yield errors of a controller that cannot fly its vehicle, and of battery or route of a vehicle
+    that cannot move."""
     vehicle = known.VEHICLES[fleet.vehicle.type]
     fitting = [name for name, cls in known.CONTROLLERS.items() if can_fly(cls, vehicle)]
     if fleet.controller.type not in fitting:
@@ -39,7 +40,7 @@ def controller_problems(fleet_name: str, fleet: FleetSpec) -> Iterator[str]:
 
 
 def can_fly(controller: type[Controller], vehicle: type[Vehicle]) -> bool:
-    """Return whether a controller class gives commands that a vehicle class takes."""
+    """Return whether a controller class gives the kind of command that a vehicle class takes."""
     if controller.gives is object:
         # The vehicle's own command of tilt and throttle, if it has one.
         return vehicle.handling is not Vehicle.handling

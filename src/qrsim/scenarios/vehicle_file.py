@@ -12,7 +12,7 @@ from qrsim.files.yaml_text import parse_yaml
 
 
 def read_vehicle_file(path: Path) -> Content:
-    """Read a vehicle file, in the form of scenarios.
+    """Read a YAML file of one vehicle; return its content as in a scenario.
 
     Raises:
         UsageError: there is no such file, or no ``vehicle`` in it.

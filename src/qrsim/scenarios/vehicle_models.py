@@ -26,7 +26,7 @@ from qrsim.models.vehicles.multirotor.sets import SETS
 
 
 def numbers_of(part: Any) -> Content:
-    """Return the parameters and settings of a component as scenario content."""
+    """Return the parameters and settings of a component as scenario content, name -> value."""
     found: Content = {}
     for field in dataclasses.fields(part):
         if field_info(field).derived:
@@ -42,7 +42,7 @@ def numbers_of(part: Any) -> Content:
 
 
 def _written(value: object) -> object:
-    """Return a number, point or rotor as scenario content."""
+    """Convert a number, point or rotor to scenario content."""
     if isinstance(value, int | float):
         return value
     if isinstance(value, tuple):
@@ -51,7 +51,7 @@ def _written(value: object) -> object:
 
 
 def insert_vehicle_models(content: Content, source: str) -> list[str]:
-    """Replace model, own numbers and geometry of multirotors by full parameters, in place; return findings.
+    """Replace models, own numbers and geometry of multirotors by all parameters, in place; return warnings.
 
     That is ``model`` (a set of parameters), ``own`` (six numbers) and ``geometry`` (where the rotors are).
 
@@ -81,7 +81,7 @@ def insert_vehicle_models(content: Content, source: str) -> list[str]:
 
 
 def _note(odd: list[str], fleet: str, words: str) -> None:
-    """Append a finding about a fleet's vehicle model to ``odd``."""
+    """Append a warning about a fleet's vehicle model to the list ``odd``."""
     odd.append(f"fleets.{fleet}.vehicle.own.{words}")
 
 
@@ -90,7 +90,8 @@ SHORT = {"model", "own", "geometry", "arm", "rotor_height"}
 
 
 def _written_out(vehicle: Content, warn: Callable[[str], None]) -> Content:
-    """Return a multirotor's content with the parameters that its model, preset or numbers imply.
+    """Return a multirotor's content with all parameters that its model, preset or own numbers imply; ``warn`` is
+    called.
 
     Raises:
         UsageError: its message begins with the path below the vehicle.
@@ -112,7 +113,7 @@ def _written_out(vehicle: Content, warn: Callable[[str], None]) -> Content:
 
 
 def _fill_gains(fleet: Content, attitude_bandwidth: float) -> None:
-    """Set the missing gains of a cascade to suit the vehicle's attitude bandwidth, in place."""
+    """Set missing gains of a cascaded controller to suit the vehicle's attitude bandwidth [rad/s], in place."""
     controller = fleet.setdefault("controller", {"type": "cascade"})
     if isinstance(controller, dict) and controller.get("type") == "cascade":
         controller.setdefault("position_gain", min(1.2, attitude_bandwidth / 7.0))
@@ -120,7 +121,7 @@ def _fill_gains(fleet: Content, attitude_bandwidth: float) -> None:
 
 
 def _own(own: object, geometry: object, beside: Content, warn: Callable[[str], None]) -> Multirotor:
-    """Return the multirotor model of the six numbers under ``own`` of a scenario."""
+    """Build a multirotor model from the six measured numbers under ``own`` of a scenario; ``warn`` takes doubts."""
     if not isinstance(own, dict):
         raise UsageError(f"own: expected {', '.join(SIX)}, found {own!r:.100}")
     for key in own:
@@ -139,7 +140,7 @@ def _own(own: object, geometry: object, beside: Content, warn: Callable[[str], N
 
 
 def _arranged(vehicle: Content) -> tuple[Rotor, ...]:
-    """Return the rotors of a standard arrangement, such as an X frame."""
+    """Return the rotors of a standard geometry, such as an X frame, from a vehicle's content."""
     if "geometry" not in vehicle:
         raise UsageError(f"arm: without geometry; give one of {', '.join(GEOMETRIES)}, or rotors")
     if "rotors" in vehicle:

@@ -30,7 +30,7 @@ MOST_OF_CELL = 2.0
 
 
 def with_profile(scenario: ScenarioSpec, quiet: bool = False) -> tuple[ScenarioSpec, list[str]]:
-    """Return a scenario with a wind file's numbers filled in, and the problems of the file.
+    """Return a scenario with its wind file's numbers filled in, and the file's errors; ``quiet``: without warnings.
 
     Turbulence that leaves out its strength and bearing takes those of the profile 20 ft above the ground, in the middle
     of the run.
@@ -53,7 +53,7 @@ def with_profile(scenario: ScenarioSpec, quiet: bool = False) -> tuple[ScenarioS
 
 
 def _numbers(scenario: ScenarioSpec, quiet: bool) -> Any:
-    """Return the wind profile of a file as a schema with numbers."""
+    """Read a wind file; return its profile at the site and time as a pydantic model; ``quiet``: without warnings."""
     wind, place = scenario.world.wind, scenario.site
     start = scenario.start_time.timestamp()
     request = Request(
@@ -78,7 +78,7 @@ def _numbers(scenario: ScenarioSpec, quiet: bool) -> Any:
 
 
 def _coarse(scenario: ScenarioSpec, file: str, cell: float) -> Iterator[str]:
-    """Yield a note if the area spans several cells of the weather file, of which only the site's is used."""
+    """Yield a note if the area spans several grid cells of the weather file, of which only the site's is used."""
     bounds = bounds_of(scenario.world.area)
     side = 0.0 if bounds is None else max(bounds[1] - bounds[0], bounds[3] - bounds[2])
     if side > MOST_OF_CELL * cell:
@@ -89,7 +89,7 @@ def _coarse(scenario: ScenarioSpec, file: str, cell: float) -> Iterator[str]:
 
 
 def _of_run(file: str, found: Soundings, request: Request) -> Soundings:
-    """Return a table of soundings limited to the times that a run needs."""
+    """Return the soundings (wind over height) of a table, limited to the times that a run needs."""
     if not found.times:
         return found
     if len(found.times) == 1:
@@ -100,7 +100,7 @@ def _of_run(file: str, found: Soundings, request: Request) -> Soundings:
 
 
 def _spec(found: Soundings, start: float, roughness: float, top: float) -> Any:
-    """Return soundings as the schema's wind profile, up to the first level above ``top`` [m]."""
+    """Return soundings as a wind profile of the schema, up to the first level above ``top`` [m]."""
     rows: list[tuple[float, Level]] = []
     for i, levels in enumerate(found.levels):
         time = found.times[i] - start if found.times else 0.0
@@ -120,7 +120,7 @@ def _spec(found: Soundings, start: float, roughness: float, top: float) -> Any:
 
 
 def _with_turbulence(scenario: ScenarioSpec) -> ScenarioSpec:
-    """Return a scenario with the turbulence's missing speed and bearing taken from the profile."""
+    """Return a scenario in which missing speed and bearing of the turbulence come from the wind profile."""
     turbulence = scenario.world.turbulence
     missing = [name for name in ("speed_20ft", "wind_from_rad") if vars(turbulence).get(name, 0.0) is None]
     if not missing:
@@ -133,7 +133,7 @@ def _with_turbulence(scenario: ScenarioSpec) -> ScenarioSpec:
 
 
 def velocity(scenario: ScenarioSpec, heights: NumpyArray, times: Sequence[float]) -> tuple[Floats, Floats]:
-    """Return velocities to north and east (T, n) [m/s] of a profile.
+    """Return the wind profile's velocities to north and east, each (T, n) [m/s], at times (T,) and heights (n,).
 
     Args:
         scenario: with a wind of type profile.
@@ -154,13 +154,13 @@ def velocity(scenario: ScenarioSpec, heights: NumpyArray, times: Sequence[float]
 
 
 def largest_speed(scenario: ScenarioSpec, heights: NumpyArray) -> Floats:
-    """Return the largest speed [m/s] of a profile in the run at heights (n,) [m]."""
+    """Return the largest wind speed [m/s] of a profile during the run, at heights (n,) [m]."""
     inside = [time for time in set(scenario.world.wind.times) if 0.0 < time < scenario.duration]
     return np.hypot(*velocity(scenario, heights, [0.0, *inside, scenario.duration])).max(axis=0)
 
 
 def start_levels(wind: Any) -> tuple[list[float], list[str]]:
-    """Return heights [m] and names of the profile's levels at the first time, sorted by height."""
+    """Return heights [m] and names of a wind profile's levels at its first time, sorted by height."""
     names = wind.levels or [f"{height:g} m" for height in wind.heights]
     first = min(wind.times, default=0.0)
     times = wind.times or [0.0] * len(wind.heights)

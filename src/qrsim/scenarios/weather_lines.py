@@ -21,7 +21,7 @@ GUST_SIGMAS = 3.0
 
 
 def profile_lines(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield printable lines about a profile's wind at the start, with the source of each height."""
+    """Yield lines of text about a wind profile at the start of the run, with the source of each height."""
     wind = scenario.world.wind
     if wind.type != PROFILE:
         return
@@ -38,7 +38,7 @@ def profile_lines(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _held(wind: Any, scenario: ScenarioSpec, times: str) -> str:
-    """Return how long the printed wind holds: steady, or interpolated between two times in UTC."""
+    """Return as text how long the printed wind is valid: steady, or interpolated between two times in UTC."""
     if not times:
         return "steady:"
     begin, end = (
@@ -48,7 +48,7 @@ def _held(wind: Any, scenario: ScenarioSpec, times: str) -> str:
 
 
 def _origin(height: float, heights: list[float], names: list[str]) -> str:
-    """Return in words the levels of the profile between which the wind at a height [m] is interpolated."""
+    """Return as text the levels of the profile between which the wind at a height [m] is interpolated."""
     labels = [
         name if name.endswith(" m") else f"{name} ({own:.0f} m)" for own, name in zip(heights, names, strict=True)
     ]
@@ -63,7 +63,7 @@ def _origin(height: float, heights: list[float], names: list[str]) -> str:
 
 
 def _turbulent_gust(scenario: ScenarioSpec) -> str:
-    """Return the gusts of the turbulence 10 m above the ground, in words."""
+    """Return as text the strength of the turbulence's gusts 10 m above the ground."""
     sigma = float(gust_sigma(scenario, np.array([10.0]))[0])
     if scenario.world.turbulence.type == "still" or not sigma:
         return ""
@@ -73,6 +73,6 @@ def _turbulent_gust(scenario: ScenarioSpec) -> str:
 
 
 def _at_start(scenario: ScenarioSpec, heights: Sequence[float]) -> tuple[list[float], list[float]]:
-    """Return velocities to north and east [m/s] at the start of the run."""
+    """Return wind velocities to north and east [m/s] at heights [m] at the start of the run."""
     north, east = velocity(scenario, np.array(heights), [0.0])
     return north[0].tolist(), east[0].tolist()

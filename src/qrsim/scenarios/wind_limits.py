@@ -55,7 +55,7 @@ class Limits:
 
 
 def voltages(fleet: FleetSpec) -> NumpyArray:
-    """Return the voltage (n,) of each vehicle's full battery [V]."""
+    """Return the voltage [V] of each vehicle's full battery, (n,)."""
     own = vars(fleet.controller).get("battery", FULL_V)
     if fleet.battery.type == "lithium_polymer":
         own = fleet.battery.voltage_full
@@ -63,7 +63,7 @@ def voltages(fleet: FleetSpec) -> NumpyArray:
 
 
 def limits_of(fleet: FleetSpec, scenario: ScenarioSpec) -> Limits | None:
-    """Return the winds that a fleet's vehicles can hold; None for vehicles without tilt or flight envelope."""
+    """Return the winds that a fleet's vehicles can fly against; None for vehicles without tilt or flight envelope."""
     size = len(fleet.vehicles)
     try:
         vehicle = vehicle_of(fleet, scenario)
@@ -94,7 +94,7 @@ def limits_of(fleet: FleetSpec, scenario: ScenarioSpec) -> Limits | None:
 
 
 def wind_warnings(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a warning if the wind at a route's highest place exceeds the airspeed that a vehicle can hold."""
+    """Yield a warning if the wind at the highest place of a route exceeds the airspeed that a vehicle can hold."""
     if not _blows(scenario) or is_outside("vehicle", fleet.vehicle.type):
         return
     limits = limits_of(fleet, scenario)
@@ -120,7 +120,7 @@ def wind_warnings(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterat
 
 
 def _short_of_waypoints(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a warning if the wind keeps vehicles from reaching the waypoints of a route.
+    """Yield a warning if the wind keeps vehicles from reaching the waypoints of their routes.
 
     The published waypoint loops lean by a constant times the distance to the waypoint and have no integral: in a steady
     wind they stand where that lean holds against it.
@@ -151,7 +151,7 @@ def _short_of_waypoints(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> 
 
 
 def envelope_lines(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a line for each flying fleet: the steady airspeed that it holds, and the wind along its route."""
+    """Yield a line of text for each flying fleet: its largest steady airspeed, and the wind along its route."""
     for name, fleet in scenario.fleets.items():
         limits = limits_of(fleet, scenario)
         if limits is None:
@@ -167,12 +167,12 @@ def envelope_lines(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _speed(held: Envelope, i: int) -> str:
-    """Return the airspeed of vehicle i in an envelope, with unit, as text."""
+    """Return the largest steady airspeed of vehicle i as text with unit."""
     return f"{held.airspeed[i]:.3g} m/s"
 
 
 def _by_itself(limits: Limits, held: Envelope, i: int) -> str:
-    """Return as text what limits vehicle i's airspeed: full lean or full thrust."""
+    """Return as text what limits vehicle i's airspeed: its maximum tilt, or its maximum thrust."""
     if not held.by_thrust[i]:
         return f"leaning as far as it can, {held.tilt[i]:.3g} rad ({math.degrees(held.tilt[i]):.0f} deg)"
     volts = f" at {limits.volts[i]:g} V" if math.isfinite(limits.volts[i]) else ""
@@ -180,7 +180,7 @@ def _by_itself(limits: Limits, held: Envelope, i: int) -> str:
 
 
 def _as_let(limits: Limits, held: Envelope, i: int) -> str:
-    """Return as text that vehicle i leans to its controller's limit."""
+    """Return as text that vehicle i tilts up to its controller's limit."""
     return f"leaning as far as its controller lets it, {limits.commanded[i]:g} rad"
 
 
@@ -190,7 +190,7 @@ def _blows(scenario: ScenarioSpec) -> bool:
 
 
 def mean_wind(scenario: ScenarioSpec, heights: NumpyArray) -> NumpyArray:
-    """Return the speed of the mean wind [m/s] at heights (n,) [m]; of a recorded one its largest."""
+    """Return the speed of the mean wind [m/s] at heights (n,) [m]; the largest of a recorded wind."""
     wind = scenario.world.wind
     if is_outside("wind", wind.type):
         return np.zeros(len(heights))

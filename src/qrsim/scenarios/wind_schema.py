@@ -38,14 +38,14 @@ class WeatherFile:
 
 
 def _numbers(text: str, **bounds: float) -> Any:
-    """Return the annotation and field of a list of bounded numbers, empty by default."""
+    """Return pydantic annotation and field, described by ``text``, of a list of numbers within ``bounds``."""
     number = Annotated[float, Field(allow_inf_nan=False, strict=True, **bounds)]
     return list[number], Field([], description=text, max_length=MOST_ROWS)
 
 
 @cache
 def profile_model() -> Any:
-    """Return the schema of a wind profile, inline or in a file."""
+    """Return the pydantic model of a wind profile, inline or in a file."""
     rows = {
         "file": (
             str | None,
@@ -63,12 +63,12 @@ def profile_model() -> Any:
 
 @cache
 def _model(name: str, wind: type) -> type[Strict]:
-    """Return the pydantic model of a type of wind, made once for each class."""
+    """Return the pydantic model of a wind class, cached by class."""
     return component_model(name, wind)
 
 
 def _winds() -> dict[str, Maker]:
-    """Return name -> maker of the schema for each wind type: those of the catalogue, and weather files."""
+    """Return type name -> function that makes its pydantic model, for all winds of the catalogue and weather files."""
     others = {name: partial(_model, name, wind) for name, wind in known.WINDS.items() if wind is not ProfileRows}
     return {**others, PROFILE: profile_model, WEATHER: partial(_model, WEATHER, WeatherFile)}
 

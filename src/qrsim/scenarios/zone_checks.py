@@ -25,7 +25,7 @@ SAMPLES = 24
 
 
 def zone_problems(scenario: ScenarioSpec) -> list[str]:
-    """Return the problems of the zones of a scenario; [] for an area of another type."""
+    """Return the errors of a scenario's flight zones; [] for an area of another type."""
     area = scenario.world.area
     if area.type != "zones":
         return []
@@ -42,21 +42,21 @@ def zone_problems(scenario: ScenarioSpec) -> list[str]:
 
 
 def zone_warnings(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a warning for each leg through an exclusion zone, if the scenario allows such legs."""
+    """Yield a warning for each mission leg through an exclusion zone, if the scenario allows such legs."""
     area = scenario.world.area
     if area.type == "zones" and area.allow_crossing:
         yield from _crossings(scenario, zones_with_ground(scenario))
 
 
 def zones_with_ground(scenario: ScenarioSpec) -> Zones:
-    """Return the zones of a scenario in NED, with the ground if a zone has heights above terrain."""
+    """Return a scenario's zones in NED, with the ground model if a zone has heights above terrain."""
     zones = zones_of(scenario.world.area)
     ground = ground_if_any(scenario) if any(zone.terrain for zone in zones) else None
     return Zones(zones, None if ground is None else ground_down(ground))
 
 
 def _own_problems(area: object) -> Iterator[str]:
-    """Yield the problems of the zones alone: their number, corners and holes."""
+    """Yield the errors of zones by themselves: their number, corners and holes."""
     zones = zones_of(area)
     if not zones:
         yield "world.area: has no zones; give stay_in, stay_out or both, or leave world.area out"
@@ -79,13 +79,13 @@ def _own_problems(area: object) -> Iterator[str]:
 
 
 def _within(hole: list[list[float]], outline: list[list[float]]) -> bool:
-    """Return whether all corners of a hole are inside an outline or on its edge."""
+    """Return whether all corners of a hole are inside a polygon, or on its edge."""
     zone = Zone(True, (tuple((north, east) for north, east in outline),))
     return all(zone.signed(north, east, 0.0) > -TOUCHES for north, east in hole)
 
 
 def _nothing_left(area: Any, zones: Zones) -> str:
-    """Return a problem if no sampled point of any inclusion zone can be flown in; "" otherwise."""
+    """Return an error if none of the sampled points of the inclusion zones may be flown in; else ""."""
     kept = [zone for zone in zones.all if zone.keep]
     top, bottom = -area.z_min, -area.z_max
     for zone in kept:
@@ -102,7 +102,7 @@ def _nothing_left(area: Any, zones: Zones) -> str:
 
 
 def _ground_at(zones: Zones, places: Sequence[Point]) -> list[GroundDown | None]:
-    """Return for each place (north, east) [m] a function of the ground there, from one evaluation for all."""
+    """Return for each place (north, east) [m] a function of the ground's z coordinate; None without terrain."""
     if zones.ground is None or not places:
         return [None] * len(places)
     return [_always(down) for down in _downs(zones.ground, *np.array(places, np.float64).T).tolist()]
@@ -114,12 +114,12 @@ def _downs(ground: Any, norths: Floats, easts: Floats) -> Floats:
 
 
 def _always(down: float) -> GroundDown:
-    """Return a ground function that is ``down`` [m] everywhere."""
+    """Return a ground function, north and east to z coordinate, that is ``down`` [m] everywhere."""
     return lambda north, east: down
 
 
 def _ground_along(zones: Zones, ways: Sequence[tuple[Triple, Triple]]) -> list[GroundDown | None]:
-    """Return for each way (begin, end) NED [m] a ground function along it; None without terrain."""
+    """Return for each line (begin, end) NED [m] a function of the ground's z coordinate; None without terrain."""
     if zones.ground is None or not ways:
         return [None] * len(ways)
     counts = [max(1, math.ceil(2.0 * math.dist(begin, end) / TERRAIN_STEP)) for begin, end in ways]
@@ -133,12 +133,12 @@ def _ground_along(zones: Zones, ways: Sequence[tuple[Triple, Triple]]) -> list[G
 
 
 def _along(begin: Triple, end: Triple, shares: Floats, downs: Floats) -> GroundDown:
-    """Return a ground function that interpolates ``downs`` [m] at ``shares`` of a way."""
+    """Return a ground function that interpolates z coordinates ``downs`` [m] at ``shares`` (0 to 1) of a line."""
     dx, dy = end[0] - begin[0], end[1] - begin[1]
     square = dx * dx + dy * dy
 
     def down(north: float, east: float) -> float:
-        """Return the ground's z coordinate [m, down] at the nearest point of the way."""
+        """Return the ground's z coordinate [m, down] at the nearest point of the line."""
         share = ((north - begin[0]) * dx + (east - begin[1]) * dy) / square if square else 0.0
         return float(np.interp(share, shares, downs))
 
@@ -146,7 +146,7 @@ def _along(begin: Triple, end: Triple, shares: Floats, downs: Floats) -> GroundD
 
 
 def _start_problems(scenario: ScenarioSpec, zones: Zones) -> Iterator[str]:
-    """Yield a problem for each vehicle that starts outside the zones."""
+    """Yield an error for each vehicle that starts where the zones do not allow it to be."""
     for name, fleet in scenario.fleets.items():
         vehicles = fleet.vehicles if fleet.placement.type == "given" else []
         grounds = _ground_at(zones, [(each.position_ned[0], each.position_ned[1]) for each in vehicles])
@@ -163,7 +163,7 @@ def _start_problems(scenario: ScenarioSpec, zones: Zones) -> Iterator[str]:
 
 
 def _crossings(scenario: ScenarioSpec, zones: Zones) -> Iterator[str]:
-    """Yield a problem for each leg through an exclusion zone or out of all inclusion zones."""
+    """Yield an error for each leg that goes through an exclusion zone or out of all inclusion zones."""
     barred = [zone for zone in zones.all if not zone.keep]
     inside: dict[tuple[str, str], float] = {}
     first: dict[tuple[str, str], Triple] = {}
@@ -183,7 +183,7 @@ def _crossings(scenario: ScenarioSpec, zones: Zones) -> Iterator[str]:
 
 
 def _ways(scenario: ScenarioSpec) -> Iterator[tuple[str, Triple, Triple]]:
-    """Yield (path, begin, end) NED [m] of each straight part of all routes and missions; circles become polygons."""
+    """Yield (path, begin, end) NED [m] of each straight line of all routes and missions; circles become polygons."""
     ground = ground_if_any(scenario)
     for name, fleet in scenario.fleets.items():
         for i, vehicle in enumerate(fleet.vehicles):
@@ -195,7 +195,7 @@ def _ways(scenario: ScenarioSpec) -> Iterator[tuple[str, Triple, Triple]]:
 
 
 def _route_ways(path: str, fleet: FleetSpec, vehicle: VehicleSpec) -> Iterator[tuple[str, Triple, Triple]]:
-    """Yield (path, begin, end) NED [m] of each leg of a vehicle's waypoints."""
+    """Yield (path, begin, end) NED [m] of each straight line between a vehicle's waypoints."""
     points = [_triple(point) for point in vehicle.waypoints_ned]
     if points and fleet.placement.type == "given":
         yield f"{path}.waypoints_ned.0", _triple(vehicle.position_ned), points[0]
@@ -208,7 +208,7 @@ def _route_ways(path: str, fleet: FleetSpec, vehicle: VehicleSpec) -> Iterator[t
 def _mission_ways(
     path: str, fleet: FleetSpec, vehicle: VehicleSpec, ground: object
 ) -> Iterator[tuple[str, Triple, Triple]]:
-    """Yield (path, begin, end) NED [m] of each straight part of a vehicle's mission."""
+    """Yield (path, begin, end) NED [m] of each straight line of a vehicle's mission."""
     place = _triple(vehicle.position_ned)
     for part, leg in ways_of(fleet, vehicle, ground):
         for end in _corners(place, leg):
@@ -217,7 +217,7 @@ def _mission_ways(
 
 
 def _corners(place: Triple, leg: Any) -> list[Triple]:
-    """Return the points NED [m] that a leg passes from ``place`` on; a circle becomes a polygon."""
+    """Return the points NED [m] that a leg from ``place`` passes; a circle becomes a polygon."""
     if leg.kind != "circle":
         return [leg.position_ned]
     north, east = leg.centre_ned
@@ -229,6 +229,6 @@ def _corners(place: Triple, leg: Any) -> list[Triple]:
 
 
 def _triple(point: list[float]) -> Triple:
-    """Return a point of a list as a tuple: north, east, down [m]."""
+    """Convert a list [north, east, down] [m] to a tuple."""
     north, east, down = point
     return north, east, down

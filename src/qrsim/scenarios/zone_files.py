@@ -17,7 +17,7 @@ FileZone = FencePolygon | FenceCircle
 
 
 def zones_of_file(file: str, name: str | None = None) -> tuple[list[FileZone], Plan | None]:
-    """Return the zones of a file, and its plan if it is one.
+    """Read zones from a file, all or those called ``name``; also return the plan, if the file is one.
 
     Args:
         file: the file; its suffix says of which kind it is.
@@ -41,7 +41,7 @@ def zones_of_file(file: str, name: str | None = None) -> tuple[list[FileZone], P
 
 
 def in_ned(zone: FileZone, site: Site) -> Content:
-    """Return a zone's shape as scenario content, in NED [m].
+    """Convert a zone of a file to scenario content in NED [m].
 
     Raises:
         UsageError: it is far from the site.

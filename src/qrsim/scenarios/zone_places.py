@@ -34,14 +34,14 @@ class PlacedZones:
 
 
 def has_places(area: Any) -> bool:
-    """Return whether an area names files, or places in latitude and longitude."""
+    """Return whether an area names files, or geodetic positions, which must be converted to NED."""
     if area.type != "zones":
         return bool(area.type == "fence")
     return any(zone.polygon_ned is None and zone.circle_ned is None for zone in (*area.stay_in, *area.stay_out))
 
 
 def fence_as_zones(area: Any) -> list[Any]:
-    """Return a fence's plan as zones if one polygon cannot express it; other areas unchanged.
+    """Return [area], with a plan's fence as an area of zones if one polygon cannot express it.
 
     Raises:
         UsageError: the plan cannot be read.
@@ -57,7 +57,7 @@ def fence_as_zones(area: Any) -> list[Any]:
 
 
 def zones_in_ned(area: Any, site: Site) -> PlacedZones:
-    """Return the zones of a scenario's ``world.area`` in NED, after reading those that it names by file."""
+    """Return the zones of a scenario's ``world.area`` in NED, including those read from files."""
     placed, found = PlacedZones(area), {"stay_in": list[ZoneSpec](), "stay_out": list[ZoneSpec]()}
     # Plans whose fences to stay out of are named there; those of all others are in the plan's entry of stay_in.
     barred = {zone.file for zone in area.stay_out}
@@ -84,7 +84,7 @@ def zones_in_ned(area: Any, site: Site) -> PlacedZones:
 
 
 def _note(written: dict[str, str], here: str, path: str, zone: ZoneSpec, each: ZoneSpec) -> None:
-    """Record under which name messages call a zone that was converted to NED."""
+    """Record in ``written``, for messages, how the user wrote a zone that was converted to NED."""
     for part in ("polygon_ned", *(f"holes_ned.{number}" for number in range(len(each.holes_ned)))):
         if zone.file is not None:
             written[f"{here}.{part}"] = f"{path}: {zone.file}: '{each.name}'"
@@ -95,7 +95,8 @@ def _note(written: dict[str, str], here: str, path: str, zone: ZoneSpec, each: Z
 def _placed(
     zone: ZoneSpec, keep: bool, site: Site, barred: set[str | None], plans: dict[str, Plan]
 ) -> Iterator[tuple[bool, ZoneSpec]]:
-    """Yield (inclusion, zone in NED) for each zone that one zone of a scenario becomes."""
+    """Yield (is inclusion, zone in NED) for each zone that one zone becomes (of a file several);
+    ``keep``: it is one."""
     rest: Content = {"floor": zone.floor, "ceiling": zone.ceiling, "above": zone.above}
     if zone.polygon_geodetic is not None:
         outline, *holes = (corners_ned(ring, site) for ring in (zone.polygon_geodetic, *zone.holes_geodetic))

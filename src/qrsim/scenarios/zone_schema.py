@@ -55,12 +55,12 @@ class ZoneSpec(Strict):
 
     @model_serializer(mode="wrap")
     def _without_nothing(self, handler: SerializerFunctionWrapHandler) -> Content:
-        """Leave out None and empty lists when a zone is written."""
+        """Leave out None and empty lists when a zone's specification is written."""
         return {key: value for key, value in handler(self).items() if value not in (None, [])}
 
     @model_validator(mode="after")
     def _one_shape(self) -> ZoneSpec:
-        """Raise ValueError unless a zone has exactly one shape, with what that shape needs."""
+        """Refuse a zone that does not have exactly one shape, or lacks numbers that the shape needs."""
         given = [name for name in _SHAPES if getattr(self, name) is not None]
         if len(given) != 1:
             found = " and ".join(f"'{name}'" for name in given) or "no shape"
@@ -82,7 +82,7 @@ class ZoneSpec(Strict):
 
 @cache
 def zones_model() -> Any:
-    """Return the schema of an area of zones."""
+    """Return the pydantic model of an area of zones."""
     zones = list[ZoneSpec]
     parts = {
         "stay_in": (zones, Field([], description="zones to stay in: in one of them at least", max_length=MOST_ZONES)),
@@ -96,7 +96,7 @@ def zones_model() -> Any:
 
 
 def zones_of(area: Any) -> list[Zone]:
-    """Return the zones of an area in NED; a zone without a name gets its path as name."""
+    """Return the zones of an area, all in NED; a zone without a name gets its scenario path as name."""
     return [
         zone_of(spec, key == "stay_in", f"{key}.{i}")
         for key in ("stay_in", "stay_out")
@@ -105,7 +105,7 @@ def zones_of(area: Any) -> list[Zone]:
 
 
 def zone_of(spec: ZoneSpec, keep: bool, path: str) -> Zone:
-    """Return a zone's spec in NED as a ``Zone``."""
+    """Convert a zone's specification in NED to a ``Zone``; ``keep``: vehicles must stay inside, not outside."""
     ceiling = math.inf if spec.ceiling is None else spec.ceiling
     rest = (spec.floor, ceiling, spec.above == "terrain", spec.name or path)
     if spec.polygon_ned is None:
@@ -116,7 +116,7 @@ def zone_of(spec: ZoneSpec, keep: bool, path: str) -> Zone:
 
 
 def content_of(zones: Iterable[Zone]) -> Content:
-    """Return zones as scenario content."""
+    """Convert zones to scenario content."""
     found: Content = {"stay_in": [], "stay_out": []}
     for zone in zones:
         part: Content = {"name": zone.name, "floor": max(zone.floor, 0.0)}

@@ -22,7 +22,8 @@ class Alone:
         self._changes = False
 
     def _wait_or_refuse(self, what: str) -> None:
-        """Acquire the lock after a thread that only reads; raise BusyError if the other thread changes the object.
+        """Acquire the object's lock after a thread that only reads; raises BusyError, naming the method ``what``, after
+        one that writes.
 
         Raises:
             BusyError: the other thread is changing the object.
@@ -41,11 +42,12 @@ R = TypeVar("R")
 
 
 def alone(method: Callable[Concatenate[S, P], R]) -> Callable[Concatenate[S, P], R]:
-    """Return the method restricted to one thread at a time, because it changes state; see ``Alone``."""
+    """Let only one thread at a time run the decorated method of an object, because it changes the object's state; see
+    ``Alone``."""
 
     @wraps(method)
     def called(self: S, /, *arguments: P.args, **named: P.kwargs) -> R:
-        """Return the method's result, called while no other thread runs a restricted method of this object."""
+        """Call the method, and return its result, while no other thread runs a decorated method of this object."""
         if not self._lock.acquire(False):
             self._wait_or_refuse(method.__name__)
         self._changes = True

@@ -37,7 +37,7 @@ class OtherNamesError(ValueError):
 
 
 def read_archive(data: bytes, names: Collection[str]) -> dict[str, NumpyArray]:
-    """Return the arrays of a NumPy archive by name, as read-only views of ``data``.
+    """Return the arrays of an uncompressed NumPy archive (.npz) by name, as read-only views of ``data``.
 
     Args:
         data: the file.
@@ -68,7 +68,8 @@ def read_archive(data: bytes, names: Collection[str]) -> dict[str, NumpyArray]:
 
 
 def _check_end(data: bytes, count: int) -> None:
-    """Raise DamagedError or OtherNamesError for an archive's directory that is damaged or too long."""
+    """Raise DamagedError if the directory at the end of an archive is damaged or too long, and OtherNamesError if it
+    does not list ``count`` arrays."""
     if len(data) < _END.size:
         raise DamagedError("too short")
     signature, _, _, _, entries, size, begin, comment = _END.unpack(data[-_END.size :])
@@ -82,7 +83,7 @@ def _check_end(data: bytes, count: int) -> None:
 
 
 def _array(content: bytes) -> NumpyArray:
-    """Return the array in the bytes of an .npy file; raise DamagedError for any other content."""
+    """Return the array in the bytes of an .npy file; raises DamagedError for any other content."""
     begin = len(MAGIC) + 2
     if content[: len(MAGIC)] != MAGIC or len(content) < begin:
         raise DamagedError("no array")
@@ -99,7 +100,7 @@ def _array(content: bytes) -> NumpyArray:
 
 
 def _dtype(name: str) -> np.dtype[np.generic]:
-    """Return the NumPy dtype with a name; raise DamagedError if unknown."""
+    """Return the NumPy dtype with this name; raises DamagedError for an unknown one."""
     try:
         return np.dtype(name)
     except TypeError:

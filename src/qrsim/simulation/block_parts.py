@@ -63,7 +63,8 @@ class Setup:
 
     @property
     def compiled(self) -> Setup:
-        """The setup without functions called in lock-step, on which compiled programs do not depend."""
+        """Setup as compiled programs depend on it: without the user's functions that are called in lock-step on the
+        host."""
         policy, estimator = (
             function if function is not None and function.compiled else None
             for function in (self.policy, self.estimator)
@@ -74,7 +75,7 @@ class Setup:
 
     @property
     def key(self) -> Hashable:
-        """Hashable key of compiled programs, with identities in place of the user's objects."""
+        """Key of the compiled programs of this setup, hashable; the user's objects count by identity."""
         asked = (None if each is None else (each.name, each.identity) for each in (self.policy, self.estimator))
         return (
             *asked,
@@ -89,13 +90,13 @@ class Setup:
 
     @property
     def plain(self) -> bool:
-        """True if all code is this package's, so that the structure identifies the setup in any process."""
+        """True if the setup has no code of users, so that its structure identifies it in any process."""
         own = {kind.__module__.split(".")[0] for kind in self.kinds} <= {"builtins", "qrsim"}
         asks_nobody = self.policy is None and self.estimator is None
         return asks_nobody and own and (self.metrics is FLIGHT_METRICS or self.metrics is MISSION_METRICS)
 
     def world(self, fixed: Sequence[object], own: Sequence[object]) -> World:
-        """Return the world rebuilt from leaves that all worlds share and its other leaves."""
+        """Rebuild a world from the arrays that all worlds share (``fixed``) and those that vary (``own``)."""
         shares, owns = iter(fixed), iter(own)
         world: World = jax.tree.unflatten(self.structure, [next(owns if v else shares) for v in self.varied])
         return world
@@ -113,7 +114,8 @@ class Carry(NamedTuple):
 
 
 def begin_world(setup: Setup, fixed: Sequence[object], keys: WorldKeys, own: Sequence[object]) -> Carry:
-    """Return the state of one world before its first tick, with all that passes from tick to tick."""
+    """Return one world's state before its first tick, with carried memories; ``fixed``, ``own``: arrays that are shared
+    and that vary."""
     world = setup.world(fixed, own)
     state = ticks_of.reset(world, keys)
     reading = Reading(world, state, 0, setup.site)
@@ -135,7 +137,7 @@ def begin_world(setup: Setup, fixed: Sequence[object], keys: WorldKeys, own: Seq
 
 
 def _check_metrics(metrics: Any, flight: Any, world: World, state: State) -> None:
-    """Raise an error for metrics with a memory that changes its structure or shapes from tick to tick."""
+    """Raise an error for user metrics with accumulators that change their structure or shapes from tick to tick."""
     after = jax.eval_shape(metrics.update, flight, world, state, jnp.int32(1))
     shapes = [[jnp.shape(leaf) for leaf in jax.tree.leaves(tree)] for tree in (flight, after)]
     structures: list[object] = [jax.tree.structure(tree) for tree in (flight, after)]
@@ -148,7 +150,7 @@ def _check_metrics(metrics: Any, flight: Any, world: World, state: State) -> Non
 
 
 def _first_memory(function: UserFunction | None, reading: Reading) -> object:
-    """Return the initial memory of a user's function, () without a function."""
+    """Return the initial memory of a user's function from its first reading; () without a function."""
     if function is None:
         return ()
     with function.blamed():
@@ -156,7 +158,8 @@ def _first_memory(function: UserFunction | None, reading: Reading) -> object:
 
 
 def _answer(function: UserFunction, world: World, reading: Reading, memory: object) -> tuple[object, object]:
-    """Return a compiled function's checked actions or estimates of each fleet, and its new memory."""
+    """Call a user's compiled policy or estimator; return its checked actions or estimates for each fleet, and its new
+    memory."""
     checker = ActionChecker(world, world.fleets[0].start.position_ned.x.dtype, "traced")
     with function.blamed():
         result, memory = call_compiled(function, reading, memory)
@@ -166,7 +169,8 @@ def _answer(function: UserFunction, world: World, reading: Reading, memory: obje
 
 
 def call_compiled(function: UserFunction, reading: Reading, memory: object) -> tuple[object, object]:
-    """Return a user's function's result and new memory, while a program is traced; raise UsageError if impossible."""
+    """Call a user's function while a program is traced; return its result and new memory; raises UsageError if it
+    cannot be traced."""
     try:
         result, after = function(reading, memory)
     except NEEDS_VALUES as error:
@@ -179,7 +183,8 @@ def call_compiled(function: UserFunction, reading: Reading, memory: object) -> t
 
 
 def _check_memory(before: object, after: object) -> None:
-    """Raise UsageError if the new memory differs from the old in structure, shapes or dtypes."""
+    """Raise UsageError if a function's memory differs in structure, shapes or dtypes ``before`` and ``after`` a
+    call."""
     old = jax.tree.structure(before)
     new = jax.tree.structure(after)
     if repr(old) != repr(new):
@@ -195,7 +200,8 @@ def _check_memory(before: object, after: object) -> None:
 def tick_of_world(
     setup: Setup, fixed: Sequence[object], own: Sequence[object], carry: Carry, tick: Any, given: tuple[Any, Any]
 ) -> Carry:
-    """Return the state of one world after a tick; ``given``: actions and estimates computed in lock-step."""
+    """Advance one world by a tick; return its state and memories. ``given``: actions and estimates computed on the
+    host."""
     world = setup.world(fixed, own)
     reading = Reading(world, carry.state, tick, setup.site)
     actions, estimates = given
@@ -217,7 +223,7 @@ def tick_of_world(
 
 
 def _finite(world: World, actions: tuple[object, ...]) -> jax.Array:
-    """Return (n,) bool: all numbers of the vehicle's command are finite."""
+    """Return which vehicles have a command with only finite numbers, (n,) bool."""
     found = []
     for fleet, action in zip(world.fleets, split_messages(actions)[0], strict=True):
         fine = jnp.ones(fleet.size, bool)

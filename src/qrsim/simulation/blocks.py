@@ -42,11 +42,12 @@ class Schedule:
 
     @property
     def records(self) -> list[int]:
-        """Recorded ticks, the start included."""
+        """Ticks at which states are recorded, the start included."""
         return list(range(0, self.ticks + 1, self.record_every)) if self.record_every else []
 
     def stops(self, asked_every: int) -> list[int]:
-        """Return the ticks at which the compiled loop returns to the host; ``asked_every``: lock-step period, or 0."""
+        """Return the ticks after which the compiled loop returns to the host; ``asked_every``: period of lock-step
+        functions, or 0."""
         found = {self.ticks, *self.records}
         for period in (TICKS_PER_CALL, asked_every):
             if period:
@@ -86,13 +87,13 @@ class Engine:
         self.checker = ActionChecker(example, np.dtype(example.fleets[0].start.position_ned.x.dtype), "finite")
 
     def bytes_per_world(self) -> int:
-        """Return the size [bytes] of a world's carry."""
+        """Return the size [bytes] of the state that one world carries from tick to tick."""
         keys = jax.tree.map(lambda leaf: np.asarray(leaf)[None], keys_of(self.example, Key.root(0)))
         fixed = Packer([np.asarray(leaf) for leaf in self.fixed])
         return state_bytes(begin_function(self.setup.compiled), fixed, layout_of_each((self.varied, keys)))
 
     def fly(self, rows: NumpyArray, seeds: NumpyArray, numbers: NumpyArray) -> tuple[dict[str, NumpyArray], Any]:
-        """Return the metrics and records of the worlds ``rows`` (B,), flown from their start."""
+        """Fly the worlds ``rows`` (B,) from their start; return the metrics and records of the distinct ones."""
         real = len(np.unique(rows))
         own = [part[rows] for part in self.varied]
         # On the host: in the program, the keys' own rounds would be compiled into everything that draws.
@@ -123,14 +124,14 @@ class Engine:
         return self.setup.metrics.finish(metrics, self.example, state), recorded
 
     def _ended(self, flight: Flight) -> bool:
-        """Return whether every world has ended, as metrics of missions define; other metrics never end a world."""
+        """Return whether metrics say that every world of the block has ended; only metrics of missions ever do."""
         metrics = self.setup.metrics
         if not isinstance(metrics, MissionMetrics):
             return False
         return bool(np.all(flight.get(lambda carry: metrics.ended(carry.flight))))
 
     def _keep(self, flight: Flight, tick: int, rows: NumpyArray, found: list[object]) -> None:
-        """Append the record of a tick to ``found``, or pass it to the sink, if a record is due."""
+        """At ticks with a record due, append the record to ``found``, or pass it to the user's sink."""
         if self.record is None or tick % self.schedule.record_every:
             return
         found_now = flight.map(self.record, lambda carry: carry.state)
@@ -141,7 +142,8 @@ class Engine:
             self.sink(rows, tick, recorded)
 
     def _refuse(self, wrong_tick: NumpyArray, rows: NumpyArray) -> None:
-        """Raise UsageError for the first vehicle for which a policy returned a command that is not finite."""
+        """Raise UsageError for the first vehicle whose policy returned a command that is not finite; ``wrong_tick``:
+        when, or -1."""
         if (wrong_tick < 0).all():
             return
         world, vehicle = np.argwhere(wrong_tick >= 0)[0]
@@ -167,7 +169,8 @@ class LateRadio:
         self.over = False
 
     def of(self, world: int) -> Any:
-        """Return the radio state of one world, read on first use; raise UsageError after the next tick."""
+        """Return the radio state of one world, copied to the host on first use; raises UsageError if the tick is
+        over."""
         if self._host is None:
             if self.over:
                 raise UsageError(
@@ -222,7 +225,7 @@ class _LazyState(_LazyParts):
 
     @property
     def radio(self) -> Any:
-        """Radio state of the world, read on first use."""
+        """Radio state of this world, copied to the host on first use."""
         return self._radios.of(self._world)
 
 
@@ -241,7 +244,7 @@ class LockStep:
         self._memories: dict[tuple[str, int], Any] = {}
 
     def _call(self, function: UserFunction, reading: Reading, world: int) -> object:
-        """Return a user's function's answer for one world; its new memory is stored."""
+        """Call a user's function for one world, store its new memory, and return its answer."""
         which = (function.what, world)
         if which not in self._memories:
             self._memories[which] = function.init(reading)
@@ -249,10 +252,10 @@ class LockStep:
         return answer
 
     def _readings(self, flight: Flight, tick: int, radios: LateRadio) -> list[tuple[Reading, NumpyArray]]:
-        """Return, for each world, its reading and (n,) bool: the vehicle flies."""
+        """Return, for each world of the block, its reading and which vehicles still fly, (n,) bool."""
 
         def heard(carry: Carry) -> Any:
-            """Return the parts of a state that users' functions read."""
+            """Return the parts of a world's state that users' functions can read."""
             fleets = [{name: getattr(fleet, name) for name in _TOLD_OF_FLEETS} for fleet in carry.state.fleets]
             return {name: getattr(carry.state, name) for name in _TOLD}, fleets
 
@@ -265,7 +268,8 @@ class LockStep:
         return found
 
     def ask(self, flight: Flight, tick: int, count: int) -> tuple[object, object]:
-        """Return actions and estimates of users' functions, each leaf (count, ...); () without a function."""
+        """Call the users' lock-step functions for ``count`` worlds; return actions and estimates, each (count, ...), ()
+        without."""
         if not self.asked_every:
             return (), ()
         estimates: list[object] = []
@@ -288,7 +292,8 @@ class LockStep:
 
     @staticmethod
     def _stack(function: UserFunction | None, answers: list[Any], count: int) -> object:
-        """Return the worlds' answers stacked into one tree, the last repeated up to ``count``; raise UsageError."""
+        """Stack the answers for all worlds to arrays (``count``, ...), repeating the last; raises UsageError if they
+        differ in kind."""
         # If no fleet of any world is commanded, the program is the one without a policy.
         if not jax.tree.leaves(answers):
             return ()

@@ -44,7 +44,8 @@ class _Leg(NamedTuple):
 
 
 def changed(world: World, kind: str, numbers: Mapping[str, Any], tick: int, now: int | None = None) -> World:
-    """Return a world with weather that changes from a tick on.
+    """Return a world with its wind, gusts or a jammer (``kind``) changed from ``tick`` on; ``now``: tick of the
+    request.
 
     Args:
         world: its parameters, on the host.
@@ -77,7 +78,8 @@ def changed(world: World, kind: str, numbers: Mapping[str, Any], tick: int, now:
 
 
 def _wind(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int]) -> World:
-    """Return the world with its mean wind changed from a tick on."""
+    """Return the world with its mean wind changed; ``when``: tick at which it begins, its length and the present
+    tick."""
     speed, from_deg = numbers.get("speed_20ft"), numbers.get("wind_from_deg")
     most = wind_limit(world)
     if speed is None and from_deg is None:
@@ -102,7 +104,8 @@ def _wind(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int]) 
 
 
 def _gusts(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int]) -> World:
-    """Return the world with its gusts scaled by ``times`` from a tick on."""
+    """Return the world with its gusts scaled by ``times``; ``when``: tick at which that begins, its length, the present
+    tick."""
     _in_range(numbers["times"], "times", 0.0, MOST_TIMES, "")
     if isinstance(world.turbulence, Still):
         raise UsageError("gusts: the scenario has none; give world.turbulence a type")
@@ -113,7 +116,8 @@ def _gusts(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int])
 
 
 def _jam(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int]) -> World:
-    """Return the world with a jammer's power changed from a tick on."""
+    """Return the world with a jammer's power changed; ``when``: tick at which that begins, its length and the present
+    tick."""
     _in_range(numbers["power_w"], "power_w", 0.0, MOST_WATTS, "W")
     powers, jammer = () if world.changes is None else world.changes.powers, numbers["jammer"]
     if _powers_are_drawn(world):
@@ -131,12 +135,12 @@ def _jam(world: World, numbers: Mapping[str, Any], when: tuple[int, int, int]) -
 
 
 def _line(kind: str) -> str:
-    """Return the hint, for messages, at the scenario's line that allows a kind of change."""
+    """Return the hint, for messages, on the scenario line that allows a kind of change ("wind", "gusts", "jam")."""
     return f"write 'injectable: [{kind}]' under world of the scenario"
 
 
 def _in_range(value: Any, name: str, low: float, high: float, unit: str) -> None:
-    """Raise UsageError unless a value is a number from ``low`` to ``high``."""
+    """Raise UsageError, naming the number and its unit, unless a value is a number from ``low`` to ``high``."""
     if not is_number(value) or not low <= value <= high:
         raise UsageError(f"{name}: {value!r}; allowed: {low:g} to {high:g} {unit}".rstrip())
 
@@ -145,7 +149,8 @@ def _in_range(value: Any, name: str, low: float, high: float, unit: str) -> None
 
 
 def with_changes(world: World, kinds: Sequence[str], events: int) -> World:
-    """Return a world with room for changes of its weather: those at set times, plus one more in flight.
+    """Return a world with arrays in which later changes of its weather fit: ``events`` per number at set times, and one
+    in flight.
 
     Args:
         world: its parameters, on the host, in their precision.
@@ -168,12 +173,12 @@ def with_changes(world: World, kinds: Sequence[str], events: int) -> World:
 
 
 def _powers_are_drawn(world: World) -> bool:
-    """Return whether the power of a jammer is random in every episode, which would override changes."""
+    """Return whether a jammer's power is drawn at random in every episode, which would override changes."""
     return any(path[1:3] == ("interference", "jammers") for item in world.ranges for path in item.paths)
 
 
 def _may_change(world: World) -> bool:
-    """Return whether the mean wind of a world can be changed."""
+    """Return whether the mean wind of a world can be changed in flight."""
     try:
         wind_limit(world)
     except UsageError:
@@ -182,12 +187,12 @@ def _may_change(world: World) -> bool:
 
 
 def _steady(value: Any, legs: int) -> Course:
-    """Return the course of a constant number, with room for ``legs`` legs."""
+    """Return a course, a number over time, that is constant, with room for ``legs`` changes."""
     return _course([_Leg(-1, 0, float(value), float(value))], legs)
 
 
 def _course(legs: Sequence[_Leg], room: int, dtype: Any = np.float64) -> Course:
-    """Return legs as arrays, padded to ``room`` legs."""
+    """Convert a list of changes of a number to a course (arrays), padded to ``room`` changes."""
     unused = _Leg(LAST_TICK, 0, 0.0, 0.0)
     starts, ticks, before, after = zip(*[*legs, *[unused] * (room - len(legs))], strict=True)
     counts = (np.array(starts, np.int32), np.array(ticks, np.int32))
@@ -195,7 +200,8 @@ def _course(legs: Sequence[_Leg], room: int, dtype: Any = np.float64) -> Course:
 
 
 def _with_leg(course: Course, to: float, when: tuple[int, int, int], turns: bool = False) -> Course:
-    """Return a course with a leg to ``to`` added; ``when``: (tick, length, now) in ticks; ``turns``: for a bearing."""
+    """Return a course with a change to the value ``to`` inserted; ``when``: (first tick, length, present tick);
+    ``turns``: a bearing."""
     tick, ticks, now = when
     room, dtype = len(course.start_tick), np.asarray(course.after).dtype
     rows = zip(
@@ -217,7 +223,7 @@ def _with_leg(course: Course, to: float, when: tuple[int, int, int], turns: bool
 
 
 def _value(legs: Sequence[_Leg], tick: int, dtype: Any) -> float:
-    """Return the value, at a tick, of a course of changes given as legs, rounded to the stored dtype."""
+    """Return a course's value at a tick, rounded to the dtype in which it is stored; ``legs``: its changes."""
     if not legs:
         return 0.0
     leg = legs[-1]
@@ -230,17 +236,17 @@ def _value(legs: Sequence[_Leg], tick: int, dtype: Any) -> float:
 
 
 def weather_of(world: World) -> Weather:
-    """Return the parts of a world that a change of weather replaces: mean wind and changes."""
+    """Return the parts of a world that changes of weather replace: mean wind, and courses (numbers over time)."""
     return world.wind, world.changes
 
 
 def with_weather(world: World, weather: Weather) -> World:
-    """Return the world with parts that ``weather_of`` returned."""
+    """Return a world with the weather that ``weather_of`` returned."""
     return replace(world, wind=weather[0], changes=weather[1])
 
 
 def wind_limit(world: World) -> float:
-    """Return the largest mean wind speed [m/s], 20 ft above ground, to which a world's wind can be changed.
+    """Return the largest mean wind speed [m/s] at 20 ft to which the wind of a world can be changed.
 
     Raises:
         UsageError: it cannot be changed.
@@ -261,7 +267,8 @@ def wind_limit(world: World) -> float:
 
 
 def with_wind(world: World, speed: float | None, from_deg: float | None) -> World:
-    """Return the world with another mean wind from the start on; None keeps speed or direction.
+    """Return a world with another mean wind from the start: speed [m/s] at 20 ft, bearing it comes from [deg]; None
+    keeps it.
 
     Args:
         world: its parameters.

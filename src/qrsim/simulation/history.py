@@ -34,7 +34,7 @@ class History:
 
     @classmethod
     def joined(cls, histories: Sequence[History]) -> History:
-        """Return consecutive histories as one, which unpacks many ticks as fast as one."""
+        """Join consecutive histories to one, which unpacks as fast as a single one."""
         if len(histories) == 1:
             return histories[0]
         time_step, layout, _ = histories[0]._parts
@@ -43,12 +43,12 @@ class History:
 
     @property
     def bytes_per_tick(self) -> int:
-        """Size of one packed state [bytes]."""
+        """Size [bytes] of the packed state of one tick."""
         return sum(part.nbytes for part in self._parts[2]) // max(len(self.ticks), 1)
 
     @cached_property
     def state(self) -> State:
-        """All states, unpacked, each leaf (T, ...)."""
+        """States of all T ticks, unpacked: a State with arrays (T, ...)."""
         _, layout, rows = self._parts
         found: State = layout.unpack(rows)
         return found

@@ -62,7 +62,7 @@ class Injecting(Alone):
 
     @alone
     def change_world(self, world: World) -> None:
-        """Fly on with changed parameters from the next tick; nothing is recompiled, injected faults stay.
+        """Replace the world's parameters from the next tick on, without compiling again; injected faults stay.
 
         Raises:
             UsageError: something else than numbers differs.
@@ -88,7 +88,8 @@ class Injecting(Alone):
         asked_by: str = "python",
         **numbers: Any,
     ) -> int:
-        """Inject a fault of a sensor or another part from the next tick, or ``at`` a time [s]; return its number.
+        """Inject a fault of a sensor or part (``target``) from the next tick, or a time ``at`` [s], on; return the
+        fault's number.
 
         A vehicle has one injected fault of a target at a time: a new one takes its place.
 
@@ -139,7 +140,8 @@ class Injecting(Alone):
         vehicles: Iterable[str] | str | None = None,
         asked_by: str = "python",
     ) -> int:
-        """Push vehicles from the next tick on, and return the number of the push; ``clear`` ends it early.
+        """Push vehicles with an acceleration NED [m/s^2] for ``duration`` [s] from the next tick on; return the push's
+        number, by which ``clear`` ends it early.
 
         Args:
             acceleration_ned: north, east, down [m/s^2]: the force per mass. Rovers are pushed along the ground only.
@@ -161,7 +163,8 @@ class Injecting(Alone):
         vehicles: Iterable[str] | str | None = None,
         asked_by: str = "python",
     ) -> None:
-        """End injected faults: one by number, those of a target, or all (None); unknown ones are ignored.
+        """End injected faults: one by its number, those of a target by its name, or all (None); unknown ones are
+        ignored.
 
         Args:
             what: number of a fault, or a target; None: all.
@@ -185,18 +188,18 @@ class Injecting(Alone):
 
     @property
     def injected(self) -> Injected:
-        """The injected faults that act or will act, as a table."""
+        """Injected faults that act now or will act, as a table."""
         with self._lock:
             return Injected([one for one in self._injections if one.end_tick > self.tick], self.world.time_step)
 
     @property
     def requests(self) -> list[Injection]:
-        """All requests since the reset, in order: faults, ends of faults, changes of the weather."""
+        """All injection requests since the reset, in order: faults, ends of faults, changes of the weather."""
         return list(self._requests)
 
     @property
     def unlinked(self) -> frozenset[str]:
-        """Names of the vehicles with an injected loss of their link to MAVLink and ROS 2."""
+        """Names of the vehicles with an injected loss of their link to MAVLink or ROS 2."""
         if not self._injections:
             return frozenset()
         now = self.tick
@@ -204,7 +207,7 @@ class Injecting(Alone):
         return frozenset(name for one in off for name in one.vehicles)
 
     def write_requests(self, path: str | Path) -> None:
-        """Write all requests since the reset to a file, as ``qrsim run --inject`` takes it.
+        """Write all injection requests since the reset to a YAML file, which ``qrsim run --inject`` reads.
 
         Raises:
             RunError: it cannot be written.
@@ -215,7 +218,7 @@ class Injecting(Alone):
 
     @alone
     def repeat(self, requests: Sequence[Injection]) -> None:
-        """Make requests recorded in another flight again, at once and as a single change.
+        """Make injection requests that were recorded in another flight again, all at once.
 
         Args:
             requests: with the ticks at which their faults begin and end.
@@ -232,7 +235,7 @@ class Injecting(Alone):
         self._make(renewed)
 
     def set_wind(self, speed: float, from_deg: float, over: float = 0.0, asked_by: str = "python") -> None:
-        """Change the mean wind from the next tick on.
+        """Change the mean wind from the next tick on: speed [m/s] at 20 ft, bearing [deg], within ``over`` [s].
 
         Args:
             speed: 20 ft above the ground [m/s].
@@ -246,7 +249,8 @@ class Injecting(Alone):
         self.change_weather(WIND, {"speed_20ft": speed, "wind_from_deg": from_deg, "over": over}, asked_by)
 
     def set_gusts(self, times: float, over: float = 0.0, asked_by: str = "python") -> None:
-        """Scale the random gusts from the next tick on; needs ``gusts`` in the scenario's ``world.injectable``.
+        """Multiply the random gusts by ``times`` from the next tick on; the scenario's ``world.injectable`` has to name
+        ``gusts``.
 
         Args:
             times: what the gusts of the scenario are multiplied by.
@@ -259,7 +263,8 @@ class Injecting(Alone):
         self.change_weather(GUSTS, {"times": times, "over": over}, asked_by)
 
     def set_jammer(self, jammer: int, power_w: float, over: float = 0.0, asked_by: str = "python") -> None:
-        """Set the power [W] of a jammer from the next tick on; needs ``jam`` in ``world.injectable``.
+        """Set the power [W] of jammer number ``jammer`` from the next tick on; the scenario's ``world.injectable`` has
+        to name ``jam``.
 
         Args:
             jammer: which one of the jammers in ``world.interference``, from 0.
@@ -274,7 +279,7 @@ class Injecting(Alone):
 
     @alone
     def change_weather(self, kind: str, numbers: Mapping[str, object], asked_by: str = "python") -> None:
-        """Change wind, gusts or a jammer from the next tick on, by kind and numbers as in files of injections.
+        """Change wind, gusts or a jammer (``kind``) from the next tick on, with numbers as in a file of injections.
 
         Args:
             kind: ``wind``, ``gusts`` or ``jam``.
@@ -296,7 +301,7 @@ class Injecting(Alone):
     # ---- for resets and saved states ----
 
     def _make(self, requests: Sequence[Injection]) -> None:
-        """Apply requests to the world as one change, and record them."""
+        """Apply injection requests to the world as one change, and record them."""
         world, made = self.world, []
         for request in requests:
             world, request = after_request(world, request)
@@ -312,7 +317,8 @@ class Injecting(Alone):
                 self._requests.append(request)
 
     def _take(self, world: World) -> None:
-        """Fly on in another world; raise UsageError if it differs in more than numbers."""
+        """Continue in a world with other parameters; raises UsageError if it differs from the present one in more than
+        numbers."""
         if world is self.world:
             return
         if Packer(world) != self._ticks.layout:
@@ -321,7 +327,8 @@ class Injecting(Alone):
             self.world, self._ticks = world, OneWorld(world)
 
     def _note(self, injection: Injection) -> bool:
-        """Record an injection, replacing earlier ones of its target and vehicles; return False if nothing changes."""
+        """Record an injection in place of earlier ones with its target and vehicles; return False if it changes
+        nothing."""
         kept, ended, concerned = [], False, set(injection.vehicles)
         for one in self._injections:
             left = one.vehicles
@@ -334,24 +341,24 @@ class Injecting(Alone):
         return ended or injection.kind != OK
 
     def _clear_all(self) -> None:
-        """Remove all injected faults and changes of the weather."""
+        """Remove all injected faults, and undo all changes of the weather."""
         world = self._first_world
         self._requests, self._injections, self._weather, self._asked = [], [], None, (-1, 0)
         self._take(world)
 
     def _injections_text(self) -> str:
-        """Return injected faults and weather changes as JSON, for a saved state."""
+        """Return the injected faults and weather changes as JSON text, for a saved state."""
         weather = [one for one in self._requests if one.target == WORLD]
         return json.dumps([dataclasses.asdict(one) for one in (*weather, *self._injections)])
 
     @property
     def _first_world(self) -> World:
-        """The world without injected faults and changes of the weather."""
+        """World without injected faults and changes of the weather."""
         world = without_faults(self.world) if self._injections else self.world
         return world if self._weather is None else with_weather(world, self._weather)
 
     def _inject_again(self, text: str) -> None:
-        """Replace all injected faults and weather changes by those in a saved state's JSON.
+        """Replace the injected faults and weather changes by those in the JSON text of a saved state.
 
         Raises:
             UsageError: they are none of this world.
@@ -376,7 +383,7 @@ class Injecting(Alone):
 
 
 def plain(value: Any) -> Any:
-    """Return a number, text, list or mapping as plain Python values, which JSON can store."""
+    """Convert NumPy numbers, texts, lists and mappings to plain Python values, which JSON can store."""
     if isinstance(value, Mapping):
         return {str(name): plain(number) for name, number in value.items()}
     if isinstance(value, str):

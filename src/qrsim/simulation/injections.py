@@ -68,7 +68,7 @@ class Injection:
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Number, first tick and last tick of the injection, and the tick of its request."""
+        """Number, first tick and last tick of the injection, and the tick at which it was requested."""
         return self.id, self.start_tick, self.end_tick, self.tick
 
 
@@ -87,10 +87,10 @@ class Injected(Tabled, tuple[Injection, ...]):
         return tuple(self), self.time_step
 
     def _table(self) -> Table:
-        """Return the table of the injections that is shown, one a row."""
+        """Return the injections as a table for display, one in a row."""
 
         def seconds(tick: int) -> str:
-            """Return a tick as a time in text; "" for an injection that never ends."""
+            """Convert a tick to a time [s] as text; "" for the end of an injection that never ends."""
             return f"{tick * self.time_step:g} s" if tick < LAST_TICK else ""
 
         rows = [
@@ -118,7 +118,8 @@ def injected(
     ticks: tuple[int, int],
     numbers: Mapping[str, Any],
 ) -> tuple[World, tuple[str, ...]]:
-    """Return a world with a fault put into its slots, and the names of the affected vehicles.
+    """Return a world with a fault of ``target`` injected from ``ticks[0]`` to ``ticks[1]``, and the names of the
+    affected vehicles.
 
     Args:
         world: its parameters, on the host.
@@ -150,14 +151,16 @@ def injected(
 
 
 def _linked(world: World, kind: str, vehicles: Sequence[str] | None, numbers: Mapping[str, object]) -> tuple[str, ...]:
-    """Return the vehicles that a fault of links affects; raise UsageError for wrong numbers."""
+    """Return the names of the vehicles that a loss of links affects; raises UsageError for wrong numbers of the
+    fault."""
     if kind != OK:
         number_of(LINK, kind, numbers)
     return tuple(name for fleet in world.fleets for name in fleet.vehicle_names if vehicles is None or name in vehicles)
 
 
 def named_vehicles(world: World, vehicles: Iterable[str] | str | None) -> list[str] | None:
-    """Return vehicle names as a tuple, from one or several names, None for all; raise UsageError for unknown ones.
+    """Return vehicle names as a list, from one name or several, None for None (all); raises UsageError for unknown
+    names.
 
     Raises:
         UsageError: there is no vehicle of that name, or no name.
@@ -179,7 +182,7 @@ def named_vehicles(world: World, vehicles: Iterable[str] | str | None) -> list[s
 
 
 def without_faults(world: World) -> World:
-    """Return a world with all slots for injected faults emptied."""
+    """Return a world without injected faults."""
     fleets = []
     for fleet in world.fleets:
         n, dtype = fleet.size, np.asarray(fleet.start.position_ned.x).dtype
@@ -197,7 +200,7 @@ def without_faults(world: World) -> World:
 
 
 def targets_of(fleet: Fleet) -> list[str]:
-    """Return the names of a fleet's parts with a slot for injected faults."""
+    """Return the names of a fleet's sensors and parts in which faults can be injected."""
     rotors = [f"rotor {slot.rotor}" for slot in fleet.rotor_slots]
     others = {"battery": fleet.battery_slot, "radio": fleet.radio_slot, BODY: fleet.push_slot}
     sensors = [slot.sensor for slot in fleet.fault_slots]
@@ -205,17 +208,17 @@ def targets_of(fleet: Fleet) -> list[str]:
 
 
 def _slot(fleet: Fleet, target: str) -> bool:
-    """Return whether a fleet has a slot for faults of a target."""
+    """Return whether faults of a target (sensor or part) can be injected in a fleet."""
     return plain_target(target) in targets_of(fleet)
 
 
 def plain_target(target: str) -> str:
-    """Return a target's name in the form used here: ``rotor_2`` becomes ``rotor 2``."""
+    """Return a target's name with a space before its number: ``rotor_2`` becomes ``rotor 2``."""
     return target.replace("_", " ") if target.startswith("rotor_") else target
 
 
 def _not_injectable(fleets: Sequence[Fleet], target: str) -> UsageError:
-    """Return the error for a target without a slot, with the line of the scenario that adds the slot."""
+    """Return the error for a target in which no fault can be injected, with the scenario line that allows it."""
     known = sorted({name for fleet in fleets for name in targets_of(fleet)})
     if target == "battery" and not any(fleet.battery.drains for fleet in fleets):
         return UsageError("target: there is no battery that drains, so none can lose charge")
@@ -236,7 +239,7 @@ def _not_injectable(fleets: Sequence[Fleet], target: str) -> UsageError:
 
 
 def _parts(fleet: Fleet) -> list[str]:
-    """Return the names of a fleet's parts that a scenario may declare injectable."""
+    """Return the names of a fleet's parts that its scenario may declare injectable."""
     rotors = range(len(fleet.vehicle.rotors)) if isinstance(fleet.vehicle, Multirotor) else ()
     others = {"battery": fleet.battery.drains, "radio": True, BODY: fleet.vehicle.pushable}
     return [*fleet.sensor_names, *(f"rotor {i}" for i in rotors), *(name for name, has in others.items() if has)]
@@ -251,7 +254,8 @@ def _with_fault(
     numbers: Mapping[str, object],
     dt: float,
 ) -> Fleet:
-    """Return the fleet with a fault of a target in ``chosen`` vehicles (n,) bool, for a range of ticks."""
+    """Return a fleet with a fault of a target in the ``chosen`` vehicles, (n,) bool, from ``ticks[0]`` to ``ticks[1]``;
+    ``dt`` [s]."""
     target = plain_target(target)
     for place, slot in enumerate(fleet.fault_slots):
         if slot.sensor == target:
@@ -272,7 +276,7 @@ def _with_fault(
 
 
 def _swapped(parts: tuple[object, ...], place: int, part: object) -> tuple[object, ...]:
-    """Return a tuple with the part at ``place`` replaced."""
+    """Return a tuple with the element at index ``place`` replaced by ``part``."""
     return (*parts[:place], part, *parts[place + 1 :])
 
 
@@ -285,7 +289,8 @@ def _sensor_fault(
     dt: float,
     white: Mapping[str, Any] | None = None,
 ) -> FaultSlot:
-    """Return a sensor's slot with a fault in the ``chosen`` vehicles (n,); kind "ok" removes it there."""
+    """Return ``slot``, the parameters of a sensor's injected fault, with a fault in the ``chosen`` vehicles, (n,) bool;
+    "ok" removes it."""
     if kind == "ok":
         empty = empty_slot(len(chosen), slot.sensor, slot.fields, slot.ticks, slot.time_step, slot.remembered)
         return map_tree(lambda old, new: put(old, chosen, new[chosen]), slot, empty)
@@ -305,7 +310,7 @@ def _sensor_fault(
 def _of_fields(
     slot: FaultSlot, kind: str, numbers: Mapping[str, object], dt: float, white: Mapping[str, object] | None
 ) -> FaultNumbers:
-    """Return a fault's numbers, some of which may be given by field name; raise UsageError for wrong ones."""
+    """Check a fault's numbers, some of them given for each field by name; return them as arrays; raises UsageError."""
     apart = {name: value for name, value in numbers.items() if isinstance(value, Mapping)}
     if not any(apart.values()):
         return _checked(slot, kind, numbers, dt, white)
@@ -334,7 +339,7 @@ def _of_fields(
 def _checked(
     slot: FaultSlot, kind: str, numbers: Mapping[str, Any], dt: float, white: Mapping[str, Any] | None
 ) -> FaultNumbers:
-    """Return a fault's numbers, each a single number; raise UsageError for wrong ones."""
+    """Check a fault's numbers, each a single one; return them as arrays; raises UsageError for wrong ones."""
     for name in numbers:
         if name not in (*NAMES, "field"):
             raise UsageError(f"{name:.60}: there is no such number{did_you_mean(name, (*NAMES, 'field'))}")

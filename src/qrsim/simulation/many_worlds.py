@@ -39,22 +39,24 @@ class Flight(Worlds):
 
 
 def begin_function(setup: Setup) -> Function:
-    """Return the function, for the compiler, that starts one world."""
+    """Return the function that starts one world, in the form that the compiler maps over many worlds."""
     return _function("begin", _begin, setup)
 
 
 def _begin(setup: Setup, fixed: Sequence[object], own: tuple[list[object], WorldKeys]) -> Carry:
-    """Return the state of one world before its first tick, with all that passes from tick to tick."""
+    """Return one world's state before its first tick, for the compiler; ``own``: the world's varying arrays and random
+    keys."""
     return begin_world(setup, fixed, own[1], own[0])
 
 
 def _tick(setup: Setup, fixed: Sequence[object], own: tuple[list[Any], Any], carry: Carry, tick: object) -> Carry:
-    """Return the state of one world after one tick."""
+    """Return one world's state and memories after one tick, for the compiler; ``own``: its varying arrays, and
+    host-computed actions."""
     return tick_of_world(setup, fixed, own[0], carry, tick, own[1])
 
 
 def _function(name: str, call: Callable[..., object], setup: Setup) -> Function:
-    """Return a function of one world for the compiler, with the key of its compiled program."""
+    """Return a function of one world (``call``) for the compiler, with the key of its compiled program."""
     # Only setups of this package's own code can be identified by their structure in another process.
     measured = () if setup.metrics is FLIGHT_METRICS else (type(setup.metrics).__name__,)
     text = (setup.types, setup.varied, *measured) if setup.plain else None

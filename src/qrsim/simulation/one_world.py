@@ -17,17 +17,20 @@ from qrsim.world.state import Action, State, World, WorldKeys
 
 
 def _reset(world: World, own: tuple[object, WorldKeys]) -> State:
-    """Return the state at the start, with the argument order of compiled functions."""
+    """Return the state at the start of an episode, for the compiler; ``own``: an unused entry, and the world's random
+    keys."""
     return ticks_of.reset(world, own[1])
 
 
 def _tick(world: World, own: tuple[Any, Any], state: State, tick: Any) -> State:
-    """Return the state after one tick, with the argument order of compiled functions."""
+    """Return the state after one tick, for the compiler; ``own``: an unused entry, and the actions and estimates of
+    each fleet."""
     return ticks_of.step(world, state, tick, *own[1])
 
 
 def _place(world: World, own: tuple[Any, Any], state: State, tick: Array) -> State:
-    """Return the state with vehicles placed, with the argument order of compiled functions."""
+    """Return the state with vehicles placed elsewhere, for the compiler; ``own``: an unused entry, and
+    ``placing.place``'s ``given``."""
     return place(world, own[1], state, tick)
 
 
@@ -57,12 +60,13 @@ class OneWorld:
 
     @property
     def flown_by(self) -> Program:
-        """Program that ran the last tick."""
+        """Compiled program that ran the last tick."""
         assert self._flown_by is not None
         return self._flown_by
 
     def taken(self, command: object) -> bool:
-        """Write a command into its bound slot, for ``advance_bound``, and return True; return False without a slot."""
+        """Write a command into the inputs of the program bound to its type, for ``advance_bound``; return False if none
+        is bound or the command needs the full check."""
         program, slot = self._bound.get(type(command), (None, None))
         if program is None or not (slot is None or slot.take(command)):
             return False
@@ -70,7 +74,8 @@ class OneWorld:
         return True
 
     def bind(self, command: object, actions: tuple[Action, ...], checker: ActionChecker) -> None:
-        """Bind the last flown command's type to the program that flew it, for ``taken``."""
+        """Bind the type of the last flown command to the program that flew it, so that ``taken`` accepts such
+        commands."""
         program = self.flown_by
         if program.slot is None or type(command) in self._bound:
             return
@@ -79,7 +84,7 @@ class OneWorld:
             self._bound[type(command)] = program, slot
 
     def reset(self, keys: WorldKeys) -> tuple[Packer, Buffers]:
-        """Return the first state's buffers, and their layout."""
+        """Start an episode; return the layout and flat buffers of its first state."""
         program = self._reset.program(keys)
         state: Buffers = program.start()
         layout = program.layout
@@ -87,11 +92,12 @@ class OneWorld:
         return layout, state
 
     def adopt(self, state: Buffers) -> Buffers:
-        """Return a copy of a state in aligned buffers, as ``advance`` needs."""
+        """Copy a state's buffers to aligned memory, as ``advance`` needs them."""
         return aligned_copy(state)
 
     def advance(self, layout: Packer, state: Buffers, tick: int, count: int, given: object) -> Buffers:
-        """Run ``count`` ticks and return the new state; the input may be overwritten.
+        """Run ``count`` ticks by actions and estimates (``given``), and return the new state's buffers; the old ones
+        may be overwritten.
 
         Args:
             layout: of the state.
@@ -105,7 +111,7 @@ class OneWorld:
         return after
 
     def advance_bound(self, state: Buffers, tick: int, count: int) -> Buffers:
-        """Run ``count`` ticks by the command last written by ``taken``, and return the new state."""
+        """Run ``count`` ticks by the command that ``taken`` wrote last, and return the new state's buffers."""
         assert self._flown_by is not None
         after: Buffers = self._flown_by.run(state, tick, count)
         return after
@@ -113,11 +119,13 @@ class OneWorld:
     def record(
         self, layout: Packer, state: Buffers, tick: int, count: int, given: object, capacity: int
     ) -> tuple[Buffers, Buffers]:
-        """Run ``count`` ticks; return the final state and the states of all ticks, each buffer (count, ...)."""
+        """Run ``count`` <= ``capacity`` ticks; return the final state's buffers, and all ticks' states, each buffer
+        (count, ...)."""
         self._flown_by = self._tick.program(given, layout)
         return self._flown_by.record(state, tick, count, capacity)
 
     def place(self, layout: Packer, state: Buffers, tick: int, given: object) -> Buffers:
-        """Place vehicles and return the new state; see ``qrsim.simulation.placing.place``."""
+        """Place vehicles in other states, and return the new state's buffers; ``given``: as ``placing.place`` takes
+        it."""
         after: Buffers = self._place.program(given, layout).run(self.adopt(state), tick, 1)
         return after

@@ -22,7 +22,7 @@ from qrsim.models.vehicles.quadrotor import Command, Quadrotor, QuadrotorState
 def _scan(
     vehicle: Quadrotor, initial: jax.Array, rest: jax.Array, commands: jax.Array, wind_body: jax.Array, dt: float
 ) -> jax.Array:
-    """Return the rows of ``simulate_open_loop``; ``rest``: rounding remainder of ``initial``."""
+    """Return a row of state and specific force for each command (T, 5); ``rest``: rounding remainder of ``initial``."""
     like = initial[0]
     still = Vec3.zeros((), like.dtype)
     noise = ProcessNoise(still, still)
@@ -31,7 +31,7 @@ def _scan(
     def tick(
         carry: tuple[VehicleState, Vec3 | None], row: jax.Array
     ) -> tuple[tuple[VehicleState, Vec3 | None], jax.Array]:
-        """Return the state after one command (5,), and a row of the state with the specific force."""
+        """Return the state after one command (5,), and its row of the result."""
         command = Command(*(row[i] for i in range(5)))
         state, low, force = move(vehicle, *carry, command, lambda trig: wind, noise, dt)
         return (state, low), jnp.stack([*jax.tree.leaves(state), force.x, force.y, force.z])
@@ -53,7 +53,8 @@ def simulate_open_loop(
     dt: float = 0.02,
     precision: str = "float64",
 ) -> NumpyArray:
-    """Return the states of a quadrotor flown by a sequence of commands in a constant wind, without a world.
+    """Fly a quadrotor by a sequence of commands (T, 5) in a constant wind, without world and sensors; return its states
+    (T, 16).
 
     Args:
         vehicle: parameters.
@@ -81,7 +82,8 @@ def simulate_open_loop(
 
 
 def hover_state(vehicle: Quadrotor, position_ned: tuple[float, float, float] = (0.0, 0.0, -10.0)) -> NumpyArray:
-    """Return the state (13,) of a vehicle hovering at rest, its thrust equal to its weight."""
+    """Return the state (13,) of a quadrotor that hovers at a position NED [m], at rest, with thrust equal to its
+    weight."""
     state = np.zeros(13)
     state[:3] = position_ned
     state[12] = float(vehicle.mass) * float(vehicle.gravity)

@@ -22,7 +22,8 @@ from qrsim.models.vehicles.faults import FREE, BatteryFault, Push, RotorFault
 def rotor_fault_in(
     slot: RotorFault, kind: str, chosen: NumpyArray, ticks: tuple[int, int], numbers: Mapping[str, object]
 ) -> RotorFault:
-    """Return the rotor's slot with a fault put into the ``chosen`` vehicles."""
+    """Return ``slot``, the parameters of an injected rotor fault, with a fault in the ``chosen`` vehicles, (n,) bool,
+    during ``ticks``."""
     if kind == "ok":
         empty = replace(RotorFault.empty(len(chosen), slot.rotor, slot.noticed_ticks), noticed_ticks=slot.noticed_ticks)
         return map_tree(lambda old, new: put(old, chosen, new[chosen]) if np.ndim(old) else old, slot, empty)
@@ -41,7 +42,8 @@ def rotor_fault_in(
 def radio_fault_in(
     slot: RadioFault, kind: str, chosen: NumpyArray, ticks: tuple[int, int], numbers: Mapping[str, object]
 ) -> RadioFault:
-    """Return the radios' slot with a fault put into the ``chosen`` vehicles."""
+    """Return ``slot``, the parameters of an injected radio fault, with a fault in the ``chosen`` vehicles, (n,) bool,
+    during ``ticks``."""
     if kind == "ok":
         return map_tree(lambda old, new: put(old, chosen, new[chosen]), slot, RadioFault.empty(len(chosen)))
     share = number_of("radio", kind, numbers)
@@ -56,7 +58,8 @@ def radio_fault_in(
 
 
 def push_in(slot: Push, kind: str, chosen: NumpyArray, ticks: tuple[int, int], numbers: Mapping[str, object]) -> Push:
-    """Return the slot of pushes with a push put into the ``chosen`` vehicles."""
+    """Return ``slot``, the parameters of an injected push, with a push of the ``chosen`` vehicles, (n,) bool, during
+    ``ticks``."""
     if kind == "ok":
         return map_tree(lambda old, new: put(old, chosen, new[chosen]), slot, Push.empty(len(chosen)))
     found = push_numbers(kind, numbers)
@@ -74,7 +77,8 @@ def push_in(slot: Push, kind: str, chosen: NumpyArray, ticks: tuple[int, int], n
 def battery_fault_in(
     slot: BatteryFault, kind: str, chosen: NumpyArray, ticks: tuple[int, int], numbers: Mapping[str, object]
 ) -> BatteryFault:
-    """Return the batteries' slot with a fault put into the ``chosen`` vehicles."""
+    """Return ``slot``, the parameters of an injected battery fault, with a fault in the ``chosen`` vehicles, (n,) bool,
+    during ``ticks``."""
     if kind == "ok":
         return map_tree(lambda old, new: put(old, chosen, new[chosen]), slot, BatteryFault.empty(len(chosen)))
     number = number_of("battery", kind, numbers)
@@ -89,7 +93,7 @@ def battery_fault_in(
 
 
 def put(array: object, chosen: NumpyArray, value: object) -> Any:
-    """Return a copy of an array (n,) with ``value`` in the chosen rows."""
+    """Return a copy of an array (n,) with ``value`` at the ``chosen`` elements, (n,) bool."""
     changed = np.array(array)
     changed[chosen] = value
     return changed

@@ -12,7 +12,8 @@ from qrsim.files.code import FileModules, files_of, load_files
 
 
 def with_files(item: object, tree: object, protocol: int | None) -> tuple[object, ...] | None:
-    """Return the ``__reduce_ex__`` result for an object that names, in ``tree``, classes of users' files; else None.
+    """Return what ``__reduce_ex__`` returns for an object with classes of users' files in ``tree``; None if there are
+    none.
 
     Args:
         item: the object, with ``__getstate__`` and ``__setstate__``.
@@ -25,7 +26,7 @@ def with_files(item: object, tree: object, protocol: int | None) -> tuple[object
 
 
 def _unpickled(files: FileModules, kind: Any, kept: bytes) -> object:
-    """Return the unpickled object, after importing the users' files that define its classes."""
+    """Import the users' files that define an object's classes, and return the unpickled object."""
     load_files(files)
     item = kind.__new__(kind)
     item.__setstate__(pickle.loads(kept))

@@ -62,7 +62,7 @@ class Pilot:
         self._compile()
 
     def record(self, ticks: int, capacity: int = 50) -> History:
-        """Fly at most ``ticks`` ticks, up to the next call of a user's function, and return their states.
+        """Fly at most ``ticks`` ticks, up to the next call of a user's function, and return the state of each.
 
         Raises:
             UsageError: what the user's function returned cannot be flown.
@@ -72,12 +72,13 @@ class Pilot:
         return self.simulation.record(count, self.command, capacity, estimate)
 
     def advance(self, ticks: int) -> None:
-        """Fly as ``record`` does, without returning the states."""
+        """Fly at most ``ticks`` ticks, up to the next call of a user's function, without returning states."""
         count, estimate = self._call_due(ticks)
         self.simulation.advance(self.command, count, estimate)
 
     def _call_due(self, ticks: int) -> tuple[int, Any]:
-        """Call all functions that are due; return the number of ticks to fly, at most ``ticks``, and the estimate."""
+        """Call the user's functions that are due; return the number of ticks to fly until the next call, at most
+        ``ticks``, and the estimate."""
         simulation, estimate = self.simulation, None
         if self.policy is not None and simulation.tick % self.policy_ticks == 0:
             self.command = self._call(self.policy)
@@ -92,7 +93,7 @@ class Pilot:
         return min(ticks, period - simulation.tick % period), estimate
 
     def _call(self, function: UserFunction) -> object:
-        """Return the checked result of a policy or estimator; its new memory is stored."""
+        """Call a policy or estimator, store its new memory, and return its checked result."""
         simulation, memory = self.simulation, self.memories[function.what]
         where = f", at tick {simulation.tick} ({simulation.time:g} s)"
         with simulation.precision_context(), function.blamed(where):
@@ -109,5 +110,5 @@ class Pilot:
             return result
 
     def _answer(self, function: UserFunction, state: Any, tick: Any, memory: Any) -> tuple[object, object]:
-        """Return the result and new memory of a compiled function."""
+        """Return the result and new memory of a user's function that is compiled."""
         return call_compiled(function, Reading(self.simulation.world, state, tick, self.simulation.site), memory)

@@ -27,7 +27,7 @@ WIDTHS = (3, 6, 12, 13)
 
 
 def place(world: World, given: tuple[Array, Array, Array], state: State, tick: Array) -> State:
-    """Return the state with vehicles placed in given states, their sensors, controllers and noise restarted.
+    """Return the state with vehicles placed in other states (``given``); their sensors, controllers and noise restart.
 
     That is their sensors, estimates and control loops, the gusts around them, and the specific force. They keep their
     way along the route, and their battery unless it is renewed. What is drawn is drawn from the numbers of this tick.
@@ -66,7 +66,7 @@ def place(world: World, given: tuple[Array, Array, Array], state: State, tick: A
 
 
 def _vehicles(fleet: Fleet, rows: Array) -> VehicleState:
-    """Return the states of a fleet's vehicles from rows (n, 13)."""
+    """Convert rows (n, 13) to the states of a fleet's vehicles."""
     columns = [rows[:, i] for i in range(13)]
     vehicle = fleet.vehicle.initial_state(
         Vec3(*columns[0:3]), Euler(*columns[3:6]), Vec3(*columns[6:9]), Vec3(*columns[9:12])
@@ -75,7 +75,7 @@ def _vehicles(fleet: Fleet, rows: Array) -> VehicleState:
 
 
 def _checked(world: World, fleets: tuple[FleetState, ...], chosen: Array) -> tuple[FleetState, ...]:
-    """Return the fleets with placed vehicles checked against limits and collisions."""
+    """Return the fleets' states with the ``chosen`` vehicles, (n,) bool, checked against limits and collisions."""
     together = jax.tree.map(lambda *parts: jnp.concatenate(parts), *(fleet.vehicle.position_ned for fleet in fleets))
     collided = collisions(together, world.collision_distance, world.radii)
     checked, first = [], 0
@@ -89,7 +89,7 @@ def _checked(world: World, fleets: tuple[FleetState, ...], chosen: Array) -> tup
 
 
 def checked_rows(rows: object, names: Sequence[str], dtype: DType) -> tuple[Floats, Floats]:
-    """Return rows (n, 16) and (n,) bool, which vehicles to place, from the argument of ``Simulation.set_state``.
+    """Check the argument of ``Simulation.set_state``; return rows (n, 16), and which vehicles to place, (n,) bool.
 
     Raises:
         UsageError: wrong shape, or a row that is partly NaN.
@@ -116,7 +116,7 @@ def checked_rows(rows: object, names: Sequence[str], dtype: DType) -> tuple[Floa
 
 
 def refuse_misplaced(violations: Sequence[Violation], chosen: Floats, names: Sequence[str]) -> None:
-    """Raise an error if a placed vehicle would stop at once because of a limit or collision.
+    """Raise UsageError if a ``chosen`` vehicle would stop at once in its new place because of a limit or collision.
 
     Args:
         violations: of each fleet, as ``place`` left them.

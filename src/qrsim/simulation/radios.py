@@ -34,15 +34,15 @@ class Radios(Alone):
 
     @property
     def state(self) -> State:
-        """The whole state as NumPy arrays."""
+        """Whole state as NumPy arrays."""
         raise NotImplementedError
 
     def _running(self) -> tuple[Packer, Buffers]:
-        """Return layout and buffers of the state; raise UsageError before the first reset."""
+        """Return the layout and buffers of the present state; raises UsageError before the first reset."""
         raise NotImplementedError
 
     def send(self, vehicle: str | int, payload: object, to: str | int | None = None) -> None:
-        """Queue a message at the radio of a vehicle, which sends it at its next turn (docs/howto/radio.md).
+        """Queue a message at a vehicle's radio, which sends it at its next turn (docs/howto/radio.md).
 
         Args:
             vehicle: name or number of the sender.
@@ -56,7 +56,7 @@ class Radios(Alone):
 
     @alone
     def send_all(self, messages: Sequence[tuple[str | int, Any, str | int | None]]) -> None:
-        """Queue messages at radios, all or none, each (vehicle, payload, to) as of ``send``.
+        """Queue several messages (vehicle, payload, to) at vehicles' radios, all or none; see ``send``.
 
         Raises:
             UsageError: as of ``send``.
@@ -73,13 +73,14 @@ class Radios(Alone):
             self._state, self._now = self._ticks.adopt(layout.pack(replace(state, radio=radio))), no_seen_state
 
     def _checked(self, vehicle: str | int, payload: object, to: str | int | None) -> tuple[int, Any, int]:
-        """Return the sender's number, its message (D,) and the receiver's number; raises UsageError."""
+        """Check a message; return the sender's number, its numbers (D,) and the receiver's number; raises
+        UsageError."""
         sender, receiver = self._vehicle_number("send", vehicle), receiver_number(to, self.vehicle_names, "send: to")
         (outbox,) = outboxes(Say([payload], to=receiver), self.world, [[""]], self.dtype, False)
         return sender, outbox.payload[:, 0], receiver
 
     def inbox(self, vehicle: str | int) -> list[Message]:
-        """Return the messages that a vehicle has received, the newest of each sender.
+        """Return the radio messages that a vehicle has received, the newest of each sender.
 
         Raises:
             UsageError: no radio, or no vehicle of that name.
@@ -89,13 +90,13 @@ class Radios(Alone):
         return messages(self.world, self.state, self.tick, [self._vehicle_number("inbox", vehicle)])[0]
 
     def inboxes(self) -> list[list[Message]]:
-        """Return the inbox of every vehicle, in order; raises UsageError without a radio."""
+        """Return the received radio messages of every vehicle, as ``inbox`` does; raises UsageError without a radio."""
         if self.world.radio is None:
             raise UsageError("inboxes: the scenario has no world.radio")
         return messages(self.world, self.state, self.tick, range(len(self.vehicle_names)))
 
     def _vehicle_number(self, what: str, vehicle: str | int) -> int:
-        """Return a vehicle's number by name or number; raise UsageError, beginning with ``what``, if unknown."""
+        """Return a vehicle's number for its name or number; raises UsageError, beginning with ``what``, if unknown."""
         number = receiver_number(vehicle, self.vehicle_names, f"{what}: vehicle")
         if number < 0:
             raise UsageError(f"{what}: vehicle: name one, or give its number")

@@ -29,7 +29,8 @@ _WORDS = {
 
 
 def after_request(world: World, request: Injection) -> tuple[World, Injection]:
-    """Return the world after a request, and the request with the names of all affected vehicles.
+    """Apply an injection request to a world; return the new world, and the request with the names of all affected
+    vehicles.
 
     A push has its accelerations as lists of three axes then.
 
@@ -47,7 +48,8 @@ def after_request(world: World, request: Injection) -> tuple[World, Injection]:
 
 
 def first_tick(seconds: float | None, now: int, dt: float, soonest: int) -> int:
-    """Return the tick at which a request for a time [s] acts, rounded up; None: ``soonest`` ticks from ``now``."""
+    """Convert the time [s] at which a request is to act to a tick, rounded up; None: ``soonest`` ticks after
+    ``now``."""
     if seconds is None:
         return now + soonest
     if not is_number(seconds) or not abs(seconds) < LONGEST_S:
@@ -59,7 +61,8 @@ def first_tick(seconds: float | None, now: int, dt: float, soonest: int) -> int:
 
 
 def last_tick(duration: float | None, start: int, dt: float) -> int:
-    """Return the first tick after a fault of a duration [s] that begins at ``start``; LAST_TICK for None, for good."""
+    """Return the first tick after a fault of ``duration`` [s] that begins at tick ``start``; LAST_TICK for None (for
+    ever)."""
     if duration is None:
         return LAST_TICK
     if not is_number(duration) or not 0.0 < duration < LONGEST_S:
@@ -68,15 +71,15 @@ def last_tick(duration: float | None, start: int, dt: float) -> int:
 
 
 def of_sensor(world: World, target: str) -> bool:
-    """Return whether a fault's target is a sensor; faults of sensors act from the next reading on."""
+    """Return whether a fault's target is a sensor, for which faults act from the next reading on."""
     return any(target in fleet.sensor_names for fleet in world.fleets)
 
 
 def entry_of(request: Injection, time_step: float) -> Content:
-    """Return a request as the entry of a file of injections."""
+    """Return an injection request as an entry of an injection file."""
 
     def seconds(tick: int) -> float:
-        """Return a tick as time [s]."""
+        """Convert a tick to a time [s]."""
         return round(tick * time_step, 15)
 
     entry: Content = {"target": request.target, "kind": request.kind, "tick": request.tick}
@@ -89,7 +92,7 @@ def entry_of(request: Injection, time_step: float) -> Content:
 
 
 def events_of(requests: Iterable[Injection], time_step: float) -> Iterator[Content]:
-    """Yield requests as events of a run, one for each vehicle, or for each changed number of the world.
+    """Yield injection requests as events of a run, one for each vehicle, or for each changed number of the weather.
 
     Args:
         requests: in the order in which they were made.
@@ -122,14 +125,14 @@ def events_of(requests: Iterable[Injection], time_step: float) -> Iterator[Conte
 
 
 def _span(request: Injection, time_step: float) -> str:
-    """Return start and end of a fault as text; "" for a fault that starts at once and stays."""
+    """Return the start and end of a fault as text; "" for one that acts at once and for ever."""
     # The first reading that a request can change is that of the next tick.
     later = f" from {request.start_tick * time_step:.2f} s" if request.start_tick > request.tick + 1 else ""
     return later + (f" until {request.end_tick * time_step:.2f} s" if request.end_tick < LAST_TICK else "")
 
 
 def _of_world(request: Injection, where: Mapping[str, object]) -> Iterator[Content]:
-    """Yield one event for each number of a change of the weather; ``where``: its time and tick."""
+    """Yield an event for each number that a change of the weather sets; ``where``: the event's time and tick."""
     over, numbers = request.numbers.get("over"), dict(request.numbers)
     slowly, jammer = f", over {over:g} s" if over else "", numbers.pop("jammer", None)
     what = request.kind if jammer is None else f"jammer {jammer}"

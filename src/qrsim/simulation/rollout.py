@@ -63,7 +63,7 @@ class Rollout(Tabled):
     __repr__ = Tabled.__repr__
 
     def _table(self) -> Table:
-        """Return the table of the metrics that is shown: least, median and greatest over the worlds."""
+        """Return the metrics as a table for display: least, median and greatest value over the worlds."""
         count = len(self.seeds)
         recorded = f"; recorded at {len(self.record_ticks)} ticks" if len(self.record_ticks) else ""
         vehicles = shortened(", ".join(self.vehicles))
@@ -72,7 +72,7 @@ class Rollout(Tabled):
         return Table(title, ("metric", "unit", "shape", "least", "median", "greatest"), rows)
 
     def _ipython_key_completions_(self) -> list[str]:
-        """Return the names of metrics, for completion in IPython."""
+        """Return the metrics' names, which IPython offers as keys."""
         return list(self.metrics)
 
     def __iter__(self) -> Iterator[str]:
@@ -94,7 +94,7 @@ class Rollout(Tabled):
         return self.metrics[name]
 
     def reasons(self, world: int) -> list[str]:
-        """Return, for each vehicle of a world, the reason why it stopped, "" if it still flies.
+        """Return, for each vehicle of world number ``world``, why it stopped; "" if it still flies.
 
         Args:
             world: number of the world, from 0.
@@ -110,7 +110,8 @@ class Rollout(Tabled):
 
 
 def _metric_row(name: str, values: NumpyArray) -> tuple[str, ...]:
-    """Return name, unit, shape, and least, median and greatest value as texts; the last three only for (W, n)."""
+    """Return a metric's name, unit, shape, and least, median and greatest value as texts; the values only for (W,
+    n)."""
     unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
     numbers = values[np.isfinite(values)] if values.ndim == 2 and values.dtype.kind in "fiub" else values[:0]
     found = (numbers.min(), np.median(numbers), numbers.max()) if numbers.size else (None,) * 3
@@ -176,7 +177,7 @@ def setup_of(
     policy_ticks: int = 1,
     site: Site | None = None,
 ) -> tuple[Setup, list[Any], list[Any]]:
-    """Return the setup of a rollout of W worlds, the leaves equal in all worlds, and the varying ones (W, ...).
+    """Return the setup of a rollout of W worlds, the arrays that are equal in all worlds, and those that vary (W, ...).
 
     The arguments are those of ``rollout``; ``several`` lists the worlds.
     """
@@ -201,7 +202,8 @@ def setup_of(
 def _seeds_and_numbers(
     several: list[World], alike: bool, worlds: int, seed: object, seeds: Sequence[int] | None
 ) -> tuple[NumpyArray, NumpyArray]:
-    """Return the seed (W,) and the number (W,) of each world; raise UsageError for wrong ones."""
+    """Return the seed (W,) and the number (W,) of each world; raises UsageError for wrong ones. ``alike``: one world is
+    repeated."""
     if not several:
         raise UsageError("world: an empty list has no world to fly")
     if seeds is not None and not hasattr(seeds, "__iter__"):
@@ -223,7 +225,8 @@ def _seeds_and_numbers(
 
 
 def _stack(several: list[World]) -> tuple[Any, list[Any], list[Any], tuple[bool, ...]]:
-    """Return the worlds' structure, shared leaves, varying leaves (W, ...), and which leaves vary; raise UsageError."""
+    """Split worlds into their structure, shared arrays, varying arrays (W, ...), and which arrays vary; raises
+    UsageError."""
     flat: list[tuple[list[Any], Any]] = [jax.tree.flatten(world) for world in several]
     structure = flat[0][1]
     types = tuple(kinds(structure))
@@ -246,13 +249,13 @@ def _stack(several: list[World]) -> tuple[Any, list[Any], list[Any], tuple[bool,
 
 
 def _on_host(leaf: object) -> NumpyArray:
-    """Return a leaf as a NumPy array of a dtype that JAX supports, without a compilation by JAX."""
+    """Return an array as NumPy, in a dtype that JAX supports, without a compilation by JAX."""
     array = np.asarray(leaf)
     return np.asarray(array, jax.dtypes.canonicalize_dtype(array.dtype))
 
 
 def _other_arrays(one: World, other: World) -> str:
-    """Return a text on the first array of two worlds that differs in shape or dtype, "" if none does."""
+    """Return a text on the first array in which two worlds differ in shape or dtype; "" if none does."""
     (named, _), others = jax.tree_util.tree_flatten_with_path(one), jax.tree.leaves(other)
     for (path, mine), theirs in zip(named, others, strict=True):
         sorts = [f"{np.asarray(leaf).dtype} {np.shape(leaf)}" for leaf in (mine, theirs)]
@@ -262,7 +265,7 @@ def _other_arrays(one: World, other: World) -> str:
 
 
 def _blocks(engine: Engine, count: int) -> Iterator[NumpyArray]:
-    """Yield the world numbers of each block, all blocks of one length; the last is padded with its last world."""
+    """Yield the numbers of the worlds in each block, all of one length; the last block repeats its last world."""
     size, devices = len(engine.names), engine.devices
     in_memory = MEMORY_BYTES // (COPIES * engine.bytes_per_world() * devices)
     most = max(1, min(VEHICLES_PER_BLOCK // size, in_memory)) * devices

@@ -24,14 +24,14 @@ class Schedule:
         self._made = 0
 
     def make(self) -> None:
-        """Make the recorded requests that are due at the simulation's present tick."""
+        """Make the recorded injection requests that are due at the simulation's present tick."""
         due = bisect_right(self._ticks, self._simulation.tick)
         if due > self._made:
             self._simulation.repeat(self._requests[self._made : due])
             self._made = due
 
     def ticks(self, most: int) -> int:
-        """Return the number of ticks until the next request, at most ``most``."""
+        """Return the number of ticks until the next recorded request, at most ``most``."""
         return min(most, self._ticks[self._made] - self._simulation.tick) if self else most
 
     def __bool__(self) -> bool:

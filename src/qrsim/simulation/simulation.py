@@ -107,7 +107,7 @@ class Simulation(Radios, Injecting, Tabled):
                 self._state = self._ticks.adopt(self._state)
 
     def _table(self) -> Table:
-        """Return the table of the vehicles that is shown: position, velocity and state of each."""
+        """Return the vehicles as a table for display: position, velocity and state of each."""
         where = f"at {number_text(self.time, 9)} s, tick {self.tick}" if self._state is not None else "not started"
         title = f"simulation '{self.name}' {where}, seed {self.seed}, {self.precision}"
         if self._state is None:
@@ -123,12 +123,12 @@ class Simulation(Radios, Injecting, Tabled):
 
     @property
     def precision(self) -> str:
-        """Floating-point type of the simulation: float32 or float64."""
+        """Floating-point type of the simulation: "float32" or "float64"."""
         return self.dtype.name
 
     @property
     def size(self) -> int:
-        """Number n of vehicles of all fleets together."""
+        """Number n of vehicles in all fleets together."""
         return len(self.vehicle_names)
 
     @property
@@ -138,7 +138,7 @@ class Simulation(Radios, Injecting, Tabled):
 
     @alone
     def reset(self, seed: int | None = None) -> Reading:
-        """Start an episode and return its first reading; a new seed makes another episode."""
+        """Start an episode and return its first reading; a new ``seed`` makes another episode."""
         if seed is not None:
             self.seed = checked_seed(seed)
         self._clear_all()
@@ -150,7 +150,7 @@ class Simulation(Radios, Injecting, Tabled):
 
     # Here and in ``advance`` what ``alone`` does is written out: called so often, its own call counts.
     def step(self, command: object = None, ticks: int = 1, estimate: Estimate | None = None) -> Reading:
-        """Advance by ``ticks`` ticks and return the reading at the end.
+        """Advance by ``ticks`` ticks with a command (None: the scenario's guidance), and return the reading at the end.
 
         Args:
             command: None lets every fleet's own guidance and controller fly; an array (n, 5) of SI commands (pitch,
@@ -189,7 +189,7 @@ class Simulation(Radios, Injecting, Tabled):
             self._lock.release()
 
     def _advance(self, command: object, ticks: int, estimate: Estimate | None) -> None:
-        """Fly ``ticks`` ticks with a command and, for controllers that take one, an estimate."""
+        """Fly ``ticks`` ticks with a command and, for controllers that take one, a user's estimate."""
         if estimate is None and self._state is not None and self._ticks.taken(command):
             count = checked_ticks(ticks, self.tick)
             self._detach_seen()
@@ -211,7 +211,7 @@ class Simulation(Radios, Injecting, Tabled):
     def record(
         self, ticks: int, command: object = None, capacity: int | None = None, estimate: Estimate | None = None
     ) -> History:
-        """Advance as ``step`` does and return the state of every tick on the way.
+        """Advance as ``step`` does, and return the state of every tick on the way.
 
         Args:
             ticks: how many, at most ``capacity``.
@@ -240,7 +240,7 @@ class Simulation(Radios, Injecting, Tabled):
 
     @alone
     def set_state(self, state: object, new_battery: bool = False) -> Reading:
-        """Place vehicles in given states, flying again if stopped, and return the reading there.
+        """Place vehicles in given states, where stopped ones fly again; return the reading there.
 
         All that belongs to such a vehicle is as at a start at that place: its sensors (GNSS, barometer, attitude, and
         what they deliver later), what its controller is fed with, its control loops, and the gusts around it. It keeps
@@ -268,7 +268,7 @@ class Simulation(Radios, Injecting, Tabled):
 
     @alone
     def save(self, path: str | Path | None = None) -> bytes:
-        """Return the whole state as bytes, written to a file too if a path is given.
+        """Return the whole state as bytes; with a path, also write them to a file.
 
         Raises:
             UsageError: the simulation has not started.
@@ -284,7 +284,7 @@ class Simulation(Radios, Injecting, Tabled):
 
     @alone
     def load(self, source: bytes | str | Path) -> Reading:
-        """Continue from a saved state of the same scenario and parameters, exactly as the original would.
+        """Continue from a saved state of the same scenario and parameters, bit for bit as the original would.
 
         What is read is checked first, and where it is refused, nothing has changed.
 
@@ -305,14 +305,14 @@ class Simulation(Radios, Injecting, Tabled):
         return self.reading
 
     def _fingerprint(self) -> str:
-        """Return a digest of the parameters without injected changes, stored in saved states."""
+        """Return a digest of the world's parameters, without injected changes, which saved states hold for a check."""
         first = self._first_world
         ticks = self._ticks if first is self.world else OneWorld(first)
         return fingerprint(ticks.layout, ticks.parameters)
 
     @property
     def compiled_by(self) -> tuple[str, str]:
-        """Compiler of the program of the last ticks, and the reason why it is not "llvm".
+        """Compiler of the program that flew the last ticks ("llvm" or "xla"), and the reason if it is not "llvm".
 
         The compiler is "llvm" (machine code by qrsim) or "xla"; the reason is "" if "llvm" compiled it or was not
         tried.
@@ -323,17 +323,17 @@ class Simulation(Radios, Injecting, Tabled):
 
     @property
     def packed(self) -> tuple[Packer, Buffers]:
-        """The packed state and its layout; copy it before the next step overwrites it."""
+        """Layout and flat buffers of the present state; copy the buffers before the next step overwrites them."""
         return self._running()
 
     @property
     def state(self) -> State:
-        """The whole state as NumPy arrays."""
+        """Whole present state as NumPy arrays."""
         with self._lock:
             return self._seen().whole()
 
     def _seen(self) -> Seen:
-        """Return the present state, unpacked on demand; the same object as long as a caller holds it."""
+        """Return the present state, unpacked on demand; the same object while a caller holds it."""
         seen = self._now()
         if seen is None:
             layout, state = self._running()
@@ -352,7 +352,7 @@ class Simulation(Radios, Injecting, Tabled):
 
     @property
     def history(self) -> History:
-        """The present state as a History of one tick."""
+        """Present state as a History of one tick."""
         with self._lock:
             layout, state = self._running()
             ticks, (floats, integers) = np.array([self.tick]), (np.array(buffer)[None] for buffer in state)
@@ -360,25 +360,25 @@ class Simulation(Radios, Injecting, Tabled):
 
     @property
     def reading(self) -> Reading:
-        """Present readings of the sensors."""
+        """Present sensor readings and estimates of all fleets."""
         with self._lock:
             return Reading(self.world, cast(State, self._seen()), self.tick, self.site)
 
     @property
     def truth(self) -> Truth:
-        """Present true state, all fleets in order."""
+        """Present true state of all vehicles, in the order of the fleets."""
         with self._lock:
             return Truth(self.world, self._seen())
 
     @property
     def valid(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """(n,) bool: the vehicle still flies."""
+        """Which vehicles still fly, (n,) bool."""
         with self._lock:
             return np.concatenate([fleet.violation.code == 0 for fleet in cast(State, self._seen()).fleets])
 
     @property
     def reasons(self) -> list[str]:
-        """Reasons, one text for each of n vehicles: kind, field and value of its stop, "" while it is valid."""
+        """Why each of the n vehicles has stopped, as text (kind, field and value); "" while it flies."""
         with self._lock:
             found = [fleet.violation for fleet in cast(State, self._seen()).fleets]
         pairs = (pair for one in found for pair in zip(one.code, one.value, strict=True))
@@ -389,7 +389,7 @@ class Simulation(Radios, Injecting, Tabled):
         return self._checker.waypoint(position_ned, yaw_rad)
 
     def _running(self) -> tuple[Packer, Buffers]:
-        """Return the state's layout and buffers; raise UsageError before the first reset."""
+        """Return the layout and buffers of the present state; raises UsageError before the first reset."""
         if self._layout is None or self._state is None:
             raise UsageError("the simulation has not started: call reset() first")
         return self._layout, self._state

@@ -62,7 +62,7 @@ class SavedState:
     injections: str = "[]"
 
     def to_bytes(self) -> bytes:
-        """Return the state as a NumPy archive."""
+        """Return the saved state as bytes: an uncompressed NumPy archive (.npz)."""
         buffer = io.BytesIO()
         content: Content = {name: getattr(self, name, FORMAT) for name in NAMES}
         np.savez(buffer, **content)
@@ -70,7 +70,7 @@ class SavedState:
 
     @staticmethod
     def of(source: bytes | str | Path) -> SavedState:
-        """Return the state saved in bytes or a file, checked as far as possible without a simulation.
+        """Read a saved state from bytes or a file; checks all that needs no simulation.
 
         Raises:
             UsageError: the file is missing, or this is no saved state of this version, or a damaged one.
@@ -96,7 +96,8 @@ class SavedState:
         )
 
     def check(self, name: str, world: str) -> None:
-        """Raise UsageError for a state of another scenario or with other parameters.
+        """Raise UsageError if the state was saved by another scenario (``name``) or with other parameters (``world``:
+        their digest).
 
         Raises:
             UsageError: the name or a parameter of the world differs.
@@ -109,7 +110,7 @@ class SavedState:
             )
 
     def buffers(self, layout: Packer, like: Buffers) -> Buffers:
-        """Return the packed state as buffers of the types and sizes of ``like``.
+        """Return the saved state as buffers; raises UsageError unless they have the types and sizes of ``like``.
 
         Args:
             layout: of both.
@@ -133,7 +134,7 @@ class SavedState:
         return self.floats, self.integers
 
     def check_state(self, world: World, state: State, keys: WorldKeys) -> None:
-        """Raise UsageError for a state that is impossible in a world.
+        """Raise UsageError for a saved state that is impossible in this world, such as one with values out of range.
 
         Args:
             world: of this simulation.
@@ -158,7 +159,8 @@ class SavedState:
 
 
 def _data(source: object, where: str) -> bytes:
-    """Return the bytes of a saved state, from bytes or a file; raise UsageError if too large."""
+    """Return the bytes of a saved state, given as bytes or as a file; raises UsageError if too large. ``where``: for
+    messages."""
     if isinstance(source, bytes | bytearray | memoryview):
         size = memoryview(source).nbytes
     elif isinstance(source, str | Path):
@@ -171,7 +173,7 @@ def _data(source: object, where: str) -> bytes:
 
 
 def _file(path: Path, where: str) -> tuple[int, Path]:
-    """Return a file's size [bytes] and path; raise UsageError if it cannot be read."""
+    """Return a file's size [bytes] and its path; raises UsageError, beginning with ``where``, if it cannot be read."""
     try:
         found = path.stat()
     except (OSError, ValueError) as error:
@@ -182,17 +184,18 @@ def _file(path: Path, where: str) -> tuple[int, Path]:
 
 
 def _another_version(where: str) -> UsageError:
-    """Return the error for a state saved by another version."""
+    """Return the error, beginning with ``where``, for a state that another version of qrsim saved."""
     return UsageError(f"{where}: it was saved by another version of qrsim, or not by qrsim")
 
 
 def _integer(array: NumpyArray) -> int | None:
-    """Return the integer in an array (), None if the array is anything else."""
+    """Return the integer in an array of shape (); None if the array is anything else."""
     return int(array) if array.shape == () and array.dtype.kind in "iu" else None
 
 
 def _number(where: str, name: str, content: Content, largest: int) -> int:
-    """Return an integer of the content, 0 to ``largest``; raise UsageError for others."""
+    """Return an integer, 0 to ``largest``, from a saved state's arrays by name; raises UsageError, beginning with
+    ``where``."""
     found = _integer(content[name])
     if found is None or not 0 <= found <= largest:
         what = content[name].dtype if found is None else found
@@ -201,7 +204,7 @@ def _number(where: str, name: str, content: Content, largest: int) -> int:
 
 
 def _text(where: str, name: str, content: Content) -> str:
-    """Return a text of the content; raise UsageError for others."""
+    """Return a text from a saved state's arrays by name; raises UsageError, beginning with ``where``, for others."""
     array = content[name]
     try:
         if array.shape == () and array.dtype.kind == "U":
@@ -212,7 +215,8 @@ def _text(where: str, name: str, content: Content) -> str:
 
 
 def _buffer(where: str, name: str, content: Content, known: tuple[str, ...]) -> NumpyArray:
-    """Return a one-dimensional array of the content with a dtype in ``known``; raise UsageError for others."""
+    """Return a 1-D array from a saved state's arrays by name; raises UsageError, beginning with ``where``, unless its
+    dtype is ``known``."""
     array = content[name]
     if array.ndim != 1 or array.dtype.name not in known or not array.dtype.isnative:
         raise UsageError(
@@ -222,7 +226,7 @@ def _buffer(where: str, name: str, content: Content, known: tuple[str, ...]) -> 
 
 
 def _finite_leaves(world: World, state: State) -> Iterator[tuple[str, NumpyArray]]:
-    """Yield (place for messages, array) of all numbers that must be finite in every state."""
+    """Yield (description for messages, array) of all numbers in a state that must be finite."""
     # Recorded orbits end, and have gaps.
     recorded = isinstance(world.sky, SharedSky | SlottedSky) and isinstance(world.sky.orbits, Sp3Orbits)
     if not recorded:
@@ -244,7 +248,8 @@ def _finite_leaves(world: World, state: State) -> Iterator[tuple[str, NumpyArray
 
 
 def _without_infinity(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, object]]:
-    """Yield (place, array) of parts that may be NaN but not infinite, of built-in components only."""
+    """Yield (description for messages, array) of parts of a fleet's state that may be NaN but not infinite, of built-in
+    components only."""
     for sensor, memory, reading, true in zip(
         fleet.sensors, state.sensors, state.readings, state.true_readings, strict=True
     ):
@@ -255,14 +260,15 @@ def _without_infinity(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, ob
 
 
 def _floats(where: str, tree: object, flies: NumpyArray | None = None) -> Iterator[tuple[str, NumpyArray]]:
-    """Yield ``where`` with each float array in a tree, only rows of flying vehicles if ``flies`` is given."""
+    """Yield (``where``, float array) for each one in a tree; only the rows of vehicles that fly, if ``flies`` is
+    given."""
     for leaf in jax.tree.leaves(tree):
         if np.issubdtype(leaf.dtype, np.floating):
             yield where, leaf if flies is None or leaf.shape[:1] != flies.shape else leaf[flies]
 
 
 def _ranges(world: World, state: State, tick: int) -> Iterator[tuple[str, Any, float, float]]:
-    """Yield (place for messages, values, least, greatest) of the numbers with a range."""
+    """Yield (description for messages, values, least, greatest) of all numbers in a state that have a range."""
     for number, (fleet, now) in enumerate(zip(world.fleets, state.fleets, strict=True)):
         here = f"of fleet {number}"
         yield f"the reason why a vehicle stopped, {here},", now.violation.code, 0, len(REASONS) - 1
@@ -288,7 +294,7 @@ def _ranges(world: World, state: State, tick: int) -> Iterator[tuple[str, Any, f
 
 
 def write(path: str | Path, data: bytes) -> None:
-    """Write a saved state to a file.
+    """Write the bytes of a saved state to a file; raises RunError if that fails.
 
     Raises:
         RunError: it cannot be written.
@@ -298,7 +304,7 @@ def write(path: str | Path, data: bytes) -> None:
 
 
 def fingerprint(layout: Packer, buffers: Buffers) -> str:
-    """Return a SHA-256 digest of a packed tree's structure, dtypes and values."""
+    """Return a SHA-256 digest of a packed tree: its structure, dtypes and values."""
     digest = hashlib.sha256(repr((layout.structure, layout.shapes, layout.dtypes)).encode())
     for buffer in buffers:
         digest.update(np.asarray(buffer).tobytes())

@@ -18,7 +18,7 @@ Time = tuple[Array, Array]
 
 
 def turbulence_inputs(turbulence: Turbulence, position_ned: Vec3, time: Time, field: object) -> dict[str, object]:
-    """Return the keyword arguments that a turbulence declares in ``reads``.
+    """Return the inputs that a turbulence model declares in ``reads``, as keyword arguments of its methods.
 
     Args:
         turbulence: of the world.
@@ -31,7 +31,7 @@ def turbulence_inputs(turbulence: Turbulence, position_ned: Vec3, time: Time, fi
 
 
 def gust_at(world: World, field: object, memory: object, height_agl: Array, position_ned: Vec3, time: Time) -> Vec3:
-    """Return the gust (n,) [m/s] NED at positions (n,) [m]: turbulence, discrete gust and updrafts together.
+    """Return the gust velocity (n,) [m/s] NED at positions (n,) [m]: turbulence, discrete gust and updrafts.
 
     ``memory`` is the turbulence's state.
     """
@@ -51,14 +51,14 @@ def gust_at(world: World, field: object, memory: object, height_agl: Array, posi
 
 
 def _shared_and_own(world: World, field: Any) -> tuple[object, tuple[object, ...]]:
-    """Return the turbulent field that all vehicles share, and the random draw of each updraft."""
+    """Return the shared turbulence in ``field``, and each updraft's random numbers; () without updrafts."""
     return (field.turbulence, field.updrafts) if world.updrafts else (field, ())
 
 
 def gust_rates_at(
     world: World, field: object, memory: object, height_agl: Array, position_ned: Vec3, time: Time
 ) -> Vec3 | None:
-    """Return the rotation of the air (n,) [rad/s] in NED, None if the turbulence has no rotation."""
+    """Return the air's rotation (n,) [rad/s] NED at positions (n,) [m]; None if the turbulence has no rotation."""
     if not world.turbulence.rates:
         return None
     inputs = turbulence_inputs(world.turbulence, position_ned, time, _shared_and_own(world, field)[0])
@@ -66,7 +66,7 @@ def gust_rates_at(
 
 
 def weather_at(world: World, tick: Array) -> World:
-    """Return a world with its changing weather set to a tick; unchanged if the weather is constant."""
+    """Return the world with wind, gusts and jammers as they are at a tick; unchanged if its weather is constant."""
     changes = world.changes
     if changes is None:
         return world
@@ -82,7 +82,7 @@ def weather_at(world: World, tick: Array) -> World:
 
 
 def _scaled(world: World, gusts: Vec3) -> Vec3:
-    """Return turbulent gusts, or their rates, times the world's present gust scale."""
+    """Return gust velocities or rotation rates times the world's present gust scale."""
     scale = world.gust_scale
     return gusts if scale is None else gusts.map(lambda axis: axis * scale)
 
@@ -95,7 +95,7 @@ def around_of(
     faults: tuple[RotorFault, ...] = (),
     tick: Array | None = None,
 ) -> Around:
-    """Return the surroundings that vehicles (n,) may read: ground, rotating air, known rotor faults.
+    """Return the surroundings that vehicle models (n,) read: ground, the air's rotation and density, rotor faults.
 
     Args:
         world: with its ground.
@@ -108,7 +108,7 @@ def around_of(
     still = Vec3.zeros(pose.attitude.roll.shape, pose.attitude.roll.dtype)
 
     def ground(position_ned: Vec3) -> tuple[Array, Vec3]:
-        """Return the down coordinate [m] and the normal of the ground at places."""
+        """Return the down coordinate [m] and the unit normal of the ground at positions."""
         return world.ground_down(position_ned), world.ground.normal(position_ned)
 
     rates = still if rates_ned is None else rotation(pose.attitude).to_body(rates_ned)

@@ -20,7 +20,7 @@ from qrsim.world.state import Fleet, FleetState, World
 
 
 def check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState, ...]) -> tuple[FleetState, ...]:
-    """Return the fleets after the checks of a step; a vehicle that breaks a limit is put back, at rest.
+    """Return the fleets' states after a step with vehicles that break a limit stopped where they were before it.
 
     Args:
         world: parameters.
@@ -59,7 +59,7 @@ def check(world: World, before: tuple[FleetState, ...], flown: tuple[FleetState,
 def own_checks(
     world: World, fleet: Fleet, state: FleetState, before_ned: Vec3 | None = None
 ) -> list[tuple[int, Array, Array]]:
-    """Return the checks (code, value, broken) of each vehicle (n,) of a fleet that need no other vehicle.
+    """Return the checks (reason code, value (n,), broken (n,)) of a fleet's vehicles that need no other vehicle.
 
     Args:
         world, fleet, state: of the fleet.
@@ -83,7 +83,7 @@ def own_checks(
 
 
 def _empty_battery(fleet: Fleet, state: FleetState) -> list[tuple[int, Array, Array]]:
-    """Return [(code, charge, empty)] of vehicles (n,) with a battery that can run out, [] for others."""
+    """Return the check (reason code, charge (n,), empty (n,)) in a list, [] for a battery that cannot run out."""
     if not fleet.battery.drains:
         return []
     charge = cast(Charged, state.battery).charge
@@ -91,6 +91,6 @@ def _empty_battery(fleet: Fleet, state: FleetState) -> list[tuple[int, Array, Ar
 
 
 def _hits_obstacle(world: World, fleet: Fleet, start_ned: Vec3, end_ned: Vec3) -> tuple[int, Array, Array]:
-    """Return the check (code, number of the obstacle, hit) of straight ways (n,) against obstacles."""
+    """Return the check (reason code, obstacle number (n,), hit (n,)) of straight paths against obstacles."""
     number, hit = obstacle_hit(world.obstacles, start_ned, end_ned, world.radius_of(fleet))
     return reason_code("collision", "obstacle"), number, hit

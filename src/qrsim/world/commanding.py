@@ -41,7 +41,7 @@ class Commanded(NamedTuple):
 def command_fleet(
     world: World, whole: State, fleet: Fleet, state: FleetState, tick: Array, action: Action, believed: Estimate | None
 ) -> Commanded:
-    """Return guidance, set-point, controller and commands of a fleet at the start of a tick."""
+    """Return a fleet's set-points and commands for a tick, with the new states of its guidance and controller."""
     if isinstance(action, Some):
         return _command_some(world, whole, fleet, state, tick, action, believed)
     if isinstance(action, Piloted):
@@ -88,7 +88,7 @@ def command_fleet(
 def _command_some(
     world: World, whole: State, fleet: Fleet, state: FleetState, tick: Array, some: Some, believed: Estimate | None
 ) -> Commanded:
-    """Return the commands of a fleet of which a user commands only some vehicles."""
+    """Return the result of ``command_fleet`` where a user commands some vehicles, and guidance the others."""
     # The estimate of the controllers continues also for vehicles that fly a user's commands.
     found = command_fleet(world, whole, fleet, state, tick, None, believed)
     for which, action in some.parts:
@@ -105,7 +105,7 @@ def _command_some(
 
 
 def _joined(commands: Commands, which: Array, command: object) -> Commands:
-    """Return ``commands`` with ``command`` added for vehicles ``which`` (n,) bool, merged with one of the same kind."""
+    """Return ``commands`` with ``command`` added for the vehicles ``which`` (n,), merged into one of the same type."""
     for number, (theirs, other) in enumerate(commands):
         if _alike(command, other):
             both = (None if theirs is None else theirs | which, select(which, command, other))
@@ -114,13 +114,13 @@ def _joined(commands: Commands, which: Array, command: object) -> Commands:
 
 
 def _alike(one: object, other: object) -> bool:
-    """Return whether two actions have the same type and structure."""
+    """Return whether two commands have the same type and tree structure."""
     # To JAX, records that differ in nothing but their type are alike.
     return type(one) is type(other) and str(jax.tree.structure(one)) == str(jax.tree.structure(other))
 
 
 def by_kind(commands: Sequence[tuple[Array | None, object, Array]], function: Callable[[object, Array], T]) -> T:
-    """Return each vehicle's result of ``function``, called once for each kind of command, chosen by masks (n,)."""
+    """Return ``function(command, clipped)`` for each type of command, merged by the masks (n,) of its vehicles."""
     merged: T | None = None
     for which, command, clipped in commands:
         result = function(command, clipped)
@@ -130,7 +130,7 @@ def by_kind(commands: Sequence[tuple[Array | None, object, Array]], function: Ca
 
 
 def _mates(world: World, whole: State, fleet: Fleet, state: FleetState, estimate: Estimate, tick: Array) -> Mates:
-    """Return the neighbour lists of a fleet's vehicles (n,); stopped vehicles send nothing new."""
+    """Return the neighbour lists of a fleet's vehicles (n,), heard or known; stopped vehicles send nothing new."""
     guidance = cast(TeamGuidance, fleet.guidance)
     if guidance.knows == "heard":
         assert world.radio is not None
@@ -145,13 +145,13 @@ def _mates(world: World, whole: State, fleet: Fleet, state: FleetState, estimate
 
 
 def _flying(position_ned: Vec3, state: FleetState) -> Vec3:
-    """Return positions (n,) with NaN for stopped vehicles."""
+    """Return positions (n,), with NaN for vehicles that have been stopped."""
     flies = state.violation.code == 0
     return position_ned.map(lambda axis: jnp.where(flies, axis, jnp.nan))
 
 
 def _others(world: World, whole: State, fleet: Fleet) -> dict[str, Any]:
-    """Return the estimated positions (m,) of all other fleets by argument name, NaN if stopped; {} if not used."""
+    """Return {"others_ned": estimated positions (m,) of all other fleets, NaN if stopped}, or {} if ignored."""
     if not fleet.guidance.sees_others:
         return {}
     positions = []

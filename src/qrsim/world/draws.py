@@ -26,7 +26,7 @@ from qrsim.world.state import (
 
 
 def keys_of(world: World, key: Key) -> WorldKeys:
-    """Return the keys of all random streams of a world, as NumPy arrays for a NumPy key."""
+    """Return the keys of all random streams of a world, derived from ``key``; NumPy arrays for a NumPy key."""
     fleets = [_stream_names(fleet, suffix) for suffix in ("", "/start") for fleet in world.fleets]
     episode, plume, radio = episode_streams(world), world.contents.plume.changes, world.radio is not None
     sky, start, *rest = key.families(
@@ -43,23 +43,23 @@ def keys_of(world: World, key: Key) -> WorldKeys:
 
 
 def stream_keys(fleet: Fleet, key: Key) -> StreamKeys:
-    """Return the keys of a fleet's random streams."""
+    """Return the keys of a fleet's random streams, derived from the world's key."""
     return key.streams(_stream_names(fleet, ""))
 
 
 def _stream_names(fleet: Fleet, suffix: str) -> list[str]:
-    """Return the names of a fleet's random streams, each ended by ``suffix``."""
+    """Return the names of a fleet's random streams, each with ``suffix`` appended."""
     return [f"{fleet.name}/{name}{suffix}" for name in fleet.stream_names]
 
 
 def _streams(fleet: Fleet, keys: StreamKeys) -> dict[str, Stream]:
-    """Return a fleet's random streams by name; ids are the vehicles' numbers in their fleet."""
+    """Return a fleet's random streams by name, with the vehicles' numbers in the fleet as ids."""
     ids = jnp.arange(fleet.size, dtype=jnp.uint32)
     return {name: keys.stream(i, ids) for i, name in enumerate(fleet.stream_names)}
 
 
 def draw_fleet(world: World, fleet: Fleet, keys: StreamKeys, tick: Array, first: bool = False) -> dict[str, Noise]:
-    """Return a fleet's noise of a tick by stream name; that of parts due every tick is drawn at once.
+    """Return a fleet's random numbers of a tick by stream name; those needed at every tick are drawn together.
 
     Args:
         world, fleet: parameters.
@@ -89,5 +89,5 @@ def draw_fleet(world: World, fleet: Fleet, keys: StreamKeys, tick: Array, first:
 
 
 def draw_sky(world: World, keys: StreamKeys, tick: Array, like: Array) -> Draw:
-    """Return the sky's noise of a tick, in the dtype of ``like``."""
+    """Return the random draw of the GNSS satellites' errors at a tick, in the dtype of ``like``."""
     return Draw(keys.stream(0, world.sky.ids), tick, jnp.zeros((), like.dtype))

@@ -39,7 +39,7 @@ from qrsim.world.state import (
 
 
 def episode_streams(world: World) -> list[str]:
-    """Return the names of the streams drawn once an episode."""
+    """Return the names of the random streams from which numbers are drawn once an episode."""
     contents = world.contents
     parts: tuple[tuple[str, Plume | GroundCover | People], ...] = (
         (PLUME, contents.plume),
@@ -55,7 +55,7 @@ def episode_streams(world: World) -> list[str]:
 
 
 def episode_draws(world: World, keys: WorldKeys, like: Array) -> dict[str, Draw]:
-    """Return the draws of an episode, by the names of their streams."""
+    """Return the random draws of an episode, by the names of their streams."""
     sizes = {f"{PLACEMENT}/{fleet.name}": fleet.size for fleet in world.fleets}
     sizes |= {
         FIELD: world.turbulence.field_ids,
@@ -73,7 +73,7 @@ def episode_draws(world: World, keys: WorldKeys, like: Array) -> dict[str, Draw]
 
 
 def refuse_unplaced(world: World, placed: Sequence[npt.ArrayLike]) -> None:
-    """Raise an error if a fleet has no start position in some world.
+    """Raise RunError if random placement found no start positions for a fleet in some world.
 
     Args:
         world: whose fleets.
@@ -91,12 +91,12 @@ def refuse_unplaced(world: World, placed: Sequence[npt.ArrayLike]) -> None:
 
 
 def draw_ranges(world: World, draws: dict[str, Draw]) -> tuple[Array, ...]:
-    """Return a random number () for each range of the world."""
+    """Return a random number () for each range of the world, uniform between its limits."""
     return tuple(uniform(draws[f"{RANGE}/{item.name}"], 0, item.low, item.high)[0] for item in world.ranges)
 
 
 def draw_field(world: World, draws: dict[str, Draw]) -> object:
-    """Return the gust field that all vehicles of an episode share, or None; with updrafts an ``AirField``."""
+    """Return the episode's random gust field, shared by all vehicles, or None; with updrafts an ``AirField``."""
     turbulence, shared = world.turbulence, None
     if turbulence.field_ids:
         shared = turbulence.draw_field(draws[FIELD], **({"wind": world.wind} if turbulence.sees_wind else {}))
@@ -109,7 +109,7 @@ def draw_field(world: World, draws: dict[str, Draw]) -> object:
 
 
 def start_contents(world: World, draws: dict[str, Draw]) -> ContentsState:
-    """Return the random plume, land cover and persons of an episode; None for parts without randomness."""
+    """Return an episode's random plume, land cover and persons to be found; None for parts without randomness."""
     contents = world.contents
     release: Plume = contents.plume
     plume = terrain = persons = None
@@ -123,7 +123,7 @@ def start_contents(world: World, draws: dict[str, Draw]) -> ContentsState:
 
 
 def place(world: World, fleet: Fleet, draws: dict[str, Draw]) -> tuple[Start, Array | None]:
-    """Return a fleet's start, and () bool: positions were found; None for given positions."""
+    """Return a fleet's start positions, and () bool: random placement found them; None if they are given."""
     if not fleet.placement.random:
         return fleet.start, None
     start: Start
@@ -136,7 +136,7 @@ def place(world: World, fleet: Fleet, draws: dict[str, Draw]) -> tuple[Start, Ar
 
 
 def surroundings(world: World, contents: ContentsState, tick: Array) -> Surroundings:
-    """Return the parts of a world that sensors may read at a tick."""
+    """Return the parts of a world that sensors read at a tick: ground, obstacles, wind, plume and others."""
     return Surroundings(
         world.contents,
         contents,
@@ -153,7 +153,7 @@ def surroundings(world: World, contents: ContentsState, tick: Array) -> Surround
 def step_contents(
     world: World, state: State, fleets: tuple[FleetState, ...], due: Array, after: Array
 ) -> ContentsState:
-    """Return plume and persons after a tick: puffs released, persons found by vehicles marked."""
+    """Return plume and persons after a tick: new puffs released, persons that vehicles found marked."""
     contents = state.contents
     plume: Plume = world.contents.plume
     persons = world.contents.persons
@@ -182,7 +182,7 @@ def step_contents(
 
 
 def picture(world: World, state: State, number: int, camera: str) -> Picture:
-    """Return the last picture of each vehicle (n,) of a fleet.
+    """Return the last picture that ``camera`` of each vehicle (n,) took, in fleet number ``number``.
 
     Args:
         world: with the numbers of the episode.
@@ -195,7 +195,7 @@ def picture(world: World, state: State, number: int, camera: str) -> Picture:
 
 
 def film(world: World, state: State, number: int, camera: str) -> tuple[Any, Any, Stream]:
-    """Return a fleet's camera, its last reading, and its noise stream; arguments as of ``picture``."""
+    """Return a fleet's camera sensor, its last reading and its random stream; arguments as of ``picture``."""
     fleet = world.fleets[number]
     index = fleet.sensor_names.index(camera)
     ids = jnp.arange(fleet.size, dtype=jnp.uint32)
@@ -204,7 +204,7 @@ def film(world: World, state: State, number: int, camera: str) -> tuple[Any, Any
 
 
 def develop(world: World, contents: ContentsState, camera: TakesPictures, reading: Record, stream: Stream) -> Picture:
-    """Return the last picture of each vehicle (n,) of a camera, computed from its last reading.
+    """Return each vehicle's (n,) last camera picture, computed from the reading with its pose.
 
     Args:
         world: with the numbers of the episode.

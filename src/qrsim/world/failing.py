@@ -17,7 +17,7 @@ from qrsim.world.state import Fleet, FleetState, State, World
 
 
 def first_failsafe(world: World, fleet: Fleet, pose: Pose) -> FailsafeState | None:
-    """Return a fleet's failsafe state at the start, home on the ground below; None without failsafes."""
+    """Return a fleet's failsafe state at the start, with home on the ground below; None without failsafes."""
     if fleet.failsafes is None:
         return None
     start = pose.position_ned
@@ -35,7 +35,7 @@ def by_failsafe(
     setpoint: object,
     tick: Array,
 ) -> tuple[FailsafeState, PathSetpoint]:
-    """Return a fleet's failsafe state after a tick, and the set-point (n,): the given one, or a failsafe's.
+    """Return a fleet's failsafe state after a tick, and the set-point (n,): the given one, or an active failsafe's.
 
     Args:
         world, whole: parameters and state.
@@ -61,7 +61,7 @@ def by_failsafe(
 
 
 def _as_path(setpoint: object) -> PathSetpoint:
-    """Return a waypoint as a path set-point at rest; a path set-point unchanged."""
+    """Return a waypoint set-point as a path set-point at rest; a path set-point unchanged."""
     if isinstance(setpoint, PathSetpoint):
         return setpoint
     assert isinstance(setpoint, WaypointSetpoint)
@@ -71,7 +71,7 @@ def _as_path(setpoint: object) -> PathSetpoint:
 
 
 def _fixed(fleet: Fleet, state: FleetState) -> Array | None:
-    """Return (n,) bool: a receiver has a fix; None without receivers, or if the controller is fed the truth."""
+    """Return (n,) bool: a GNSS receiver has a fix; None without a receiver, or for a controller fed with the truth."""
     if fleet.controller.feed == "truth":
         return None
     places = [vars(reading).get("position_ned") for reading in state.readings]
@@ -85,7 +85,7 @@ def _fixed(fleet: Fleet, state: FleetState) -> Array | None:
 
 
 def _heard(world: World, whole: State, fleet: Fleet, tick: Array) -> Array | None:
-    """Return the tick (n,) at which the newest message received from the link was sent; None if no link can be lost."""
+    """Return the tick (n,) at which the link's newest received message was sent; None if link loss is not monitored."""
     assert fleet.failsafes is not None
     if fleet.failsafes.NAV_DLL_ACT == "none" or world.radio is None:
         return None

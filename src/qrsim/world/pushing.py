@@ -17,7 +17,7 @@ Moved = tuple[VehicleState, Vec3 | None, Vec3]
 
 
 def pushed(fleet: Fleet, vehicle: VehicleState, step: Callable[[VehicleState], Moved], tick: Array, dt: float) -> Moved:
-    """Return the results of ``step`` for vehicles (n,), with the pushes that act added.
+    """Return the result of one dynamics step ``step`` of vehicles (n,), with the active pushes (accelerations) applied.
 
     Half of the change of velocity comes before the step, and half after it (Strang splitting), so that a free vehicle
     gains exactly the acceleration times the time, and the position that belongs to it. Accelerometers feel a push.
@@ -46,7 +46,7 @@ def pushed(fleet: Fleet, vehicle: VehicleState, step: Callable[[VehicleState], M
 
 
 def _half(model: Vehicle, vehicle: VehicleState, ned: Vec3, body: Vec3, dt: float) -> tuple[VehicleState, Vec3]:
-    """Return vehicles (n,) after half a step of accelerations alone, and the accelerations (n,) [m/s^2], body axes."""
+    """Return vehicles (n,) after dt/2 of acceleration alone, ``ned`` plus ``body``, and that sum in body axes."""
     felt = rotation(model.pose(vehicle).attitude).to_body(ned) + body
     free = [
         axis if name in model.pushable else jnp.zeros_like(axis) for name, axis in zip("xyz", felt.axes, strict=True)
@@ -56,5 +56,5 @@ def _half(model: Vehicle, vehicle: VehicleState, ned: Vec3, body: Vec3, dt: floa
 
 
 def _scaled(factor: float, axis: Array) -> Array:
-    """Return ``factor`` times (n,), and -0.0 for 0, which changes no bit of any sum."""
+    """Return ``factor`` times an array (n,), with -0.0 for 0, which changes no bit when added."""
     return jnp.where(axis != 0.0, rounded(factor * axis), -0.0)

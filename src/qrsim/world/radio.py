@@ -20,13 +20,13 @@ from qrsim.world.state import Action, Fleet, FleetState, Saying, State, World, W
 
 
 def split_messages(actions: tuple[Action, ...]) -> tuple[tuple[Action, ...], tuple[Outbox | None, ...]]:
-    """Return each fleet's action without messages, and each fleet's messages, None without."""
+    """Return each fleet's action without its radio messages, and each fleet's messages, None without any."""
     plain = tuple(action.action if isinstance(action, Saying) else action for action in actions)
     return plain, tuple(action.outbox if isinstance(action, Saying) else None for action in actions)
 
 
 def start_radio(world: World, draws: dict[str, Draw], keys: WorldKeys, fleets: tuple[FleetState, ...]) -> object:
-    """Return the state of the radio at the start of an episode, None without one."""
+    """Return the radio network's state at the start of an episode; None for a world without radio."""
     if world.radio is None:
         return None
     assert keys.radio is not None
@@ -35,7 +35,7 @@ def start_radio(world: World, draws: dict[str, Draw], keys: WorldKeys, fleets: t
 
 
 def exchange(world: World, state: State, outboxes: tuple[Outbox | None, ...], tick: Array, due: Array) -> object:
-    """Return the state of the radio after the messages of a tick.
+    """Return the radio network's state after the messages of a tick are sent; None for a world without radio.
 
     Args:
         world, state: at the start of the tick.
@@ -68,7 +68,7 @@ def exchange(world: World, state: State, outboxes: tuple[Outbox | None, ...], ti
 
 
 def _failed(world: World, like: Array, tick: Array) -> tuple[Array | None, Array | None]:
-    """Return (n,) bool: a fault has the radio off, and the share (n,) of lost packets; None, None without faults."""
+    """Return (n,) bool: a fault switches the radio off, and the share (n,) of packets lost; None, None without."""
     faults = [
         (*fleet.radio_faults, *([] if fleet.radio_slot is None else [fleet.radio_slot])) for fleet in world.fleets
     ]
@@ -83,13 +83,13 @@ def _failed(world: World, like: Array, tick: Array) -> tuple[Array | None, Array
 
 
 def heard(world: World, state: State, tick: Array) -> Inbox:
-    """Return the messages that vehicles (n,) of a world have received by a tick."""
+    """Return the messages that each vehicle (n,) of a world has received by a tick."""
     assert world.radio is not None
     return world.radio.received(state.radio, tick, world.time_step)
 
 
 def vehicle_ids(fleet: Fleet) -> npt.NDArray[np.uint32]:
-    """Return the identity (n,) uint32 of each vehicle in random draws, from its fleet's name and its number there.
+    """Return each vehicle's identifier (n,) uint32 for random draws, from its fleet's name and its number there.
 
     So draws do not change when another fleet is added.
     """
@@ -98,7 +98,7 @@ def vehicle_ids(fleet: Fleet) -> npt.NDArray[np.uint32]:
 
 
 def _merged_outbox(world: World, outboxes: tuple[Outbox | None, ...], like: Array) -> Outbox:
-    """Return the outboxes of all fleets as one, empty for fleets without messages."""
+    """Return the messages of all fleets as one outbox, with no message for fleets without an outbox."""
     assert world.radio is not None
     parts = []
     for fleet, part in zip(world.fleets, outboxes, strict=True):
@@ -116,7 +116,7 @@ def _merged_outbox(world: World, outboxes: tuple[Outbox | None, ...], like: Arra
 
 
 def _beacons(world: World, state: State, outboxes: tuple[Outbox | None, ...]) -> Outbox:
-    """Return the beacons of all vehicles, estimated position and velocity, sent only as the outboxes ask."""
+    """Return the beacons (estimated position and velocity) of all vehicles, to be sent where the outboxes allow."""
     assert world.radio is not None
     size, parts, sends = world.radio.size, [], []
     for fleet, now, part in zip(world.fleets, state.fleets, outboxes, strict=True):

@@ -38,7 +38,7 @@ def sense(
     due: Array,
     after: Array,
 ) -> FleetState:
-    """Return a fleet with the sensors that are due stepped; readings of stopped vehicles are NaN."""
+    """Return a fleet's state with the sensors and estimator stepped that are due; NaN readings for stopped vehicles."""
     scene = scene_of(fleet, state, sky, view)
     valid = state.violation.code == 0
     states, delivered, undisturbed, fitted = [], [], [], []
@@ -57,7 +57,7 @@ def sense(
             name: str = name,
             inputs: dict[str, object] = inputs,
         ) -> tuple[object, Record]:
-            """Return a sensor's next state and reading."""
+            """Return the sensor's state and reading after a step."""
             return sensor.step(memory, noise[name], **inputs)
 
         ticks, late = period_ticks(sensor.period, world.time_step), None
@@ -89,7 +89,7 @@ def sense(
 def with_traffic(
     world: World, view: Surroundings, vehicles: Sequence[VehicleState], flies: Sequence[Array | None]
 ) -> Surroundings:
-    """Return surroundings with the traffic of all vehicles, or unchanged if no sensor measures vehicles.
+    """Return the surroundings with all vehicles' positions and velocities, if a sensor measures other vehicles.
 
     Args:
         world: its parameters.
@@ -116,7 +116,7 @@ def with_traffic(
 def inputs_of(
     sensor: Sensor, fitting: Fitting | None, scene: dict[str, object], memory: Fitted | None, time_step: float
 ) -> dict[str, object]:
-    """Return the true inputs of a sensor by name (``reads``), at its mounting position and in its axes."""
+    """Return the true inputs of a sensor by name (its ``reads``), at its mounting position and in its axes."""
     if fitting is None or (fitting.position_body is None and fitting.attitude is None):
         return {item: scene[item] for item in sensor.reads}
     before = None if memory is None else memory.rates_body
@@ -124,7 +124,7 @@ def inputs_of(
 
 
 def starting_fitted(fleet: Fleet, scene: dict[str, object], readings: tuple[Record, ...], tick: Array) -> object:
-    """Return the states of a fleet's sensor fittings at the start; () without fittings."""
+    """Return the states of each sensor's mounting and latency (fitting) at the start; () without fittings."""
     if not fleet.fittings:
         return ()
     rates = cast(Vec3, scene["rates_body"])
@@ -135,7 +135,7 @@ def starting_fitted(fleet: Fleet, scene: dict[str, object], readings: tuple[Reco
 
 
 def _fitted(state: FleetState, number: int) -> Fitted | None:
-    """Return the state of a sensor's fitting, None without."""
+    """Return the state of sensor ``number``'s mounting and latency (fitting), None if it has none."""
     return state.fitted[number] if state.fitted else None
 
 
@@ -155,7 +155,7 @@ def _sent(
     dt: float,
     tick: Array,
 ) -> tuple[object, Any]:
-    """Return a sensor's state after a step, and its readings in transit with the new one added."""
+    """Return a sensor's state after a step, and its delayed readings (in transit) with the new one added."""
     after, reading = step()
     assert memory.transit is not None
     late = fitting.ticks(period, dt, draw, memory.transit.due[0].shape)
@@ -172,7 +172,7 @@ def _believed(
     due: Array,
     after: Array,
 ) -> Belief | None:
-    """Return the fleet's belief after a step with the present readings; None if it has no estimator.
+    """Return the fleet's estimator state and estimate after a step with these readings; None without an estimator.
 
     Vehicles that are not ``valid`` (n,) keep their last estimate, with zero velocity: without new readings, a filter
     would go on predicting their flight.
@@ -199,7 +199,7 @@ def first_belief(
     readings: dict[str, Record],
     start: Estimate,
 ) -> Belief | None:
-    """Return the belief of the fleet's own estimator at the start; None without an estimator.
+    """Return the state and estimate of the fleet's own estimator at the start; None without an estimator.
 
     Args:
         fleet, state: parameters and state of the fleet.
@@ -230,7 +230,7 @@ def first_belief(
 
 
 def at_rest(estimate: Estimate) -> Estimate:
-    """Return the estimate with zero velocity."""
+    """Return an estimate with its velocity set to zero."""
     return replace(estimate, velocity_ned=estimate.velocity_ned.map(jnp.zeros_like))
 
 
@@ -244,7 +244,7 @@ def faulted(
     first: bool = False,
     late: Late | None = None,
 ) -> tuple[Record, tuple[FaultMemory | None, ...]]:
-    """Return a reading after a sensor's faults in turn, and the faults' new memories.
+    """Return a sensor's reading with all of its faults applied in order, and the faults' new memories.
 
     Args:
         fleet, name: fleet and name of the sensor.
@@ -265,7 +265,7 @@ def faulted(
 
 
 def scene_of(fleet: Fleet, state: FleetState, sky: SkyState, view: Surroundings | None = None) -> dict[str, object]:
-    """Return all true inputs, by name, that a sensor may declare in ``reads``."""
+    """Return all true quantities by name, those that a sensor may declare in ``reads``."""
     vehicle = fleet.vehicle.pose(state.vehicle)
     loads = any("load" in sensor.reads for sensor in fleet.sensors)
     return {
@@ -288,7 +288,7 @@ def scene_of(fleet: Fleet, state: FleetState, sky: SkyState, view: Surroundings 
 
 
 def with_airspeed(fleet: Fleet, state: FleetState, estimate: Estimate) -> Estimate:
-    """Return the estimate with an airspeed if the fleet's controller reads one, else without.
+    """Return the estimate with an airspeed if the fleet's controller uses one, else without.
 
     An airspeed in the estimate is kept; else it is the measured one, or the true one without a sensor.
     """
@@ -305,13 +305,13 @@ def with_airspeed(fleet: Fleet, state: FleetState, estimate: Estimate) -> Estima
 
 
 def airspeed_of(pose: Pose, air_ned: Vec3) -> Array:
-    """Return the airspeed (n,) [m/s] of a pose in air with velocity ``air_ned`` (n,) [m/s]."""
+    """Return the airspeed (n,) [m/s] of vehicles with a pose, in air that moves at ``air_ned`` (n,) [m/s]."""
     through = pose.velocity_body - rotation(pose.attitude).to_body(air_ned)
     return root(through.dot(through))
 
 
 def estimate_of(fleet: Fleet, state: FleetState) -> Estimate:
-    """Return the controller's estimate: by its own estimator, the truth, or GNSS, barometer and attitude."""
+    """Return the controller's input: its estimator's estimate, the truth, or GNSS, barometer and attitude readings."""
     if state.belief is not None and fleet.controller.feed != "truth":
         return state.belief.estimate
     truth = fleet.vehicle.pose(state.vehicle)
@@ -340,7 +340,7 @@ class Measured(TypedDict, total=False):
 
 
 def measured_quantities(readings: tuple[Record, ...]) -> Measured:
-    """Return the fields of all readings by name; for a field in several, the first sensor's.
+    """Return the fields of all readings by name; for a field in several readings, the first sensor's.
 
     Fields of other names than those of ``Measured`` are there too.
     """

@@ -31,14 +31,14 @@ LEVEL = 1e-4
 
 
 def on_ground(fleet: Fleet, state: FleetState) -> Array | None:
-    """Return (n,) bool: a vehicle is on the ground; None if touching the ground ends a flight."""
+    """Return (n,) bool: a vehicle is on the ground; None for a fleet whose flights end at ground contact."""
     if state.parked is not None:
         return state.parked
     return fleet.vehicle.on_ground(state.vehicle)
 
 
 def ground_argument(fleet: Fleet, standing: Array | None) -> dict[str, Array]:
-    """Return {"on_ground": (n,) bool} for a guidance that uses it, {} for other guidances."""
+    """Return {"on_ground": (n,) bool} for a guidance that uses this argument, {} for others."""
     if not fleet.guidance.sees_ground:
         return {}
     return {"on_ground": jnp.zeros(fleet.size, bool) if standing is None else standing}
@@ -67,7 +67,7 @@ def started(
 def settled(
     world: World, fleet: Fleet, before: FleetState, command: object, moved: VehicleState, low: Vec3 | None, force: Vec3
 ) -> tuple[VehicleState, Vec3 | None, Vec3, Array]:
-    """Return vehicles (n,) after a step with those held on the ground that are parked or touch down softly.
+    """Return vehicles (n,) after a step, held on the ground if they are parked or touch down softly.
 
     Args:
         world, fleet: parameters.
@@ -99,14 +99,14 @@ def settled(
 
 
 def _levelled(world: World, pose: Pose) -> Pose:
-    """Return poses (n,) one step closer to level, with the body rates of that rotation.
+    """Return poses (n,) rotated by one tick's part towards level, with the body rates of that rotation.
 
     The gyroscope must measure it; otherwise an estimator would keep the tilt at touch-down.
     """
     share, largest = 1.0 - math.exp(-world.time_step / LEVELLING_TIME), LEVELLING_RATE * world.time_step
 
     def step(angle: Array) -> Array:
-        """Return the change of an angle [rad] towards level in a tick."""
+        """Return the change of an angle [rad] in one tick of levelling."""
         return jnp.where(jnp.abs(angle) < LEVEL, -angle, jnp.clip(-share * angle, -largest, largest))
 
     roll, pitch = step(pose.attitude.roll), step(pose.attitude.pitch)
@@ -116,19 +116,19 @@ def _levelled(world: World, pose: Pose) -> Pose:
 
 
 def _stopping_force(world: World, before: Pose, attitude: Euler, gravity: Array) -> Vec3:
-    """Return the mean specific force (n,) [m/s^2] in body axes that brings vehicles to rest in one step."""
+    """Return the mean specific force (n,) [m/s^2] in body axes that brings a vehicle to rest within one step."""
     came = rotation(before.attitude).to_ned(before.velocity_body)
     stop = came.map(lambda axis: -axis / world.time_step)
     return rotation(attitude).to_body(replace(stop, z=stop.z - gravity))
 
 
 def lying_force(turned: Rotation) -> Vec3:
-    """Return the specific force (n,) [m/s^2] in body axes of vehicles at rest in an attitude."""
+    """Return the specific force (n,) [m/s^2] in body axes of vehicles at rest, by their attitude ``turned``."""
     return Vec3(turned.forward.z, turned.right.z, turned.down.z) * AT_REST
 
 
 def ground_checks(world: World, fleet: Fleet, state: FleetState) -> list[Check]:
-    """Return the stop conditions (n,) of a fleet at the ground: (code, value, broken).
+    """Return a fleet's stop conditions at the ground, each (reason code, value (n,), broken (n,)).
 
     A fleet over the plane z = 0 that is not parked has none, because there the area's floor ends its flights.
     """
@@ -148,7 +148,7 @@ def ground_checks(world: World, fleet: Fleet, state: FleetState) -> list[Check]:
 
 
 def over_the_floor(world: World, fleet: Fleet, position_ned: Vec3) -> Vec3:
-    """Return positions (n,) for the area's check, raised to z = 0 if ``ground_checks`` checks the ground.
+    """Return positions (n,) for the area's limits, z clipped to at most 0 if ``ground_checks`` checks the ground.
 
     So a floor at z = 0 never ends such a flight; a floor above that, z_max below 0, does.
     """
@@ -159,27 +159,27 @@ def over_the_floor(world: World, fleet: Fleet, position_ned: Vec3) -> Vec3:
 
 
 def _depth(world: World, pose: Pose, low: Vec3 | None) -> Array:
-    """Return the depth (n,) [m] of vehicles below the ground, negative above."""
+    """Return the depth (n,) [m] of vehicles below the ground, negative above it."""
     position = pose.position_ned
     depth = position.z - world.ground_down(position)
     return depth if low is None else depth + low.z
 
 
 def _touch(world: World, pose: Pose) -> tuple[Array, Array]:
-    """Return speed (n,) [m/s] and tilt from the ground's normal (n,) [rad] of vehicles that touch the ground."""
+    """Return speed (n,) [m/s], and tilt (n,) [rad] from the ground's normal, for judging a touch-down."""
     normal = world.ground.normal(pose.position_ned)
     return pose.velocity_body.norm(), jnp.arccos(jnp.clip(-normal.dot(rotation(pose.attitude).down), -1.0, 1.0))
 
 
 def _is_soft(speed: Array, tilt: Array) -> Array:
-    """Return whether a touch-down is soft enough to land, by speed [m/s] and tilt [rad]."""
+    """Return whether a touch-down at a speed [m/s] and tilt [rad] is soft enough to count as a landing."""
     return (speed < SOFT_SPEED) & (tilt < SOFT_TILT)
 
 
 def _at_rest_below(
     world: World, fleet: Fleet, pose: Pose, low: Vec3 | None, thrust: Array
 ) -> tuple[VehicleState, Vec3 | None]:
-    """Return the states of vehicles (n,) put on the ground below a pose, at rest.
+    """Return the states of vehicles (n,) at rest on the ground below a pose, and ``low`` with z set to 0.
 
     Returns:
         States with the attitude and rates of the pose, no velocity and a thrust (n,) [N]; and ``low`` with z 0.

@@ -36,7 +36,7 @@ def start_fleet(
     before: FleetState | None = None,
     low: Vec3 | None = None,
 ) -> FleetState:
-    """Return a fleet's state at its start, with stationary noise processes and first readings.
+    """Return a fleet's state at its start: vehicles, air, controllers, stationary noise and first sensor readings.
 
     Args:
         world, fleet: parameters.
@@ -115,7 +115,7 @@ def _sensed(
     tick: Array,
     before: FleetState | None,
 ) -> FleetState:
-    """Return a fleet at its start with the first readings of its sensors, after fittings and faults."""
+    """Return a fleet's start state with first sensor readings, faults applied, and its estimator's first estimate."""
     like, firsts = state.vehicle.position_ned.x, []
     for i, (name, sensor) in enumerate(zip(fleet.sensor_names, fleet.sensors, strict=True)):
         inputs = inputs_of(sensor, fleet.fitting(i), scene, None, world.time_step)
@@ -144,13 +144,13 @@ def _sensed(
 
 
 def vehicle_at(fleet: Fleet, start: Start) -> VehicleState:
-    """Return the states of vehicles (n,) at a start, yaw wrapped to [-pi, pi]."""
+    """Return the vehicle states (n,) at the start positions, yaw wrapped to [-pi, pi]."""
     state = fleet.vehicle.initial_state(start.position_ned, start.attitude, start.velocity_body, start.rates_body)
     return fleet.vehicle.with_wrapped_yaw(state)
 
 
 def launched(world: World, fleet: Fleet, vehicle: VehicleState) -> VehicleState:
-    """Return vehicles (n,) at their start; those that start in flight move with the mean wind."""
+    """Return vehicles (n,) at the start; for those that start in flight, the mean wind changes their velocity."""
     if not fleet.vehicle.launches:
         return vehicle
     position_ned = fleet.vehicle.pose(vehicle).position_ned

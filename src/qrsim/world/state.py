@@ -130,17 +130,17 @@ class Fleet:
 
     @property
     def size(self) -> int:
-        """Number of vehicles."""
+        """Number n of vehicles in the fleet."""
         return len(self.vehicle_names)
 
     @property
     def own_estimator(self) -> Estimator | None:
-        """The fleet's estimator, else its controller's; None without."""
+        """Estimator of the fleet, else that of its controller; None without either."""
         return self.controller.estimator() if self.estimator is None else self.estimator
 
     @property
     def stream_names(self) -> tuple[str, ...]:
-        """Names of the fleet's noise streams, in the order of its keys."""
+        """Names of the fleet's random streams, in the order of its stream keys."""
         delivery = (f"{name}{DELIVERY}" for name in self._jittered)
         estimator = (ESTIMATOR,) if self.first_normals else ()
         random = {fault.sensor for fault in self.all_faults if fault.random}
@@ -149,16 +149,16 @@ class Fleet:
 
     @property
     def all_faults(self) -> tuple[Fault | FaultSlot, ...]:
-        """Sensor faults of the scenario, then the slots for injected ones, in order of application."""
+        """All sensor faults in order of application: the scenario's, then slots for faults injected in flight."""
         return (*self.faults, *self.fault_slots)
 
     @property
     def all_battery_faults(self) -> tuple[BatteryFault, ...]:
-        """Battery faults of the scenario, then the slot for an injected one."""
+        """All battery faults: the scenario's, then the slot for a fault injected in flight."""
         return (*self.battery_faults, *(() if self.battery_slot is None else (self.battery_slot,)))
 
     def voltage(self, battery: object, load: Load, tick: Array) -> Array | None:
-        """Return the battery's voltage under load (n,) [V] at a tick, None for a battery without voltage."""
+        """Return the battery's voltage under load (n,) [V] at a tick, faults included; None for one without voltage."""
         voltage = self.battery.voltage(battery, load)
         for fault in self.all_battery_faults:
             voltage = fault.sagged(voltage, tick)
@@ -166,17 +166,17 @@ class Fleet:
 
     @property
     def first_normals(self) -> int:
-        """Number of standard normals that the estimator draws for each vehicle at a start."""
+        """Number of standard normals that the estimator draws for each vehicle at the start of an episode."""
         return 0 if self.own_estimator is None else self.own_estimator.first_normals
 
     @property
     def _jittered(self) -> tuple[str, ...]:
-        """Names of the sensors with a random latency."""
+        """Names of the fleet's sensors with random latency (jitter)."""
         pairs = zip(self.sensor_names, self.fittings, strict=False)
         return tuple(name for name, fitting in pairs if fitting is not None and fitting.jitter > 0.0)
 
     def fitting(self, number: int) -> Fitting | None:
-        """Return mounting and latency of sensor number ``number``; None: at the centre of mass, without latency."""
+        """Return mounting and latency of a sensor by its number; None: at the centre of mass, without latency."""
         return self.fittings[number] if self.fittings else None
 
 
@@ -224,7 +224,7 @@ class World(Tabled):
     __repr__ = Tabled.__repr__
 
     def _table(self) -> Table:
-        """Return the table of the world's components and their parameters that is shown."""
+        """Return the world's components and parameters as a table, for printing."""
         parts = [(f"world.{name}", getattr(self, name)) for name in _SHOWN if getattr(self, name) is not None]
         parts += [(f"world.updrafts.{i}", updraft) for i, updraft in enumerate(self.updrafts)]
         for fleet in self.fleets:
@@ -240,13 +240,13 @@ class World(Tabled):
 
     @property
     def radii(self) -> Array | None:
-        """Radius (n,) [m] of every vehicle; None if every fleet has the default."""
+        """Collision radius (n,) [m] of every vehicle; None if every fleet has the default."""
         if all(fleet.radius is None for fleet in self.fleets):
             return None
         return jnp.concatenate([jnp.broadcast_to(self.radius_of(fleet), (fleet.size,)) for fleet in self.fleets])
 
     def radius_of(self, fleet: Fleet) -> Array:
-        """Return the radius [m] of a fleet's vehicles."""
+        """Return the collision radius [m], () or (n,), of a fleet's vehicles."""
         return 0.5 * self.collision_distance if fleet.radius is None else jnp.asarray(fleet.radius)
 
     def ground_down(self, position_ned: Vec3) -> Array:
@@ -262,13 +262,13 @@ class World(Tabled):
         return self.ground.down(position_ned) - position_ned.z
 
     def rows_of(self, name: str) -> slice[int, int, None]:
-        """Return the slice of the fleet ``name`` in arrays (n,) of all vehicles."""
+        """Return the slice of fleet ``name`` in arrays (n,) that hold all vehicles of the world."""
         number = [fleet.name for fleet in self.fleets].index(name)
         first = sum(fleet.size for fleet in self.fleets[:number])
         return slice(first, first + self.fleets[number].size)
 
     def with_drawn(self, drawn: tuple[Array, ...]) -> World:
-        """Return the world with an episode's random numbers in the places of its ranges."""
+        """Return the world with an episode's random numbers ``drawn`` put in place of its ranges."""
         world = self
         for item, value in zip(self.ranges, drawn, strict=True):
             for path in item.paths:
@@ -277,7 +277,7 @@ class World(Tabled):
 
 
 def replaced(item: Any, path: tuple[str | int, ...], value: Array) -> Any:
-    """Return a tree with the leaf at ``path`` replaced by ``value``, broadcast to the leaf's shape and dtype."""
+    """Return a tree with the array at ``path`` (field names, indices) set to ``value``, shape and dtype kept."""
     if not path:
         return jnp.broadcast_to(value, jnp.shape(item)).astype(jnp.asarray(item).dtype)
     step, rest = path[0], path[1:]
@@ -296,7 +296,7 @@ class Belief:
 
     @staticmethod
     def of(estimator: Estimator, memory: object, estimate: Estimate) -> Belief:
-        """Return the estimator's memory, estimate and standard deviations as one record."""
+        """Return an estimator's state, its estimate and the reported standard deviations as one record."""
         return Belief(memory, estimate, estimator.std(memory))
 
 
@@ -370,7 +370,7 @@ class State:
 
 
 def position_of(fleet: FleetState) -> Vec3:
-    """Return the true position (n,) [m] of each vehicle in float64, rounding remainders added."""
+    """Return the true positions (n,) [m] NED of a fleet's vehicles in float64, remainders added."""
     position: Vec3 = joined(fleet.vehicle.position_ned, fleet.position_low_ned)
     return position
 
@@ -389,12 +389,12 @@ class WorldKeys:
 
 
 def period_ticks(period: float, time_step: float) -> int:
-    """Return a period in ticks; scenarios are checked so that it is whole."""
+    """Return a period [s] as a number of time steps, rounded, at least 1."""
     return max(1, round(period / time_step))
 
 
 def when_due(ticks: int, due: Array, fresh: Callable[[], S], held: S) -> S:
-    """Return ``fresh()`` if ``due`` is a multiple of ``ticks``, else ``held``."""
+    """Return ``fresh()`` at ticks ``due`` that are multiples of ``ticks``, else ``held``."""
     if ticks == 1:
         return fresh()
     return lax.cond(due % ticks == 0, fresh, lambda: held)

@@ -55,7 +55,7 @@ from qrsim.world.wakes import Wakes, wakes_of, wakes_on
 
 
 def reset(world: World, key: Key | WorldKeys) -> State:
-    """Return the state at tick 0: noise processes stationary, every sensor with a first reading.
+    """Return a world's state at tick 0: random processes in steady state, a first reading of every sensor.
 
     Args:
         world: its parameters.
@@ -101,7 +101,7 @@ def step(
     estimates: tuple[Estimate | None, ...] | None = None,
     before: Array | None = None,
 ) -> State:
-    """Return the state at tick + 1 from the state at tick.
+    """Return a world's state at tick + 1 from its state at tick, with an action for each fleet.
 
     Args:
         world, state: of one world; vmap over worlds from outside.
@@ -145,7 +145,7 @@ def step(
 
 
 def _step_sky(world: World, state: State, due: Array, after: Array) -> SkyState:
-    """Return the sky after a tick, stepped if it is due."""
+    """Return the GNSS satellites' state after a tick, stepped only when due."""
     draw = draw_sky(world, state.sky_keys, after, state.sky.range_error[0])
     seconds, fraction = split_time(after, world.time_step, draw.like.dtype)
     ticks = period_ticks(world.sky.period, world.time_step)
@@ -165,7 +165,7 @@ def _fly(
     action: Action,
     believed: Estimate | None,
 ) -> FleetState:
-    """Return a fleet after a tick of flight (wind, set-point, command, dynamics), limits not checked yet."""
+    """Return a fleet's state after one tick of flight: wind, set-point, command, dynamics; limits are not checked."""
     dt, model = world.time_step, fleet.vehicle
     pose = model.pose(state.vehicle)
     direction = rotation(pose.attitude)
@@ -199,10 +199,10 @@ def _fly(
         around = around_of(world, pose, gust_rates, None if blown is None else blown[1], faults, tick)
 
     def moved(command: object, clipped: Array) -> tuple[Any, ...]:
-        """Return the state after a tick of flight with a command, and its specific force."""
+        """Return vehicle state, position remainder, specific force and others after a tick with this command."""
 
         def step(vehicle: VehicleState) -> Moved:
-            """Return the vehicle one step later, its position beyond single precision [m], and the specific force."""
+            """Return the vehicle a step later, the remainder of its position [m] in float32, and the specific force."""
             to_body = lambda trig: trig.rotation().to_body(air)  # noqa: E731
             return move(model, vehicle, state.position_low_ned, command, to_body, drawn, dt, around)
 
@@ -241,7 +241,7 @@ def _fly(
 
 
 def _turned(fleet: Fleet, before: FleetState, after: VehicleState) -> Array | None:
-    """Return the whole turns (n,) of the yaw since the start, for the yaw limit; None if they are not counted."""
+    """Return the yaw's whole turns (n,) since the start, for the yaw limit; None if they are not counted."""
     if before.turns is None:
         return None
     old, new = (fleet.vehicle.pose(each).attitude.yaw for each in (before.vehicle, after))

@@ -68,7 +68,7 @@ class Wakes(NamedTuple):
 
 
 def wakes_of(world: World, before: tuple[FleetState, ...]) -> Wakes:
-    """Return the wakes of all vehicles, from their states at the end of the tick before.
+    """Return the rotor wakes of all vehicles, from their states at the end of the last tick.
 
     In a world of ``FEW`` vehicles or more, a wake that cannot reach another vehicle costs one search for the nearest
     neighbour. Each other wake is compared with all vehicles.
@@ -86,7 +86,7 @@ def wakes_of(world: World, before: tuple[FleetState, ...]) -> Wakes:
 
 
 def wakes_on(world: World, wakes: Wakes, fleet: Fleet, pose: Pose, turned: Rotation) -> tuple[Vec3, Vec3] | None:
-    """Return the wakes' air velocity (n,) [m/s] NED at a fleet, and their rotation (n,) [rad/s] in body axes.
+    """Return the air velocity (n,) [m/s] NED and rotation (n,) [rad/s], body axes, that wakes cause at a fleet.
 
     Args:
         world: with all fleets.
@@ -123,13 +123,13 @@ def wakes_on(world: World, wakes: Wakes, fleet: Fleet, pose: Pose, turned: Rotat
 
 
 def _by_pairs(found: list[tuple[Jets, bool]], fleet: Fleet, pose: Pose, turned: Rotation) -> tuple[Vec3, Vec3]:
-    """Return the velocity and rotation of ``wakes_on``, computed from all pairs of vehicles at once."""
+    """Return the same as ``wakes_on``, computed from all pairs of a wake and a vehicle at once."""
     points = fleet.vehicle.wake_points()
     none = Vec3.zeros(pose.position_ned.x.shape, pose.position_ned.x.dtype)
     near = [_reached(jets, pose.position_ned, _extent(points)) & _others(jets, fleet, same) for jets, same in found]
 
     def felt() -> tuple[Vec3, Vec3]:
-        """Return the air velocity and rotation by all jets, pair by pair."""
+        """Return the air velocity and rotation (n,) of all wakes together, from all pairs."""
         winds = [
             _sum([_sum_at(jets, place, inside, jet_speed) for (jets, _), inside in zip(found, near, strict=True)])
             for place in _points_ned(points, pose.position_ned, turned)
@@ -143,11 +143,11 @@ def _by_pairs(found: list[tuple[Jets, bool]], fleet: Fleet, pose: Pose, turned: 
 def _one_by_one(
     felt: tuple[Vec3, Vec3], jets: Jets, reaching: _Reaching, same: bool, fleet: Fleet, pose: Pose, turned: Rotation
 ) -> tuple[Vec3, Vec3]:
-    """Return velocity and rotation ``felt`` with the wakes in ``reaching`` added, wake by wake."""
+    """Return velocity and rotation ``felt`` with the wakes in ``reaching`` added, in a loop over these wakes."""
     points, others = fleet.vehicle.wake_points(), jnp.arange(fleet.size, dtype=jnp.int32)
 
     def one_more(carry: tuple[Array, Vec3, Vec3]) -> tuple[Array, Vec3, Vec3]:
-        """Return number, velocity and rotation with one more wake added."""
+        """Return the loop's state (index, velocity, rotation) with one more wake added."""
         turn, velocity, rates = carry
         whose = reaching.numbers.at[turn].get(mode="promise_in_bounds")
         jet = jax.tree.map(lambda leaf: leaf.at[whose].get(mode="promise_in_bounds")[None], jets)
@@ -155,7 +155,7 @@ def _one_by_one(
         near = near & (others != whose) if same else near
 
         def more() -> tuple[Vec3, Vec3]:
-            """Return velocity and rotation with the wake's part added."""
+            """Return velocity and rotation with this wake's part added."""
             blown = _wind_of_jet(jet, near, pose.position_ned, points, turned)
             return velocity + blown[0], rates + blown[1]
 
@@ -165,7 +165,7 @@ def _one_by_one(
 
 
 def _wind_of_jet(jet: Jets, near: Array, place: Vec3, points: tuple[Point, ...], turned: Rotation) -> tuple[Vec3, Vec3]:
-    """Return the mean velocity (k,) [m/s] NED and the rotation (k,) [rad/s] by one wake, 0 where not ``near``."""
+    """Return a wake's mean air velocity (n,) [m/s] NED and rotation (n,) [rad/s] at vehicles; 0 where not ``near``."""
     axis = jet.axis.map(lambda part: part[0, 0])
     speeds = [
         jnp.where(near, jet_speed(jet.wake, jet.thrust, *_cylindrical(jet, at))[0], 0.0)
@@ -179,7 +179,7 @@ def _wind_of_jet(jet: Jets, near: Array, place: Vec3, points: tuple[Point, ...],
 def _reaching(
     world: World, before: tuple[FleetState, ...], jets: tuple[Jets | None, ...], extent: Array
 ) -> tuple[_Reaching | None, ...]:
-    """Return, for each fleet, its vehicles with wakes that may reach another vehicle in flight; None without."""
+    """Return, for each fleet, the vehicles with a wake that may reach another flying vehicle; None without wakes."""
     flying = [state.violation.code == 0 for state in before]
     places = [fleet.vehicle.pose(state.vehicle).position_ned for fleet, state in zip(world.fleets, before, strict=True)]
     # NaN: infinitely far from all others.
@@ -202,7 +202,7 @@ def _reaching(
 
 
 def _radius(jets: Jets, lowest: Array, extent: Array) -> Array:
-    """Return the horizontal reach (m,) [m] of wakes above the height of the lowest vehicle; 0 without a wake.
+    """Return the horizontal reach (m,) [m] of m wakes down to the height ``lowest``; 0 without a wake.
 
     A wake lies inside a cone of half width b + k s at a distance s along its axis, and inside a cylinder of half width
     B. The axis is tilted by t. Down to a depth h below its vehicle, s is at most (h + b sin t)/(cos t - k sin t) in
@@ -225,7 +225,7 @@ def _radius(jets: Jets, lowest: Array, extent: Array) -> Array:
 
 
 def _indices_of(chosen: Array) -> _Reaching:
-    """Return the indices of True in a mask (m,), first ones first, and their number."""
+    """Return the indices of True in a mask (m,), in order and padded, and their number."""
     m = chosen.shape[0]
     rank, numbers = jnp.cumsum(chosen, dtype=jnp.int32), jnp.arange(m, dtype=jnp.int32)
     listed = jnp.zeros(m, jnp.int32).at[jnp.where(chosen, rank - 1, m)].set(numbers, mode="drop")
@@ -233,12 +233,12 @@ def _indices_of(chosen: Array) -> _Reaching:
 
 
 def _extent(points: tuple[Point, ...]) -> Array:
-    """Return the largest distance [m] of points from the origin of the body axes, () or (n,)."""
+    """Return the largest distance [m], () or (n,), of body points from the vehicle's origin."""
     return functools.reduce(jnp.maximum, [jnp.sqrt(jnp.asarray(x * x + y * y + z * z)) for x, y, z in points])
 
 
 def _points_ned(points: tuple[Point, ...], middle: Vec3, turned: Rotation) -> list[Vec3]:
-    """Return the positions NED (n,) [m] of points that are given in body axes."""
+    """Return body points [m] as positions NED (n,) [m] of vehicles at ``middle`` with rotation ``turned``."""
     return [middle + turned.to_ned(_vector(point, middle.x)) for point in points]
 
 
@@ -248,13 +248,13 @@ def _sum(vectors: list[Vec3]) -> Vec3:
 
 
 def _jets_of(world: World, fleet: Fleet, state: FleetState) -> Jets | None:
-    """Return the wakes (jets) of a fleet's vehicles; None for vehicles without."""
+    """Return the rotor wakes of a fleet's m vehicles; None for a vehicle model without wake."""
     wake = fleet.vehicle.wake()
     if wake is None:
         return None
 
     def upper(values: Array) -> Array:
-        """Return values of the fleet as a column (m, 1)."""
+        """Return values of the fleet's vehicles as a column (m, 1), to pair wakes with vehicles (n,)."""
         return jnp.broadcast_to(values, (fleet.size,))[:, None]
 
     pose = fleet.vehicle.pose(state.vehicle)
@@ -277,32 +277,32 @@ def _others(jets: Jets, fleet: Fleet, same: bool) -> Array:
 
 
 def _cylindrical(jets: Jets, position_ned: Vec3) -> tuple[Array, Array]:
-    """Return distances (m, n) [m] of positions (n,) along the wakes' axes, and squared distances [m^2] from them."""
+    """Return distances (m, n) [m] of positions (n,) along each wake's axis, and squared distances [m^2] from it."""
     offset = position_ned.map(lambda axis: axis[None, :]) - jets.position_ned
     along = offset.dot(jets.axis)
     return along, jnp.maximum(offset.dot(offset) - along * along, 0.0)
 
 
 def _reached(jets: Jets, position_ned: Vec3, extent: Array) -> Array:
-    """Return (m, n) bool: the wake reaches the vehicle, with wake points up to ``extent`` [m] from it."""
+    """Return (m, n) bool: the wake reaches the vehicle, with points up to ``extent`` [m] from its centre."""
     along, beside_squared = _cylindrical(jets, position_ned)
     reach = edge(jets.wake, jets.thrust, along) + extent
     return (along > -extent) & (reach > 0.0) & (beside_squared < reach * reach)
 
 
 def _sum_at(jets: Jets, position_ned: Vec3, counts: Array, law: _Law) -> Vec3:
-    """Return the velocity NED (n,) [m/s] of all wakes at positions (n,), summed over the pairs in ``counts`` (m, n)."""
+    """Return the air velocity (n,) [m/s] NED at positions, summed over the pairs (m, n) in the mask ``counts``."""
     speed = law(jets.wake, jets.thrust, *_cylindrical(jets, position_ned))
     return jets.axis.map(lambda axis: jnp.sum(jnp.where(counts, axis * speed, 0.0), axis=0))
 
 
 def _vector(point: Point, like: Array) -> Vec3:
-    """Return a point as a vector of arrays, shaped as ``like``."""
+    """Return a body point (x, y, z) as a vector of arrays, shaped as ``like``."""
     return Vec3(*(jnp.broadcast_to(jnp.asarray(part, like.dtype), like.shape) for part in point))
 
 
 def _rotation_of(points: tuple[Point, ...], downward: list[Array]) -> Vec3:
-    """Return the rotation (n,) [rad/s] in body axes that best fits downward velocities (n,) [m/s] at points.
+    """Return roll and pitch rates of the air (n,) [rad/s] that best fit downward velocities [m/s] at body points.
 
     Only roll and pitch are fitted; the points must be placed evenly about the body axes.
     """
@@ -312,7 +312,7 @@ def _rotation_of(points: tuple[Point, ...], downward: list[Array]) -> Vec3:
 
 
 def _slope(levers: list[Array | float], values: list[Array]) -> Array:
-    """Return the least-squares slope (n,) of values over levers, 0 if all levers are 0."""
+    """Return the least-squares slope (n,) of values over lever arms, 0 if all arms are 0."""
     square = sum(lever * lever for lever in levers)
     if isinstance(square, float | int) and square <= 0.0:
         return values[0] * 0.0

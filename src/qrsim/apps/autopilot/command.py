@@ -72,7 +72,8 @@ class Betaflight:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check the options, start and arm the firmware, fly, and print a summary."""
+        """Run ``qrsim autopilot betaflight``: check the options, start and arm the firmware, fly, and print a
+        summary."""
         check_rate(self.rate)
         check(self)
         from qrsim.links.autopilot.firmware import binary, configured
@@ -89,7 +90,7 @@ class Betaflight:
         lost = say if self.fly_on else None
 
         def flown_by(simulation: Simulation) -> Flight:
-            """Return Betaflight's flight of a started simulation."""
+            """Return the flight of a simulation by Betaflight."""
             return Flight(simulation, fleets, program, eeprom, lost=lost)
 
         with recorded(self, folder, scenario, injections, flown_by) as (_, pace):
@@ -146,7 +147,7 @@ class Ardupilot:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check the options, open the ports, fly, and print a summary."""
+        """Run ``qrsim autopilot ardupilot``: check the options, open the ports, fly, and print a summary."""
         check_rate(self.rate)
         check(self)
         if not 1024 <= self.port <= LAST_PORT:
@@ -162,7 +163,7 @@ class Ardupilot:
         folder = fresh_folder(self.out, "ardupilot", scenario.name, self.seed)
 
         def flown_by(simulation: Simulation) -> JsonFlight:
-            """Return ArduPilot's flight of a started simulation, and print the UDP port of each vehicle."""
+            """Return the flight of a simulation by ArduPilot, and print the UDP port of each vehicle."""
             flight = JsonFlight(simulation, fleets, self.port, self.wait, say, say if self.fly_on else None)
             for link in flight.links:
                 say(f"{link.name} waits for ArduPilot on UDP {link.port}")

@@ -91,7 +91,8 @@ class Px4:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check the options, open the ports, start PX4 if asked, fly, and print a summary."""
+        """Run ``qrsim autopilot px4``: check the options, open the ports, start PX4 if asked, fly, and print a
+        summary."""
         self._check()
         from qrsim.links.autopilot.px4_flight import Px4Flight, prepared
         from qrsim.links.autopilot.px4_link import EVERYWHERE, FIRST_PORT, LOOPBACK
@@ -114,7 +115,7 @@ class Px4:
         logs = folder.with_name(f"{folder.name}-px4")
 
         def flown_by(simulation: Simulation) -> Px4Flight:
-            """Return PX4's flight of a started simulation, and print the TCP port of each vehicle."""
+            """Return the flight of a simulation by PX4, and print the TCP port of each vehicle."""
             flight = Px4Flight(
                 simulation,
                 fleets,
@@ -171,7 +172,8 @@ class Px4:
     def _print_environment(
         self, scenario: Scenario, fleets: tuple[str, ...], port: int, own: dict[str, int | float], build: str
     ) -> None:
-        """Print for each vehicle the shell commands that start its PX4: exports and the program."""
+        """Print, for each vehicle, the shell commands that start its PX4; ``own``: the user's parameters, ``build``:
+        PX4's folder."""
         from qrsim.links.autopilot.px4_flight import listed
         from qrsim.links.autopilot.px4_parameters import environment
         from qrsim.simulation.simulation import Simulation

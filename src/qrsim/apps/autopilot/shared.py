@@ -53,14 +53,14 @@ class Injecting:
     is needed to view and control the page; nothing is encrypted."""
 
     def check(self) -> None:
-        """Raise a UsageError for options that do not fit together."""
+        """Raise UsageError for options about injections that do not fit together."""
         if self.injectable and not self.view:
             raise UsageError("--injectable: faults are injected on the page; add --view, or inject a file (--inject)")
         if self.view:
             require("view", "--view")
 
     def applied(self, scenario: Scenario) -> tuple[Scenario, tuple[Injection, ...]]:
-        """Return a scenario that allows the injections of a file, and the requests to make in flight.
+        """Return the scenario with the parts of an injection file declared injectable, and the file's requests.
 
         Raises:
             UsageError: a part that no fleet has, or a file that cannot be read or injected.
@@ -78,7 +78,7 @@ def say(line: str) -> None:
 
 
 def check(options: Options) -> None:
-    """Raise UsageError for options out of range that all autopilots share."""
+    """Raise UsageError for an option out of range, of those that all autopilots have."""
     check_seed(options.seed)
     if options.every < 1:
         raise UsageError(f"--every {options.every}: expected an integer from 1")
@@ -90,7 +90,7 @@ def check(options: Options) -> None:
 
 
 def check_rate(rate: float) -> None:
-    """Raise a UsageError for a rate [Hz] out of range."""
+    """Raise UsageError for a rate [Hz] out of range."""
     if not (math.isfinite(rate) and SLOWEST_HZ <= rate <= FASTEST_HZ):
         raise UsageError(f"--rate {rate:g}: expected {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz")
 
@@ -103,7 +103,8 @@ def recorded(
     injections: tuple[Injection, ...],
     flown_by: Callable[[Simulation], Flown],
 ) -> Iterator[tuple[Flown, Pace]]:
-    """Fly a scenario and record it; yield the closed flight and its pace, then keep the 3-D page open.
+    """Fly and record a scenario by the flight that ``flown_by`` makes; yield the closed flight and its pace, then keep
+    the 3-D page open.
 
     Args:
         options: of the command.
@@ -117,7 +118,7 @@ def recorded(
     flights: list[Flown] = []
 
     def opened(simulation: Simulation) -> Flown:
-        """Return the flight of a simulation, and keep it to be closed after the run."""
+        """Return the flight of a simulation, and note that it has to be closed after the run."""
         flights.append(flown_by(simulation))
         return flights[0]
 
@@ -147,7 +148,7 @@ def recorded(
 
 
 def report(options: Options, who: str, folder: Path, fleets: tuple[str, ...], pace: Pace) -> None:
-    """Print the summary of a flight."""
+    """Print the summary of a flight by an autopilot (``who``), as text or JSON."""
     from qrsim.runs import open_run
     from qrsim.runs.separation import smallest_separation
     from qrsim.runs.summary import summarise
@@ -184,7 +185,8 @@ def report(options: Options, who: str, folder: Path, fleets: tuple[str, ...], pa
 
 
 def fresh_folder(out: Path | None, who: str, name: str, seed: int) -> Path:
-    """Return the run folder to write; raises UsageError if it exists."""
+    """Return the run folder to write: ``out``, or a new one named after autopilot (``who``), scenario and seed; raises
+    UsageError if it exists."""
     from datetime import datetime
 
     folder = out or Path("runs") / f"{who}-{name}-seed{seed}-{datetime.now().strftime('%Y%m%d-%H%M%S')}"

@@ -63,7 +63,7 @@ class Check:
     """Print the result as JSON."""
 
     def run(self) -> int:
-        """Check the scenario, fly it with several seeds, and print the outcomes."""
+        """Run ``qrsim check``: fly the scenario with several seeds and print the outcomes; return the exit code."""
         from qrsim.apps.check.outcomes import outcomes
 
         if self.seeds < 1:
@@ -84,7 +84,7 @@ class Check:
         return 1 if found[-1].runs else 0
 
     def _use_cores(self) -> None:
-        """Set the number of cores that JAX uses, all by default; raises UsageError below 1."""
+        """Limit the number of processor cores that JAX uses to --cores, by default all; raises UsageError below 1."""
         from contextlib import suppress
 
         from qrsim.engine.settings import available_cores, configure
@@ -99,13 +99,13 @@ class Check:
             configure(cpu_devices=available_cores())
 
     def _scenario(self) -> Scenario:
-        """Load the scenario with --set and --duration."""
+        """Load the scenario, with the changes of --set and --duration."""
         from qrsim.scenarios.scenario import load_scenario
 
         return load_scenario(self.scenario, with_duration(self.set, self.duration))
 
     def _policy(self, scenario: Scenario) -> tuple[object, int]:
-        """Return the policy, None without one, and its period in ticks."""
+        """Return the policy of --policy (None without one) and the number of ticks between its calls."""
         from qrsim.envs.learned import rollout_policy
         from qrsim.interface.policies import load_function
         from qrsim.tasks.learned import is_policy_file
@@ -150,7 +150,7 @@ class Check:
     def _report(
         self, scenario: Scenario, flown: Rollout, found: list[Outcome], wall_s: float, picture: Path | None
     ) -> None:
-        """Print outcomes, margins and consistency of all runs as text or JSON."""
+        """Print outcomes, margins and estimator consistency of all runs, as text or JSON."""
         from qrsim.apps.check.consistency import consistency, print_consistency
         from qrsim.apps.check.outcomes import UNFINISHED, margins
 
@@ -201,7 +201,8 @@ class Check:
 
 
 def _draw(scenario: Scenario, flown: Rollout, found: list[Outcome], path: Path) -> RunError | None:
-    """Draw the picture; return the error, if any, so that a failure does not lose the numbers of a check."""
+    """Draw the picture of a check; return an error (None: it is drawn) instead of raising it, so that the numbers are
+    printed all the same."""
     from qrsim.apps.check.picture import save_picture
 
     try:
@@ -212,7 +213,7 @@ def _draw(scenario: Scenario, flown: Rollout, found: list[Outcome], path: Path) 
 
 
 def _print_outcomes(found: list[Outcome], runs: int) -> None:
-    """Print a table of outcomes: number of runs, interval, seeds and worst place."""
+    """Print a table with a row for each outcome: number of runs, interval, seeds and worst place."""
     width = max(len(outcome.name) for outcome in found)
     print(f"  {'in a run, any vehicle ...':<{width + 6}} {'runs':>5} {'fraction':>9}   95 % interval")
     for outcome in found:
@@ -226,14 +227,14 @@ def _print_outcomes(found: list[Outcome], runs: int) -> None:
 
 
 def _where(moment: Moment) -> str:
-    """Return seed, vehicle, time and place of a moment as text."""
+    """Return the seed, vehicle, time and place of an outcome or margin as text."""
     north, east, down = moment.position_ned
     place = f"north {north:.1f}, east {east:.1f}, height {-down:.1f} m"
     return f"seed {moment.seed}, {moment.vehicle}, {moment.time_s:.2f} s, {place}"
 
 
 def _check_picture(path: Path) -> None:
-    """Raise UsageError for a picture that cannot be written, before anything is flown."""
+    """Raise UsageError, before anything is flown, for a picture's path that cannot be written."""
     from qrsim.errors import did_you_mean
 
     formats = ("png", "pdf", "svg")
@@ -246,7 +247,8 @@ def _check_picture(path: Path) -> None:
 
 @contextmanager
 def _progress(scenario: Scenario, runs: int) -> Iterator[Callable[[int], None]]:
-    """Show a bar with the real-time factor while the context lasts, on a terminal only."""
+    """Show a progress bar with the real-time factor in the context, on a terminal only; yield a function that adds
+    ticks to it."""
     import time
 
     begun, ticks = time.perf_counter(), 0
@@ -254,7 +256,7 @@ def _progress(scenario: Scenario, runs: int) -> Iterator[Callable[[int], None]]:
     with progress_bar(scenario.name, scenario.ticks * runs, *texts, factor="compiling") as update:
 
         def show(done: int) -> None:
-            """Add ticks to the bar and update the real-time factor."""
+            """Add ticks to the progress bar and update the real-time factor."""
             nonlocal ticks
             ticks += done
             factor = ticks * scenario.spec.time_step / max(time.perf_counter() - begun, 1e-9)

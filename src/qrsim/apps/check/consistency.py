@@ -47,7 +47,8 @@ class Row:
 
     @property
     def verdict(self) -> str:
-        """The verdict on the estimator, empty without an interval."""
+        """Verdict on the errors against the reported covariance: too large, too small or consistent; "" without an
+        interval."""
         if self.low > 1.0:
             return "errors exceed the reported ones"
         if self.high < 1.0:
@@ -55,12 +56,12 @@ class Row:
         return "consistent" if self.low <= 1.0 <= self.high else ""
 
     def to_json(self) -> dict[str, object]:
-        """Return the fields by name, with NaN as None."""
+        """Return the fields by name, for JSON, with None in place of NaN."""
         return {name: None if value != value else value for name, value in asdict(self).items()}
 
 
 def consistency(flown: Rollout) -> list[Row]:
-    """Return a row for each block of errors with a reported covariance; [] if no estimator reports one."""
+    """Return consistency statistics, a row for each group of errors with a reported covariance; [] without any."""
     found = []
     for name, metric in ROWS.items():
         values = np.asarray(flown[metric], np.float64)
@@ -73,7 +74,7 @@ def consistency(flown: Rollout) -> list[Row]:
 
 
 def _row(name: str, runs: NumpyArray) -> Row:
-    """Return mean and confidence interval of a number given for each run; NaN bounds for a single run."""
+    """Return the mean and confidence interval of a statistic with one value per run; NaN bounds for a single run."""
     from scipy import stats
 
     mean, count = float(runs.mean()), len(runs)
@@ -84,7 +85,7 @@ def _row(name: str, runs: NumpyArray) -> Row:
 
 
 def print_consistency(rows: list[Row]) -> None:
-    """Print a table, nothing without rows."""
+    """Print the table of consistency; nothing without rows."""
     if not rows:
         return
     print("\nsquared errors of the estimate divided by its reported covariance (ANEES; 1 if consistent)")

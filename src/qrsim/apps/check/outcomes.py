@@ -87,12 +87,13 @@ class Outcome:
     worst: Moment | None
 
     def to_json(self) -> dict[str, object]:
-        """Return the fields by name."""
+        """Return the fields by name, for JSON."""
         return asdict(self)
 
 
 def outcomes(flown: Rollout) -> list[Outcome]:
-    """Return the number of runs with each kind of failure; the last entry counts runs with any."""
+    """Count the runs with each kind of failure (crash, area left, and so on); the last entry counts runs with any of
+    them."""
     kinds = np.array([kind for kind, _ in REASONS])[flown["reason"]]
     stopped, places = flown["stopped_at_s"], flown["position_ned"]
     times = {name: np.where(kinds == kind, stopped, np.nan) for name, kind in KINDS.items()}
@@ -121,7 +122,8 @@ def outcomes(flown: Rollout) -> list[Outcome]:
 
 
 def _outcome(flown: Rollout, name: str, times: NumpyArray, places: NumpyArray) -> Outcome:
-    """Return an outcome from its times (W, n) [s], NaN if it did not happen, and places (W, n, 3) NED [m]."""
+    """Return an outcome from the times (W, n) [s] at which it happened, NaN where not, and the places (W, n, 3) NED
+    [m]."""
     from scipy.stats import binomtest
 
     earliest = np.nanmin(np.where(np.isnan(times), np.inf, times), axis=1)
@@ -140,7 +142,8 @@ def _outcome(flown: Rollout, name: str, times: NumpyArray, places: NumpyArray) -
 def _moment(
     flown: Rollout, world: int, vehicle: int, times: NumpyArray, places: NumpyArray, value: float | None = None
 ) -> Moment:
-    """Return time, place and seed of an outcome of a vehicle in one world of the rollout."""
+    """Return the time, place and seed at which an outcome happened to a vehicle of world number ``world``; ``value``:
+    of a margin."""
     north, east, down = (float(x) for x in places[world, vehicle])
     return Moment(
         int(flown.seeds[world]), flown.vehicles[vehicle], float(times[world, vehicle]), (north, east, down), value
@@ -148,7 +151,7 @@ def _moment(
 
 
 def margins(flown: Rollout) -> dict[str, tuple[Moment, str]]:
-    """Return the worst moment of each of MARGINS over all runs, with its unit; margins never seen are omitted."""
+    """Return name -> (worst moment over all runs, unit) for each of MARGINS, except those that never occurred."""
     found = {}
     for name, (metric, smallest, unit) in MARGINS.items():
         key = metric if unit == "1" else f"{metric}_{unit.replace('/', '_')}"

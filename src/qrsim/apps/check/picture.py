@@ -41,7 +41,7 @@ COLOURS = dict(
 
 
 def save_picture(scenario: Scenario, flown: Rollout, found: list[Outcome], path: Path) -> None:
-    """Draw and write the picture; its format is that of the file's name.
+    """Draw the picture of a check and save it to ``path``, in the format of its ending.
 
     Raises:
         RunError: it cannot be written.
@@ -50,7 +50,7 @@ def save_picture(scenario: Scenario, flown: Rollout, found: list[Outcome], path:
 
 
 def _drawn(scenario: Scenario, flown: Rollout, found: list[Outcome]) -> Figure:
-    """Return the figure: a map of failures and bars of their numbers."""
+    """Return the figure of a check: a map of failures and bars of their numbers."""
     figure = new_figure(12, 5.5)
     axes = figure.subplots(1, 2, width_ratios=(3, 2))
     _plan(axes[0], scenario, flown)
@@ -60,7 +60,7 @@ def _drawn(scenario: Scenario, flown: Rollout, found: list[Outcome]) -> Figure:
 
 
 def _plan(axes: Axes, scenario: Scenario, flown: Rollout) -> None:
-    """Draw the area, the routes and the places where runs went wrong, seen from above [m]."""
+    """Draw the area, the routes and the places of failures on ``axes``, seen from above [m]."""
     area = scenario.spec.world.area
     if area.type == "zones":
         for zone in zones_of(area):
@@ -91,14 +91,14 @@ def _plan(axes: Axes, scenario: Scenario, flown: Rollout) -> None:
 
 
 def outline(area: Any) -> list[list[float]]:
-    """Return the corners (north, east) [m] of a scenario's area."""
+    """Return the corners (north, east) [m] of a scenario's flight area."""
     if "corners_ned" in vars(area):
         return [list(corner) for corner in area.corners_ned]
     return [[area.x_min, area.y_min], [area.x_max, area.y_min], [area.x_max, area.y_max], [area.x_min, area.y_max]]
 
 
 def _bars(axes: Axes, found: list[Outcome]) -> None:
-    """Draw the percentage of runs with each outcome and its 95 % interval."""
+    """Draw the percentage of runs with each outcome, and its 95 % interval, as bars on ``axes``."""
     names = [outcome.name for outcome in found]
     rows = np.arange(len(found))[::-1]
     fractions = np.array([100 * outcome.fraction for outcome in found])

@@ -59,7 +59,7 @@ class OpenLoop:
     """Replace the output file if it exists."""
 
     def run(self) -> None:
-        """Check everything, then simulate, then write."""
+        """Run ``qrsim openloop``: check everything, simulate the vehicle alone, and write its states."""
         from qrsim.apps.openloop.command_file import read_commands
         from qrsim.apps.openloop.state_file import STANDARD_OUTPUT, check_output, write_states
 
@@ -79,7 +79,7 @@ class OpenLoop:
             print(f"{self.output}: {len(states)} steps, {len(states) * self.time_step:g} s")
 
     def _simulate(self, table: CommandTable, wind: list[float], initial: list[float] | None) -> NumpyArray:
-        """Return the (T, 16) states and specific forces."""
+        """Return the states and specific forces (T, 16) that a table of commands gives in a constant wind [m/s]."""
         import numpy as np
 
         from qrsim.apps.openloop.units import si_within_limits
@@ -109,7 +109,7 @@ class OpenLoop:
 
 
 def known_vehicles() -> dict[str, type[Quadrotor]]:
-    """Return name -> class of the vehicle models with the identified quadrotor's states and commands."""
+    """Return name -> class of the vehicle models that have the identified quadrotor's states and commands."""
     from qrsim.models.vehicles.quadrotor import Quadrotor
     from qrsim.scenarios.catalogue import VEHICLES
 
@@ -117,7 +117,7 @@ def known_vehicles() -> dict[str, type[Quadrotor]]:
 
 
 def _vehicle(name: str) -> Quadrotor:
-    """Return a known vehicle by its name; raise UsageError for other names."""
+    """Return the vehicle model of --vehicle; raises UsageError for an unknown name."""
     vehicles = known_vehicles()
     if name not in vehicles:
         raise UsageError(f"--vehicle {name}: no such vehicle{did_you_mean(name, vehicles)}")
@@ -125,7 +125,8 @@ def _vehicle(name: str) -> Quadrotor:
 
 
 def _initial_state(vehicle: Quadrotor, initial: list[float] | None) -> NumpyArray:
-    """Return the initial state (13,); missing values are 0, and the thrust is the weight."""
+    """Return the initial state (13,) from the values of --initial; missing ones are 0, and the thrust equals the
+    weight."""
     from qrsim.simulation.openloop import hover_state
 
     state = hover_state(vehicle)
@@ -135,7 +136,8 @@ def _initial_state(vehicle: Quadrotor, initial: list[float] | None) -> NumpyArra
 
 
 def _numbers(option: str, text: str, counts: tuple[int, ...], expected: str) -> list[float]:
-    """Parse comma-separated finite numbers; raises UsageError for another number of them than in ``counts``."""
+    """Parse an option's comma-separated numbers; raises UsageError unless their count is in ``counts`` (``expected``:
+    in words)."""
     fields = text.split(",")
     numbers = []
     for place, field in enumerate(fields, start=1):
@@ -152,5 +154,5 @@ def _numbers(option: str, text: str, counts: tuple[int, ...], expected: str) -> 
 
 
 def _note(text: str) -> None:
-    """Print a note on standard error."""
+    """Print a note for the user on standard error."""
     print(f"note: {text}", file=sys.stderr)

@@ -58,7 +58,7 @@ class _Header:
 
 
 def read_commands(path: Path, units: Units) -> CommandTable:
-    """Read the commands of a CSV file with a header; columns are found by name, others are ignored.
+    """Read times and commands from a CSV file with a header; columns are found by name, and others are ignored.
 
     Raises:
         UsageError: no such file, not CSV, a missing column, a field that is not a finite number; names the line.
@@ -76,7 +76,7 @@ def read_commands(path: Path, units: Units) -> CommandTable:
 
 
 def _read_bytes(path: Path) -> bytes:
-    """Return a file's content without a byte-order mark; raises UsageError if it is empty or unreadable."""
+    """Return a file's bytes without a byte-order mark; raises UsageError if it is empty or unreadable."""
     try:
         content = read_bytes(path)
     except FileNotFoundError as error:
@@ -90,13 +90,14 @@ def _read_bytes(path: Path) -> bytes:
 
 
 def _nearest_file(path: Path) -> str:
-    """Return a hint at a CSV file in the folder with a similar name; "" without one."""
+    """Return a hint at a CSV file with a similar name in the same folder; "" without one."""
     hint = did_you_mean(path.name, sorted(found.name for found in path.parent.glob("*.csv")))
     return hint if hint.startswith("; did you mean") else ""
 
 
 def _read_header(path: Path, content: bytes, units: Units) -> _Header:
-    """Return names, positions and delimiter of the columns in line 1; raise UsageError if one is missing."""
+    """Return the names, positions and delimiter of the columns in the header line; raises UsageError if one is
+    missing."""
     first_line = _decode(path, content.partition(b"\n")[0].rstrip(b"\r"))
     try:
         rows = CsvRows([first_line])
@@ -120,7 +121,7 @@ def _read_header(path: Path, content: bytes, units: Units) -> _Header:
 
 
 def _missing_column_hint(column: str, names: list[str], units: Units) -> str:
-    """Return a hint: wrong delimiter, a column in other units, or the nearest name."""
+    """Return a hint on a missing column: wrong delimiter, a column in other units, or the nearest name."""
     if len(names) == 1 and re.search(r"[| ]", names[0]):
         return f"; the fields must be separated by commas, semicolons or tabs, found {_shown(names[0])}"
     if units == "raw" and column in ALIASES["si"].values() and set(names) & set(ALIASES["si"]):
@@ -129,7 +130,7 @@ def _missing_column_hint(column: str, names: list[str], units: Units) -> str:
 
 
 def _read_fast(content: bytes, header: _Header) -> NumpyArray | None:
-    """Return the values (T, 5) of a regular file; None if anything is irregular."""
+    """Return the values (T, 5) of a regular CSV file, read fast; None if anything in it is irregular."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
@@ -153,7 +154,7 @@ def _read_fast(content: bytes, header: _Header) -> NumpyArray | None:
 
 
 def _read_slow(path: Path, content: bytes, header: _Header) -> tuple[NumpyArray, NumpyArray]:
-    """Return values (T, 5) and line numbers (T,); raises UsageError for the first fault."""
+    """Return the values (T, 5) and line numbers (T,), read row by row; raises UsageError at the first error."""
     reader = CsvRows(io.StringIO(_decode(path, content), newline=""))
     # Flat arrays: a million small lists would keep the garbage collector busy.
     numbers, lines = array("d"), array("q")
@@ -172,7 +173,7 @@ def _read_slow(path: Path, content: bytes, header: _Header) -> tuple[NumpyArray,
 
 
 def _numbers(path: Path, line: int, fields: list[str], header: _Header) -> list[float]:
-    """Return the five numbers of one row."""
+    """Return the five numbers of one row; raises UsageError, naming the line, for others."""
     if not fields:
         _fail(path, line, "the line is empty")
     if len(fields) != len(header.names):
@@ -190,7 +191,7 @@ def _numbers(path: Path, line: int, fields: list[str], header: _Header) -> list[
 
 
 def _number_problem(text: str) -> str:
-    """Return the reason, for a message, that a field is not a finite number."""
+    """Return why a field is not a finite number, for a message."""
     if not text:
         return "the field is empty"
     if _NUMBER.fullmatch(text):
@@ -200,7 +201,7 @@ def _number_problem(text: str) -> str:
 
 
 def _decode(path: Path, content: bytes) -> str:
-    """Return UTF-8 bytes as text; raise UsageError with the line of a byte that is not UTF-8."""
+    """Decode a file's bytes as UTF-8; raises UsageError with the line of the first invalid byte."""
     try:
         return content.decode()
     except UnicodeDecodeError as error:
@@ -209,10 +210,10 @@ def _decode(path: Path, content: bytes) -> str:
 
 
 def _shown(text: str) -> str:
-    """Return a text in quotes, cut to 40 characters."""
+    """Return a text in quotes, cut to 40 characters, for a message."""
     return repr(text if len(text) <= 40 else text[:37] + "...")
 
 
 def _fail(path: Path, line: int, problem: str) -> NoReturn:
-    """Raise UsageError with file and line in front of a problem."""
+    """Raise UsageError about a file: its path, line and the problem."""
     raise UsageError(f"{path}: line {line}: {problem}")

@@ -19,7 +19,7 @@ _ROWS_PER_WRITE = 4096
 
 
 def check_output(output: str, overwrite: bool, source: Path) -> None:
-    """Raise UsageError for an output that cannot be written, before any work is done.
+    """Raise UsageError, before any work is done, for an output path that cannot be written; ``source``: the file read.
 
     Raises:
         UsageError: the folder is missing, the file exists and ``overwrite`` is off, or it is ``source`` itself.
@@ -40,7 +40,7 @@ def check_output(output: str, overwrite: bool, source: Path) -> None:
 
 
 def write_states(states: NumpyArray, output: str) -> None:
-    """Write states (T, 16) as CSV with 17 significant digits, to a file or standard output.
+    """Write states (T, 16) as CSV with 17 significant digits, to a file or, for "-", to standard output.
 
     Raises:
         RunError: the file cannot be written.
@@ -61,7 +61,7 @@ def write_states(states: NumpyArray, output: str) -> None:
 
 
 def _write_and_rename(path: Path, states: NumpyArray) -> None:
-    """Write states to a temporary file and move it into place when it is complete."""
+    """Write states to a temporary file, and rename it to ``path`` once it is complete."""
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         with partial.open("w", newline="") as stream:
@@ -72,7 +72,7 @@ def _write_and_rename(path: Path, states: NumpyArray) -> None:
 
 
 def _write_rows(stream: IO[str], states: NumpyArray) -> None:
-    """Write header and states (steps, columns) as CSV, one row for each step from 1."""
+    """Write a header and states (T, columns) as CSV, a row for each step, numbered from 1."""
     stream.write(HEADER + "\n")
     for first in range(0, len(states), _ROWS_PER_WRITE):
         block = states[first : first + _ROWS_PER_WRITE].astype(np.float64)

@@ -15,7 +15,7 @@ _LIMITS = np.array([COMMAND_LIMITS[name] for name in COMMAND_FIELDS])
 
 
 def to_si(values: NumpyArray, units: Units) -> NumpyArray:
-    """Convert commands (T, 5) to SI without applying limits."""
+    """Convert commands (T, 5) from ``units`` to SI, without clipping."""
     if units == "si":
         return values
     command = raw_to_command(*values.T)
@@ -23,13 +23,14 @@ def to_si(values: NumpyArray, units: Units) -> NumpyArray:
 
 
 def limits_in(units: Units) -> NumpyArray:
-    """Return the lowest and highest commands (5, 2) in the given units."""
+    """Return the lowest and highest allowed command of each column (5, 2), in ``units``."""
     scale = to_si(np.ones((1, 5)), units)[0]
     return np.sort(_LIMITS / scale[:, None], axis=1)
 
 
 def si_within_limits(table: CommandTable, units: Units, clip: bool) -> tuple[NumpyArray, NumpyArray]:
-    """Convert commands to SI, (T, 5), clipped to the limits; also return whether each row was clipped, (T,).
+    """Convert commands to SI (T, 5), and check (``clip``: clip) their limits; also return which rows were clipped, (T,)
+    bool.
 
     Raises:
         UsageError: a command is out of its range and ``clip`` is off; names the first one's line and column.
@@ -45,7 +46,7 @@ def si_within_limits(table: CommandTable, units: Units, clip: bool) -> tuple[Num
 
 
 def _refuse(table: CommandTable, units: Units, row: int, column: int, count: int) -> None:
-    """Raise UsageError for the out-of-range command at a row and column, the first of ``count``."""
+    """Raise UsageError for an out-of-range command at a row and column; ``count``: number of such rows."""
     low, high = limits_in(units)[column]
     # Rounded towards the inside, so that a bound copied from the message is itself allowed.
     low, high = math.ceil(low * 100.0) / 100.0, math.floor(high * 100.0) / 100.0

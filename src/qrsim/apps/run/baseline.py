@@ -11,7 +11,8 @@ if TYPE_CHECKING:
 
 
 def task_policy(scenario: Scenario, source: str, seed: int, precision: str) -> tuple[BaselinePolicy, int]:
-    """Return the policy of a scenario's task that ``source`` names, and its period in ticks.
+    """Return the policy named ``source`` of a scenario's task (its baseline or a learned one), and the ticks between
+    its calls.
 
     Args:
         scenario: with a task.

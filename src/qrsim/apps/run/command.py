@@ -104,7 +104,7 @@ class Run:
     """Print the result as JSON."""
 
     def run(self) -> None:
-        """Check the scenario, fly it, and print a summary."""
+        """Run ``qrsim run``: check the scenario, fly it, and print a summary."""
         # Importing and compiling make many objects and no garbage worth looking for; ``fly`` turns this on again.
         gc.disable()
         try:
@@ -153,7 +153,7 @@ class Run:
 
     @property
     def _of_task(self) -> bool:
-        """True for a policy of the scenario's task: its baseline or a learned one."""
+        """True if --policy is one of the scenario's task: its baseline or a learned one."""
         if self.policy is None or self.policy == BASELINE:
             return self.policy is not None
         from qrsim.tasks.learned import is_policy_file
@@ -168,7 +168,8 @@ class Run:
         page: LiveView | None,
         injections: tuple[Injection, ...],
     ) -> Pace:
-        """Fly the scenario into a run folder; return its pace: simulated and wall time, late chunks."""
+        """Fly the scenario into a run folder; return its simulated and wall time and its late chunks. ``every``: stream
+        -> ticks between rows."""
         from qrsim.runs.recorder import fly
         from qrsim.runs.waiting import waiting_since
 
@@ -209,7 +210,7 @@ class Run:
             raise
 
     def _report(self, folder: Path, pace: Pace) -> None:
-        """Print the summary of a run and draw its figure; raises RunError if the figure fails."""
+        """Print the summary of a run and draw its figure; raises RunError if drawing fails."""
         from qrsim.runs import open_run
         from qrsim.runs.summary import summarise
 
@@ -226,7 +227,7 @@ class Run:
     def _print_result(
         self, recorded: RecordedRun, summaries: list[VehicleSummary], pace: Pace, figure: Path | None
     ) -> None:
-        """Print the table of vehicles, the speed, and where run folder and figure are."""
+        """Print the table of vehicles, the real-time factor, and the paths of run folder and figure."""
         _print_table(recorded, summaries)
         factor = f"{pace.real_time_factor:.0f} times real time" if not self.realtime else "real time"
         print(f"{pace.simulated_s:g} s flown in {pace.wall_s:.2f} s ({factor}), start-up {pace.start_up_s:.1f} s")
@@ -245,7 +246,7 @@ class Run:
 
 
 def _draw(recorded: RecordedRun, path: Path) -> tuple[Path | None, RunError | None]:
-    """Draw the figure; return its path, or the error, so that a failure does not lose the numbers of a run."""
+    """Draw a run's figure; return its path, or the error, so that the numbers are printed all the same."""
     from qrsim.runs.figure import save_figure
 
     try:
@@ -256,7 +257,7 @@ def _draw(recorded: RecordedRun, path: Path) -> tuple[Path | None, RunError | No
 
 
 def _new_folder(name: str, seed: int) -> Path:
-    """Return a path runs/NAME-seedN-TIME that does not exist yet."""
+    """Return a path runs/NAME-seedN-TIME at which nothing exists yet."""
     from datetime import datetime
 
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
@@ -270,7 +271,8 @@ def _new_folder(name: str, seed: int) -> Path:
 
 @contextmanager
 def _progress(scenario: Scenario) -> Iterator[Callable[[float, float], None]]:
-    """Show a bar with the real-time factor while the context lasts, on a terminal only."""
+    """Show a progress bar with the real-time factor in the context, on a terminal only; yield its update function
+    (simulated, wall time [s])."""
     texts = "{task.completed:.0f} of {task.total:g} s", "{task.fields[factor]}"
     with progress_bar(scenario.name, scenario.duration, *texts, factor="compiling") as update:
         yield lambda simulated_s, wall_s: update(
@@ -285,7 +287,7 @@ at the time of the fix, RMS over the fixes; wind max: gusts included."""
 
 
 def _print_table(recorded: RecordedRun, summaries: list[VehicleSummary]) -> None:
-    """Print a row for each vehicle: distance, errors, wind, waypoints and when it stopped."""
+    """Print a table with a row for each vehicle: distance, errors, wind, waypoints, and when it stopped."""
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
@@ -321,7 +323,8 @@ def _print_table(recorded: RecordedRun, summaries: list[VehicleSummary]) -> None
 
 
 def _worst(summaries: list[VehicleSummary]) -> Iterator[str]:
-    """Yield a line for the largest height error and one for the lowest charge, if known."""
+    """Yield a line each on the largest height error, the lowest battery charge and the failsafes, as far as there are
+    any."""
     heights = [row for row in summaries if math.isfinite(row.height_error_rms_m)]
     if heights:
         row = max(heights, key=lambda each: each.height_error_rms_m)
@@ -338,7 +341,7 @@ def _worst(summaries: list[VehicleSummary]) -> Iterator[str]:
 
 
 def _print_events(recorded: RecordedRun) -> None:
-    """Print the events that went wrong or recovered; reached waypoints are in the table."""
+    """Print a run's events that went wrong or recovered, without reached waypoints."""
     notable = [event for event in recorded.events if event.kind not in ("waypoint_reached", "command_clipped")]
     for event in notable[:MOST_EVENTS]:
         print(event.message)

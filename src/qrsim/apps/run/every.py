@@ -10,7 +10,7 @@ from qrsim.runs.streams import STREAMS
 
 
 def parse_every(words: Sequence[str]) -> dict[str, int]:
-    """Parse "STREAM=N" and "N" (all other streams), in any order, to stream -> N.
+    """Parse "STREAM=N" and "N" (for all other streams), in any order, to {stream: N}, the ticks between recorded rows.
 
     Raises:
         UsageError: a word is of neither form, says the same twice, names no stream, or N is not an integer from 1.

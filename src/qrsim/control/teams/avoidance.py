@@ -35,7 +35,7 @@ class HalfPlanes:
     counts: Array
 
     def depth(self, north: Array, east: Array) -> Array:
-        """Return how far [m/s] velocities (T, n) lie outside each half-plane, (T, K, n); negative inside."""
+        """Return how far [m/s] T velocities (T, n) are outside each of K half-planes, (T, K, n); negative inside."""
         point_north, point_east, normal_north, normal_east, counts = (
             value[None]
             for value in (self.point_north, self.point_east, self.normal_north, self.normal_east, self.counts)
@@ -47,7 +47,7 @@ class HalfPlanes:
 def half_planes(
     position_ned: Vec3, velocity_ned: Vec3, mates: Mates, radius: Array, horizon: Array, dt: Array | float
 ) -> HalfPlanes:
-    """Return half-planes of velocities that keep each vehicle (n,) clear of its mates for ``horizon`` [s] (ORCA).
+    """Return half-planes of velocities that keep each vehicle (n,) clear of its neighbours for ``horizon`` [s] (ORCA).
 
     J. van den Berg, S. J. Guy, M. Lin, D. Manocha, Reciprocal n-body collision avoidance, ISRR 2009 (Springer 2011),
     section 4.
@@ -92,7 +92,7 @@ def half_planes(
 
 
 def nearest_velocity(planes: HalfPlanes, north: Array, east: Array, speed: Array) -> tuple[Array, Array]:
-    """Return the allowed velocity (n,) [m/s] nearest to a preferred one; if none is, the least forbidden.
+    """Return the allowed velocity (n,) [m/s], north and east, nearest to the given one; else the least violating one.
 
     The nearest point of half-planes and a disc is the preferred velocity, its nearest point on one edge, or a crossing
     of two: all are tried. Where nothing is allowed, the one of those tried that is the least outside.
@@ -117,7 +117,7 @@ def nearest_velocity(planes: HalfPlanes, north: Array, east: Array, speed: Array
 
 
 def _candidates(planes: HalfPlanes, north: Array, east: Array, speed: Array) -> tuple[Array, Array]:
-    """Return velocities (T, n) that include the nearest allowed one; NaN or infinite for missing crossings."""
+    """Return T candidate velocities (T, n) [m/s], the nearest allowed one included; NaN, inf for missing crossings."""
     length = length_of(north, east)
     shrink = jnp.where(length > speed, speed * _safe(length), 1.0)
     normal_north, normal_east = planes.normal_north, planes.normal_east
@@ -166,12 +166,12 @@ def _candidates(planes: HalfPlanes, north: Array, east: Array, speed: Array) -> 
 
 
 def _root(value: Array, otherwise: float) -> Array:
-    """Return the square root of positive values, ``otherwise`` for others."""
+    """Return the square root of positive values, and ``otherwise`` for the others."""
     return jnp.where(value > 0.0, jnp.sqrt(jnp.where(value > 0.0, value, 1.0)), otherwise)
 
 
 def _safe(value: Array) -> Array:
-    """Return 1 / value, 0 for values that are not positive."""
+    """Return 1 / value for positive values, and 0 for the others."""
     return jnp.where(value > 0.0, 1.0 / jnp.where(value > 0.0, value, 1.0), 0.0)
 
 
@@ -203,7 +203,7 @@ class AvoidanceGuidance(TeamGuidance):
     knows: Literal["all", "heard"] = setting(default="all", doc=KNOWS)
 
     def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
-        """Return the wanted velocity (n,) [m/s], north and east."""
+        """Return the velocity (n,) [m/s], north and east, to the last waypoint that avoids the neighbours."""
         goal = last_waypoint(route)
         north, east = towards(goal, position_ned, self.speed, self.gain)
         # Vehicles that meet in one point would stop around it, so each keeps a little to the right.

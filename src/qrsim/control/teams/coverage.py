@@ -36,7 +36,7 @@ class CoverageGuidance(TeamGuidance):
     knows: Literal["all", "heard"] = setting(default="all", doc=KNOWS)
 
     def centroid(self, position_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
-        """Return the centroid (n,) [m], north and east, of each vehicle's cell; its position for an empty cell."""
+        """Return the centroid (n,) [m], north and east, of each vehicle's Voronoi cell; its position if empty."""
         middle = (jnp.arange(self.cells, dtype=position_ned.x.dtype) + 0.5) / self.cells
         (south, far_north), (west, far_east) = (
             [jnp.atleast_1d(edge)[None] for edge in edges]
@@ -46,7 +46,7 @@ class CoverageGuidance(TeamGuidance):
         east = (west + (far_east - west) * middle[:, None])[None]
 
         def squared(at_north: Array, at_east: Array) -> Array:
-            """Return the squared distance of each grid point from places."""
+            """Return the squared distance [m^2] of each grid point from positions."""
             return (north - at_north) ** 2 + (east - at_east) ** 2
 
         own = squared(position_ned.x[None, None], position_ned.y[None, None])
@@ -59,12 +59,12 @@ class CoverageGuidance(TeamGuidance):
         share = 1.0 / jnp.maximum(count, 1.0)
 
         def mean(axis: Array, stay: Array) -> Array:
-            """Return the mean coordinate of each vehicle's grid points, ``stay`` for no grid point."""
+            """Return the mean coordinate [m] of the grid points in each vehicle's cell; ``stay`` for an empty cell."""
             return jnp.where(some, jnp.sum(jnp.where(mine, axis, 0.0), axis=(0, 1)) * share, stay)
 
         return mean(north, position_ned.x), mean(east, position_ned.y)
 
     def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
-        """Return the wanted velocity (n,) [m/s], north and east."""
+        """Return the velocity (n,) [m/s], north and east, to the centroid of the vehicle's Voronoi cell."""
         north, east = self.centroid(position_ned, mates)
         return towards(Vec3(north, east, position_ned.z), position_ned, self.speed, self.gain)

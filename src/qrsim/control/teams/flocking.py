@@ -47,7 +47,7 @@ class FlockingGuidance(TeamGuidance):
     knows: Literal["all", "heard"] = setting(default="all", doc=KNOWS)
 
     def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
-        """Return the wanted velocity (n,) [m/s], north and east."""
+        """Return the velocity (n,) [m/s], north and east, by separation, alignment, cohesion and migration."""
         away = position_ned.map(lambda axis: axis[None]) - mates.position_ned
         distance = length_of(away.x, away.y)
         separation = jnp.broadcast_to(self.separation, position_ned.x.shape)[None]
@@ -57,7 +57,7 @@ class FlockingGuidance(TeamGuidance):
         share = jnp.where(count > 0.0, 1.0 / jnp.maximum(count, 1.0), 0.0)
 
         def mean(values: Array) -> Array:
-            """Return the mean over the known mates."""
+            """Return the mean (n,) over each vehicle's known neighbours of values (K, n)."""
             return share * jnp.sum(jnp.where(mates.known, values, 0.0), axis=0)
 
         goal_north, goal_east = towards(
@@ -65,7 +65,7 @@ class FlockingGuidance(TeamGuidance):
         )
 
         def wanted(goal: Array, apart: Array, other: Array) -> Array:
-            """Return one axis of the velocity: goal, separation, alignment and cohesion."""
+            """Return one axis of the velocity (n,) [m/s]: migration, separation, alignment and cohesion added."""
             parting = self.separation_gain * jnp.sum(push * apart, axis=0)
             return goal + parting + self.alignment * mean(other) - self.cohesion_gain * mean(apart)
 

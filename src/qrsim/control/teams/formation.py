@@ -17,7 +17,7 @@ _LEADER_GAIN = 0.5
 
 
 def disagreement(place_ned: Vec3, position_ned: Vec3, mates: Mates, weight: Array) -> tuple[Array, Array]:
-    """Return the weighted sums (n,) [m], north and east, of each vehicle's offset errors to its known mates.
+    """Return each vehicle's weighted sum (n,) [m], north and east, of offset errors to its known neighbours.
 
     R. Olfati-Saber and R. M. Murray, Consensus problems in networks of agents, IEEE TAC 49 (2004), eq. 1, of positions
     less their places in the formation.
@@ -31,7 +31,7 @@ def disagreement(place_ned: Vec3, position_ned: Vec3, mates: Mates, weight: Arra
     row = jnp.maximum(mates.number, 0)
 
     def sums(place: Array, position: Array, theirs: Array) -> Array:
-        """Return the weighted sum over mates of the errors of the offsets along one axis."""
+        """Return the weighted sum (n,) [m] over neighbours of the offset errors along one axis."""
         wanted = jnp.asarray(place).at[row].get(mode="promise_in_bounds") - place[None]
         return jnp.sum(weight * jnp.where(mates.known, theirs - position[None] - wanted, 0.0), axis=0)
 
@@ -64,7 +64,7 @@ class FormationGuidance(TeamGuidance):
     knows: Literal["all", "heard"] = setting(default="all", doc=KNOWS)
 
     def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
-        """Return the wanted velocity (n,) [m/s], north and east."""
+        """Return the velocity (n,) [m/s], north and east, that holds the formation and follows the leader."""
         leads = (mates.number == 0) if self.leader else jnp.zeros(mates.number.shape, bool)
         led = jnp.any(leads, axis=0)
         rest = jnp.sum(mates.known & ~leads, axis=0).astype(position_ned.x.dtype)

@@ -32,17 +32,17 @@ class Mates:
 
     @property
     def known(self) -> Array:
-        """(K, n) bool: the row holds a neighbour."""
+        """(K, n) bool: the row of the neighbour list holds a neighbour."""
         return self.number >= 0
 
     def now(self) -> Mates:
-        """Return the neighbours with positions extrapolated to now by their reported velocities."""
+        """Return the neighbour list with reported positions extrapolated to the present by the reported velocities."""
         position = self.position_ned + self.velocity_ned * self.age
         return replace(self, position_ned=position, age=0.0 * self.age)
 
 
 def mates_of(position_ned: Vec3, velocity_ned: Vec3, reach: Array, count: int) -> Mates:
-    """Return the neighbour lists of vehicles (n,) that receive each other without loss or latency.
+    """Return the neighbour lists of vehicles (n,) that know each other's estimates without loss or latency.
 
     Args:
         position_ned, velocity_ned: estimates of each vehicle (n,) [m], [m/s]; NaN if it does not fly.
@@ -54,7 +54,7 @@ def mates_of(position_ned: Vec3, velocity_ned: Vec3, reach: Array, count: int) -
     row = jnp.maximum(near.index, 0)
 
     def theirs(axis: Array) -> Array:
-        """Return a value of each neighbour, 0 in rows without a neighbour."""
+        """Return each neighbour's entry (K, n) of values (n,), 0 in rows without a neighbour."""
         return jnp.where(nobody, 0.0, jnp.asarray(axis).at[row].get(mode="promise_in_bounds"))
 
     return Mates(
@@ -67,12 +67,12 @@ def mates_of(position_ned: Vec3, velocity_ned: Vec3, reach: Array, count: int) -
 
 
 def mates_wanted(mates: int, fleet: int) -> int:
-    """Return the length of a neighbour list: ``mates``, limited to 1 up to ``fleet`` - 1."""
+    """Return the length of a neighbour list: ``mates``, limited to 1 up to the size of the fleet minus 1."""
     return max(1, min(mates, fleet - 1))
 
 
 def mates_heard(number: Array, payload: Array, age: Array, position_ned: Vec3, reach: Array) -> Mates:
-    """Return the neighbour lists of vehicles (n,) from the beacons that they have received from their fleet.
+    """Return the neighbour lists of vehicles (n,) from radio beacons that they have received from their own fleet.
 
     Args:
         number: (K, n) int32 of the sender in the fleet; below zero: no message, or of another fleet.
@@ -88,7 +88,7 @@ def mates_heard(number: Array, payload: Array, age: Array, position_ned: Vec3, r
     known = (number >= 0) & near & jnp.isfinite(fast.dot(fast))
 
     def theirs(axis: Array) -> Array:
-        """Return a value of each mate, 0 where nothing was heard."""
+        """Return values (K, n) of the received beacons, 0 in rows without a neighbour."""
         return jnp.where(known, axis, 0.0)
 
     return Mates(jnp.where(known, number, -1), place.map(theirs), fast.map(theirs), theirs(age))
@@ -110,7 +110,7 @@ class TeamGuidance(Guidance, Protocol):
     sees_motion: ClassVar[bool] = True
 
     def init(self, route: Route) -> RouteState:
-        """Return the state at the start of each route; a team guidance never leaves its first waypoint.
+        """Return the state of vehicles (n,) at the first waypoint, which a team guidance never leaves.
 
         ``overfull`` counts incomplete neighbour searches, so it is present only if a search can overflow.
         """
@@ -120,7 +120,7 @@ class TeamGuidance(Guidance, Protocol):
         return replace(start, overfull=jnp.zeros_like(start.index))
 
     def setpoint(self, state: RouteState, route: Route) -> VelocityHeightSetpoint:
-        """Return the set-point (n,) before the first neighbour list: stay at the height of the first waypoint."""
+        """Return the set-point (n,) used without a neighbour list: hold position at the first waypoint's height."""
         zero = jnp.zeros_like(route.yaw[0])
         return VelocityHeightSetpoint(zero, zero, route.position_ned.z[0], route.yaw[0])
 
@@ -134,7 +134,7 @@ class TeamGuidance(Guidance, Protocol):
         dt: float = 0.0,
         mates: Mates | None = None,
     ) -> tuple[RouteState, VelocityHeightSetpoint]:
-        """Return the state, and the set-point (n,) with the velocity wanted for the present neighbours.
+        """Return the state, and the set-point (n,) with the velocity that suits the present neighbour lists.
 
         Args:
             state, route, position_ned, others_ned, velocity_ned, dt: as of every guidance.
@@ -152,28 +152,28 @@ class TeamGuidance(Guidance, Protocol):
 
     @abstractmethod
     def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
-        """Return the wanted velocity (n,) [m/s], north and east."""
+        """Return the velocity (n,) [m/s], north and east, wanted for a vehicle's position and neighbours."""
 
 
 def last_waypoint(route: Route) -> Vec3:
-    """Return the last waypoint (n,) [m] of each vehicle."""
+    """Return the last waypoint (n,) [m] NED of each vehicle's route."""
     rows = jnp.arange(route.yaw.shape[0], dtype=jnp.int32)[:, None]
     last = rows == (route.count - 1)[None, :]
     return route.position_ned.map(lambda axis: jnp.sum(jnp.where(last, axis, 0.0), axis=0))
 
 
 def length_of(north: Array, east: Array) -> Array:
-    """Return the lengths of horizontal vectors, with gradient 0 at zero."""
+    """Return the lengths of horizontal vectors; their gradient at zero is 0."""
     return root(north * north + east * east)
 
 
 def limited(north: Array, east: Array, speed: Array) -> tuple[Array, Array]:
-    """Return a velocity (n,) [m/s], north and east, scaled down to at most ``speed`` [m/s]."""
+    """Return a horizontal velocity (n,) [m/s], north and east, scaled down to at most ``speed`` [m/s]."""
     length = length_of(north, east)
     scale = jnp.where(length > speed, speed / jnp.where(length > speed, length, 1.0), 1.0)
     return north * scale, east * scale
 
 
 def towards(goal: Vec3, position_ned: Vec3, speed: Array, gain: Array | float) -> tuple[Array, Array]:
-    """Return the velocity (n,) [m/s], north and east, to goals (n,) [m]: ``gain`` [1/s] times distance, limited."""
+    """Return the velocity (n,) [m/s], north and east, to ``goal`` [m]: ``gain`` [1/s] times offset, limited."""
     return limited(gain * (goal.x - position_ned.x), gain * (goal.y - position_ned.y), speed)

@@ -14,14 +14,14 @@ from qrsim.core.vectors import Vec3
 
 
 def mean_heading(velocity_ned: Vec3, mates: Mates) -> Array:
-    """Return the mean heading (n,) [rad] of each vehicle and its known mates, by the sum of unit vectors.
+    """Return the mean heading (n,) [rad] of each vehicle and its known neighbours, by the sum of unit vectors.
 
     T. Vicsek et al., Novel type of phase transition in a system of self-driven particles, PRL 75 (1995), eq. 2, without
     its noise.
     """
 
     def directions(north: Array, east: Array) -> tuple[Array, Array]:
-        """Return unit vectors along velocities, 0 at rest."""
+        """Return the unit vectors along horizontal velocities, 0 for a vehicle at rest."""
         speed = length_of(north, east)
         scale = jnp.where(speed > 0.0, 1.0 / jnp.where(speed > 0.0, speed, 1.0), 0.0)
         return north * scale, east * scale
@@ -49,6 +49,6 @@ class VicsekGuidance(TeamGuidance):
     knows: Literal["all", "heard"] = setting(default="all", doc=KNOWS)
 
     def velocity(self, route: Route, position_ned: Vec3, velocity_ned: Vec3, mates: Mates) -> tuple[Array, Array]:
-        """Return the wanted velocity (n,) [m/s], north and east."""
+        """Return the velocity (n,) [m/s], north and east, at constant speed along the neighbours' mean heading."""
         heading = mean_heading(velocity_ned, mates)
         return self.speed * jnp.cos(heading), self.speed * jnp.sin(heading)

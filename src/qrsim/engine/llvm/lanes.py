@@ -68,7 +68,16 @@ class Lanes:
     def fill(self, tree: object) -> None:
         """Set all worlds from a tree, each leaf (B, ...)."""
         whole = self.tiles * self._lanes
-        for number, leaf in enumerate(jax.tree.leaves(tree)):
+        leaves = jax.tree.leaves(tree)
+        if whole == 1:
+            # One world is given its inputs at every step, where a copy leaf by leaf would count.
+            for buffer, size, kind in zip(self._buffers, self.layout.sizes, (True, False), strict=True):
+                of_kind = zip(leaves, self.layout.is_float, strict=True)
+                parts = [self._stored(leaf)[0] for leaf, is_float in of_kind if is_float is kind]
+                if parts:
+                    np.concatenate(parts, out=buffer[0, :size])
+            return
+        for number, leaf in enumerate(leaves):
             rows = self._stored(leaf)
             if whole != self.count:
                 # Lanes without a world of their own repeat the last one.

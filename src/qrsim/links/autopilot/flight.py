@@ -43,7 +43,7 @@ class BetaflightFleet(FlownFleet):
         self._armed = 0.0
 
     def arm(self) -> None:
-        """Start and arm the firmware of all vehicles, with the sensors of a vehicle at rest."""
+        """Start and arm Betaflight for every vehicle, with the sensor values of a vehicle at rest."""
         _, sensed = self.sight.look()
         for firmware, first in zip(self._firmware, sensed, strict=True):
             rates = first.rates_body if math.hypot(*first.rates_body) < STILL_RAD_S else (0.0, 0.0, 0.0)
@@ -52,7 +52,7 @@ class BetaflightFleet(FlownFleet):
             self._armed = firmware.arm(self.simulation.world.time_step, rest)
 
     def tell(self) -> None:
-        """Send every firmware process its readings and stick channels, which advances it by one tick."""
+        """Send sensor readings and stick channels to each vehicle's Betaflight, which advances it by one tick."""
         asked, sensed = self.sight.look()
         wanted = asked if self._override is None else self._override(self.simulation.time, asked)
         time = self._armed + (self.simulation.tick + 1) * self.simulation.world.time_step
@@ -62,7 +62,7 @@ class BetaflightFleet(FlownFleet):
                 self._firmware[i].tell(time, sensed[i], channels(pitch, roll, throttle, yaw_rate, self._curves[i]))
 
     def speeds(self, number: int) -> Sequence[float]:
-        """Return the speeds of a vehicle's motors."""
+        """Return the motor speeds of vehicle ``number``, 0 to 1, in Betaflight's order."""
         return self._firmware[number].motors()
 
 
@@ -94,7 +94,7 @@ class Flight(LockstepFlight):
         flown = [checked_fleet(simulation.world, name) for name in fleets]
 
         def build() -> None:
-            """Start the firmware of every vehicle, and arm all fleets."""
+            """Start Betaflight for every vehicle, and arm all fleets."""
             for fleet in flown:
                 firmware = [self.closing.enter_context(Firmware(program, eeprom, name)) for name in fleet.vehicle_names]
                 self.fleets.append(BetaflightFleet(simulation, fleet, firmware, override, Losses(lost)))

@@ -21,7 +21,7 @@ prepared = partial(fleet.prepared, who="ArduPilot", on_ground=True)
 
 
 def motor_order(flown: Fleet) -> tuple[int, ...]:
-    """Return for each rotor of the vehicles the number of its motor in ArduPilot's frame X, from 0.
+    """Return the motor number (from 0) of each rotor in ArduPilot's frame X; raises UsageError for other frames.
 
     Raises:
         UsageError: there is no such frame, or its motors stand or turn otherwise.
@@ -37,7 +37,8 @@ def motor_order(flown: Fleet) -> tuple[int, ...]:
 
 
 def last_port(option: str, first: int, step: int, count: int, kind: str) -> None:
-    """Raise a UsageError if the last vehicle's port, ``first + step * (count - 1)``, exceeds the largest port."""
+    """Raise UsageError, naming ``option``, if the last vehicle's port ``first + step * (count - 1)`` is too large;
+    ``kind``: "UDP port" or so."""
     last = first + step * (count - 1)
     if last > LARGEST_PORT:
         raise UsageError(f"{option}: the last vehicle would have {kind} {last}, at most {LARGEST_PORT} is allowed")
@@ -53,11 +54,12 @@ class JsonFleet(FlownFleet):
         self._start = self.sight.positions()
 
     def speeds(self, number: int) -> Sequence[float]:
-        """Wait for the autopilot's servo packet; return the motor speeds of a vehicle as fractions of the maximum."""
+        """Wait for ArduPilot's servo packet for vehicle ``number``; return its motor speeds as fractions of the
+        maximum."""
         return ardupilot.speeds(self._links[number].wait().pulses, len(self.order))
 
     def answer(self) -> None:
-        """Send all autopilots the present readings."""
+        """Send each vehicle's ArduPilot the vehicle's present state."""
         _, sensed = self.sight.look()
         time = self.simulation.tick * self.simulation.world.time_step
         for link, seen, now, first in zip(self._links, sensed, self.sight.positions(), self._start, strict=True):
@@ -95,7 +97,7 @@ class JsonFlight(LockstepFlight):
         self.links: list[ServoLink] = []
 
         def build() -> None:
-            """Open the port of every vehicle, and build the fleets."""
+            """Open a UDP port for every vehicle, and build the fleets."""
             for each in flown:
                 motor_order(each)
                 own = []

@@ -21,7 +21,7 @@ LONGEST_S = 60.0
 
 
 def compiled(folder: Path | None = None) -> Path:
-    """Compile the C library that steps the firmware, unless the cache has it, and return its path.
+    """Compile the C library that steps Betaflight in lock-step, unless it is cached in ``folder``; return its path.
 
     Args:
         folder: where it is kept; None: the cache folder of this user.

@@ -21,7 +21,7 @@ from qrsim.world.state import Fleet, Piloted
 
 
 def chosen(simulation: Simulation, names: Sequence[str]) -> list[Fleet]:
-    """Return the fleets with the given names, in the order of the names."""
+    """Return the simulation's fleets with the given names, in the order of the names."""
     return [next(fleet for fleet in simulation.world.fleets if fleet.name == name) for name in names]
 
 
@@ -48,19 +48,19 @@ class FlownFleet:
         self._command = MotorCommand.of_count(len(self.order))
 
     def tell(self) -> None:
-        """Send readings to the autopilots before a tick; does nothing unless a subclass overrides it."""
+        """Send sensor readings to the fleet's autopilots before a tick; nothing here, subclasses override it."""
 
     def speeds(self, number: int) -> Sequence[float]:
-        """Return the motor speeds of a vehicle in a tick as fractions of the maximum; raises RunError if its autopilot
-        is gone.
-        """
+        """Return the motor speeds of vehicle ``number`` for this tick, 0 to 1; raises RunError if its autopilot is
+        gone."""
         raise NotImplementedError
 
     def answer(self) -> None:
-        """Send readings to the autopilots after a tick; does nothing unless a subclass overrides it."""
+        """Send sensor readings to the fleet's autopilots after a tick; nothing here, subclasses override it."""
 
     def piloted(self) -> Piloted:
-        """Return the motor command of a tick; the motors of a vehicle without its autopilot stop."""
+        """Return the fleet's motor command for this tick, from its autopilots; motors stop where the autopilot is
+        gone."""
         table = np.zeros((self.fleet.size, len(self.order)), self.simulation.dtype)
         for number in self.losses.left(self.fleet.size):
             with self.losses.watched(number):
@@ -87,7 +87,7 @@ class LockstepFlight:
         self.closing = ExitStack()
 
     def opened(self, build: Callable[[], None]) -> None:
-        """Build the fleets, and close all sockets and processes if that fails."""
+        """Call ``build``, which opens sockets and processes, and close all of them if it raises an error."""
         try:
             build()
         except BaseException:
@@ -95,7 +95,7 @@ class LockstepFlight:
             raise
 
     def advance(self, ticks: int = 1) -> None:
-        """Fly ``ticks`` ticks; raises RunError if the end of an autopilot ends all flights."""
+        """Fly ``ticks`` ticks with the autopilots in lock-step; raises RunError if a lost autopilot ends the flight."""
         for _ in range(ticks):
             for fleet in self.fleets:
                 fleet.tell()
@@ -104,7 +104,7 @@ class LockstepFlight:
                 fleet.answer()
 
     def record(self, ticks: int, capacity: int = 50) -> History:
-        """Fly ``ticks`` ticks and return their states; ``capacity`` is not needed here."""
+        """Fly ``ticks`` ticks and return the state of each; ``capacity`` is ignored."""
         simulation = self.simulation
         layout, _ = simulation.packed
         first, rows = simulation.tick, []
@@ -116,7 +116,7 @@ class LockstepFlight:
         return History(numbers, simulation.world.time_step, layout, stacked)
 
     def close(self) -> None:
-        """Close all sockets, and end the processes that were started here."""
+        """Close all sockets, and end the autopilot processes that this flight started."""
         self.closing.close()
 
     def __enter__(self) -> Self:

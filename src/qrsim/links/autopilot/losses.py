@@ -21,7 +21,8 @@ class Losses:
 
     @contextmanager
     def watched(self, number: int) -> Iterator[None]:
-        """Record a RunError in the ``with`` block as the loss of an autopilot, or re-raise it if one loss ends all."""
+        """Record a RunError in the ``with`` block as the loss of vehicle ``number``'s autopilot; re-raise it if one
+        loss ends the run."""
         try:
             yield
         except RunError as error:
@@ -31,5 +32,5 @@ class Losses:
             self._say(f"{error}; its motors stop, and the others fly on")
 
     def left(self, count: int) -> list[int]:
-        """Return the numbers of the vehicles, of 0 to ``count - 1``, whose autopilot is still running."""
+        """Return the numbers of the vehicles, among 0 to ``count - 1``, whose autopilot has not been lost."""
         return [number for number in range(count) if number not in self._numbers]

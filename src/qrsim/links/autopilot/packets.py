@@ -49,7 +49,7 @@ def pressure_at(height: float) -> float:
 
 
 def state_packet(time: float, sensed: Sensed) -> bytes:
-    """Return the state packet that Betaflight's simulator build reads, for readings at a time [s].
+    """Encode sensor readings at ``time`` [s] as the state packet that Betaflight's simulator build (SITL) reads.
 
     The firmware changes the signs of q and r, and of all of the acceleration. It computes roll, pitch and yaw from the
     quaternion as from one of FRD to NED, and turns the sign of pitch (imuComputeRotationMatrix of its simulator).
@@ -77,17 +77,18 @@ def _cos_sin(angle: float) -> tuple[float, float]:
 
 
 def sticks_packet(time: float, channels: Sequence[int]) -> bytes:
-    """Return the packet of up to 16 channels, 1000 to 2000: roll, pitch, throttle, yaw, then switches."""
+    """Encode up to 16 stick channels, 1000 to 2000 (roll, pitch, throttle, yaw, switches), as Betaflight's packet for
+    ``time`` [s]."""
     return STICKS.pack(time, *channels, *([1500] * (16 - len(channels))))
 
 
 def msp_request(command: int) -> bytes:
-    """Return a request without content of the MultiWii Serial Protocol, version 1."""
+    """Return a MultiWii Serial Protocol (MSP, version 1) request, without payload, for a command number."""
     return b"$M<" + bytes([0, command, command])
 
 
 def msp_content(received: bytes) -> bytes | None:
-    """Return the content of the first whole MSP reply in received bytes; None before it is complete."""
+    """Return the payload of the first complete MSP reply in received bytes; None if there is none yet."""
     begin = received.find(b"$M>")
     if begin < 0 or len(received) < begin + 6 or len(received) < begin + 6 + received[begin + 3]:
         return None
@@ -95,7 +96,7 @@ def msp_content(received: bytes) -> bytes | None:
 
 
 def arming_reasons(content: bytes) -> list[str]:
-    """Return the reasons that the firmware does not arm, from the content of MSP_STATUS_EX.
+    """Return the reasons why Betaflight does not arm, decoded from the payload of MSP_STATUS_EX.
 
     After 15 bytes there is a count of bytes of modes, these, a count of flags and 32 bits of them.
     """

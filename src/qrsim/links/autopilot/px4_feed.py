@@ -28,7 +28,8 @@ LEAST_ACCURACY = 0.3
 
 
 def time_usec(number: int) -> int:
-    """Return the time [us] of frame ``number``, counted from 0; PX4 takes 0 us for no time."""
+    """Return PX4's boot-clock time [us] of sensor frame ``number``, counted from 0; never 0 us, which PX4 takes for no
+    time."""
     return START_USEC + FRAME_USEC * number
 
 
@@ -76,7 +77,8 @@ class Px4Feed:
         self._sequence = [0] * fleet.size
 
     def frames(self, number: int) -> tuple[list[bytes], list[bool]]:
-        """Return for each vehicle the bytes of frame ``number``, HIL_SENSOR last, and whether it has rates."""
+        """Return each vehicle's MAVLink messages of sensor frame ``number`` as bytes, HIL_SENSOR last, and whether each
+        has body rates."""
         usec = time_usec(number)
         rows = self._sight.read()
         news = {column: self._new_readings(column) for column in _COLUMNS if column in self._sight.sensors}
@@ -98,12 +100,13 @@ class Px4Feed:
         return found, turning
 
     def _mavlink_frame(self, i: int, number: int, payload: bytes) -> bytes:
-        """Return a MAVLink frame of a vehicle with its next sequence number."""
+        """Return the MAVLink frame of message ``number`` for vehicle ``i``, with the vehicle's next sequence number."""
         self._sequence[i] = (self._sequence[i] + 1) & 0xFF
         return frame(number, payload, self._sequence[i], SYSTEM, COMPONENT)
 
     def _new_readings(self, column: int) -> list[bool]:
-        """Return which vehicles (n,) have a new reading in a column, and mark these readings as sent."""
+        """Return which vehicles (n,) have a reading in ``column`` that has not been sent to PX4 yet, and mark it as
+        sent."""
         sensor = self._sight.sensors[column]
         if sensor is None:
             return [True] * self._fleet.size
@@ -113,7 +116,8 @@ class Px4Feed:
         return [True] * len(times) if before is None else [now != old for now, old in zip(times, before, strict=True)]
 
     def _vector(self, i: int, row: list[float], column: int, news: dict[int, list[bool]]) -> list[float] | None:
-        """Return three numbers of ``row`` from a column on; None if the reading is not new or has NaN."""
+        """Return the vector in ``row`` from ``column`` on for vehicle ``i``; None if it is not new (``news``: column ->
+        vehicles) or NaN."""
         if column not in news or not (news[column][i] or self._sight.stopped[i]):
             return None
         axes = row[column : column + 3]
@@ -122,7 +126,8 @@ class Px4Feed:
     def _hil_sensor(
         self, usec: int, i: int, row: list[float], rates: list[float] | None, news: dict[int, list[bool]]
     ) -> bytes:
-        """Return the HIL_SENSOR payload of a vehicle, with the groups that have new readings."""
+        """Return the payload of HIL_SENSOR for vehicle ``i`` with the sensors that have new readings (``news``: column
+        -> vehicles)."""
         air = differential = None
         column = s.PRESSURE if s.PRESSURE in news else s.HEIGHT
         if column in news and news[column][i] and row[column] == row[column]:
@@ -136,7 +141,8 @@ class Px4Feed:
         return messages.hil_sensor(usec, rates, force, field, air, differential)
 
     def _fix_payloads(self, new: list[bool] | None, rows: list[list[float]]) -> list[bytes | None] | None:
-        """Return for each vehicle the payload of its new fix; None without one."""
+        """Return for each vehicle the HIL_GPS payload of its new GNSS fix, None without one; None if no vehicle has a
+        new fix."""
         if new is None or not any(new):
             return None
         places = np.array([row[s.FIX_POSITION : s.FIX_POSITION + 3] for row in rows])
@@ -158,7 +164,8 @@ class Px4Feed:
     def _ranging_payloads(
         self, usec: int, i: int, row: list[float], news: dict[int, list[bool]]
     ) -> list[tuple[int, bytes]]:
-        """Return (message number, payload) of a vehicle's new distance and optical-flow readings."""
+        """Return (message number, payload) of vehicle ``i``'s rangefinder and optical flow, if new (``news``: column ->
+        vehicles)."""
         payloads = []
         if s.RANGE in news and news[s.RANGE][i]:
             sensor = self._sensor_of(s.RANGE)
@@ -175,7 +182,7 @@ class Px4Feed:
         return payloads
 
     def _sensor_of(self, column: int) -> Any:
-        """Return the sensor whose readings fill a column."""
+        """Return the fleet's sensor that fills a column of the readings."""
         number = self._sight.sensors[column]
         assert number is not None
         return self._fleet.sensors[number]
@@ -193,7 +200,8 @@ def _type_name(sensor: object) -> str:
 
 
 def fix_of(row: Sequence[float], place: tuple[float, float, float]) -> messages.Fix:
-    """Return the GNSS fix of a row of readings at ``place`` (latitude, longitude [deg], altitude [m])."""
+    """Return a vehicle's GNSS fix from its ``row`` of readings, at ``place`` (latitude, longitude [deg], altitude
+    [m])."""
     horizontal, vertical = row[s.HORIZONTAL], row[s.VERTICAL]
     if horizontal != horizontal:
         horizontal, vertical = (max(row[at], LEAST_ACCURACY) for at in (s.HDOP, s.VDOP))

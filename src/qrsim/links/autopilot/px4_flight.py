@@ -29,7 +29,7 @@ prepared = partial(fleet.prepared, who="PX4", on_ground=True, inertial_rate=FRAM
 
 
 def motor_order(flown: Fleet) -> tuple[int, ...]:
-    """Return for each rotor of the vehicles the number of its motor at PX4, from 0.
+    """Return for each rotor the number (from 0) of its motor in PX4's parameters CA_ROTORn.
 
     Four rotors in an X have the order of PX4's own quadrotors; all others have the order of the vehicle's rotors, which
     PX4 learns from the parameters of its geometry.
@@ -69,15 +69,16 @@ class Px4Fleet(FlownFleet):
 
     @property
     def is_iris(self) -> bool:
-        """Whether the rotors have the positions and directions of the airframe none_iris."""
+        """Whether the rotors have the positions and directions of PX4's airframe none_iris."""
         return len(self.order) == 4 and fleet.motor_order(self.fleet, fleet.CORNER_DEG) is not None
 
     def parameters(self) -> list[dict[str, Number]]:
-        """Return the parameters of each vehicle."""
+        """Return the PX4 parameters (name -> value) of each vehicle of the fleet."""
         return [parameters(self.fleet, self.order, self.sight, number) for number in range(self.fleet.size)]
 
     def connect(self, until: float | None) -> None:
-        """Wait for all PX4s that are not connected, until a time of ``time.perf_counter`` [s].
+        """Wait until every vehicle's PX4 is connected, at most until ``until`` of ``time.perf_counter`` [s]; None: as
+        long as a lost one may be replaced.
 
         Args:
             until: time of ``time.perf_counter`` [s]; None: as long as a restart may take.
@@ -87,7 +88,7 @@ class Px4Fleet(FlownFleet):
                 self.links[i].connect(self.links[i].reconnects_until if until is None else until)
 
     def tell(self) -> None:
-        """Send a frame of sensor readings to all PX4s, at ticks when one is due."""
+        """Send sensor readings to each vehicle's PX4, in the ticks in which a frame is due."""
         if self.simulation.tick % self._stride:
             return
         self._held = None
@@ -99,12 +100,12 @@ class Px4Fleet(FlownFleet):
         self._begin = time.perf_counter()
 
     def speeds(self, number: int) -> Sequence[float]:
-        """Return the speeds of a vehicle's motors, once its PX4 has answered the last frame."""
+        """Return the motor speeds of vehicle ``number``, 0 to 1, after waiting for its PX4 to answer the last frame."""
         self.links[number].settle(self._begin, self._answers[number])
         return self.links[number].speeds(len(self.order))
 
     def piloted(self) -> Piloted:
-        """Return the motor command, which holds until the next frame."""
+        """Return the fleet's motor command from its PX4s; it holds until the next sensor frame."""
         if self._held is None:
             self._held = super().piloted()
         return self._held
@@ -113,7 +114,7 @@ class Px4Fleet(FlownFleet):
 def listed(
     simulation: Simulation, fleets: Sequence[str], port: int, first_instance: int
 ) -> list[tuple[str, dict[str, Number]]]:
-    """Return the name and PX4's parameters of each vehicle without opening a port; see ``Px4Flight``."""
+    """Return each vehicle's name and PX4 parameters without opening a port; arguments as of ``Px4Flight``."""
     flown = chosen(simulation, fleets)
     _check_last(port, first_instance, sum(each.size for each in flown))
     found: list[tuple[str, dict[str, Number]]] = []
@@ -124,7 +125,7 @@ def listed(
 
 
 def _check_last(port: int, first_instance: int, count: int) -> None:
-    """Raise a UsageError if the port or the instance of the last of ``count`` vehicles is beyond the largest."""
+    """Raise UsageError if the last of ``count`` vehicles would get a port or PX4 instance above the largest allowed."""
     last = first_instance + count - 1
     if last > LAST_INSTANCE:
         raise UsageError(
@@ -183,7 +184,7 @@ class Px4Flight(LockstepFlight):
         lost = say if count > 1 else None
 
         def build() -> None:
-            """Open the port of every vehicle, and build the fleets."""
+            """Open a TCP port for every vehicle, and build the fleets."""
             for each in flown:
                 own = []
                 for name in each.vehicle_names:
@@ -197,7 +198,7 @@ class Px4Flight(LockstepFlight):
         self.opened(build)
 
     def parameters(self) -> list[dict[str, Number]]:
-        """Return PX4's parameters for each vehicle, in the order of the links."""
+        """Return the PX4 parameters (name -> value) of each vehicle of all fleets."""
         return [found for fleet in self.fleets for found in fleet.parameters()]
 
     def _begin(self) -> None:
@@ -222,7 +223,7 @@ class Px4Flight(LockstepFlight):
         ]
 
     def advance(self, ticks: int = 1) -> None:
-        """Fly ``ticks`` ticks, each when all PX4s have answered; raises RunError once none is left."""
+        """Fly ``ticks`` ticks in lock-step with all PX4s; raises RunError once none is left."""
         for _ in range(ticks):
             if not self._begun:
                 self._begin()

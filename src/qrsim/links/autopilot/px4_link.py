@@ -82,7 +82,7 @@ class Px4Link:
         self._reset_connection()
 
     def _reset_connection(self) -> None:
-        """Reset the state of the previous connection."""
+        """Reset all that belongs to the previous connection, before a new PX4 connects."""
         self.wanted = Controls()
         self.booted = self.free = self._greeted = False
         self._reader = Reader()
@@ -93,11 +93,11 @@ class Px4Link:
     # Connections
 
     def comes(self) -> bool:
-        """Accept a waiting PX4; return whether one is connected, or whether a process started here has ended."""
+        """Accept a waiting PX4; return True if one is connected, or if the PX4 process started here has ended."""
         return self.connected or self._accept_peer() or bool(self.ended())
 
     def connect(self, until: float) -> None:
-        """Wait for a PX4 to connect, if none is connected.
+        """Wait for a PX4 to connect until ``until`` of ``time.perf_counter`` [s]; does nothing if one is connected.
 
         Args:
             until: time of ``time.perf_counter`` [s].
@@ -117,7 +117,7 @@ class Px4Link:
                 raise RunError(f"{self.name}: {self.nobody()}")
 
     def _accept_peer(self) -> bool:
-        """Accept a waiting connection, close it if another PX4 is connected, and return whether it was kept."""
+        """Accept a waiting connection, unless a PX4 is connected already; return whether it was kept."""
         try:
             peer, address = self._listener.accept()
         except OSError:
@@ -140,7 +140,7 @@ class Px4Link:
         return True
 
     def _hang_up(self, why: str) -> None:
-        """Close the connection, stop the motors, and print the reason."""
+        """Close the connection to PX4, stop the vehicle's motors, and print the reason."""
         if self._peer is not None:
             self._peer.close()
             self._peer = None
@@ -150,7 +150,7 @@ class Px4Link:
 
     @property
     def oddities(self) -> str:
-        """Counts of unusual events in words; "" without any."""
+        """Return a text with counts of unusual events (frames unanswered or damaged, restarts); "" without any."""
         counts = {
             "frames unanswered": self.unanswered,
             "frames damaged": self.harmed,
@@ -167,11 +167,11 @@ class Px4Link:
 
     @property
     def reconnects_until(self) -> float:
-        """Latest time at which another PX4 may replace a lost one, by ``time.perf_counter`` [s]."""
+        """Time of ``time.perf_counter`` [s] until which another PX4 may replace one whose connection was lost."""
         return time.perf_counter() + RECONNECT_S
 
     def nobody(self) -> str:
-        """Return the message for a port that no PX4 has connected to, with a command that starts one."""
+        """Return the error message for a port to which no PX4 has connected, with a shell command that starts one."""
         if self._ever:
             return f"no other PX4 has connected to TCP {self.port} in {RECONNECT_S:g} s"
         return (
@@ -182,7 +182,8 @@ class Px4Link:
     # Frames
 
     def send(self, data: bytes, stamp: int) -> None:
-        """Send the messages of a frame to the connected PX4; closes the connection if that fails.
+        """Send one frame's MAVLink messages (``data``), stamped ``stamp`` [us], to PX4; closes the connection if that
+        fails.
 
         Args:
             data: HIL_SENSOR is the last.
@@ -200,7 +201,8 @@ class Px4Link:
             self._hang_up("PX4 has ended or closed the connection")
 
     def settle(self, begin: float, answers: bool) -> None:
-        """Read until PX4 has answered the last frame, at most its waiting time; also accept new connections.
+        """Read from PX4 until it has answered the frame sent at ``begin`` [s], or its waiting time is over; accept new
+        connections.
 
         Args:
             begin: when it was sent, by ``time.perf_counter`` [s].
@@ -231,7 +233,7 @@ class Px4Link:
             self._missed = False
 
     def _count_unanswered(self) -> None:
-        """Count an unanswered frame; raises RunError after a silence of SILENCE_S."""
+        """Count a sensor frame that PX4 did not answer; raises RunError after SILENCE_S seconds without an answer."""
         self.unanswered += 1
         self._missed = True
         if self._gaps >= MANY_GAPS:
@@ -241,7 +243,7 @@ class Px4Link:
             raise RunError(f"{self.name}: its PX4 has not answered for {SILENCE_S:g} s")
 
     def _check_boot(self) -> None:
-        """Raise a RunError if the connected program has sent no motor command within the waiting time."""
+        """Raise RunError if the connected PX4 has sent no motor command within the waiting time."""
         waited = time.perf_counter() - self._since
         if self._peer is None or self.booted or waited <= self._wait:
             return
@@ -253,7 +255,8 @@ class Px4Link:
         raise RunError(f"{self.name}: the program connected to TCP {self.port} {why} in {self._wait:g} s")
 
     def _receive(self, until: float) -> bool:
-        """Read once, and wait for bytes until ``until`` of ``time.perf_counter`` [s] at most.
+        """Read bytes from PX4 once, waiting for them; return False once ``until`` of ``time.perf_counter`` [s] has
+        passed.
 
         Return False if that time has passed, True if the caller may read again.
         """
@@ -285,7 +288,7 @@ class Px4Link:
         return time.perf_counter() < until
 
     def _handle_frame(self, found: Frame) -> None:
-        """Store the controls of a received frame, and count frames of other programs."""
+        """Store the motor controls of a MAVLink frame from PX4; count frames of other programs."""
         number = found.layout.number
         if number == messages.HEARTBEAT:
             self._greeted = True
@@ -310,7 +313,7 @@ class Px4Link:
                 self._say(f"{self.name}: {line}")
 
     def speeds(self, count: int) -> list[float]:
-        """Return the speeds of motors 1 to ``count``, 0 to 1 of the largest."""
+        """Return the last speeds that PX4 commanded for motors 1 to ``count``, 0 to 1."""
         found, odd = messages.speeds(self.wanted, count)
         if odd:
             self.odd += odd
@@ -320,13 +323,13 @@ class Px4Link:
         return found
 
     def _print_once(self, kind: str, line: str) -> None:
-        """Print a line about this vehicle, once per kind."""
+        """Print a line about this vehicle, but only the first one of each ``kind``."""
         if kind not in self._told:
             self._told.add(kind)
             self._say(f"{self.name}: {line}")
 
     def close(self) -> None:
-        """Close the port and the connection."""
+        """Close the vehicle's TCP port and the connection to PX4."""
         if self._peer is not None:
             self._peer.close()
             self._peer = None

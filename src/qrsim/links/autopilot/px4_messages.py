@@ -56,14 +56,14 @@ class Controls:
 
 
 def controls(payload: bytes) -> Controls:
-    """Return the content of a HIL_ACTUATOR_CONTROLS whose trailing zeros may be missing."""
+    """Decode the payload of HIL_ACTUATOR_CONTROLS; trailing zeros may be missing, as in MAVLink 2."""
     time_usec, flags, *outputs, mode = _CONTROLS.unpack(payload[: _CONTROLS.size].ljust(_CONTROLS.size, b"\0"))
     return Controls(time_usec, tuple(outputs), bool(mode & ARMED), bool(flags & LOCKSTEP))
 
 
 def speeds(wanted: Controls, count: int) -> tuple[list[float], int]:
-    """Return the speeds of motors 1 to ``count`` as fractions of the maximum, and the number of outputs outside -1 to
-    1.
+    """Convert PX4's outputs (``wanted``) to speeds of motors 1 to ``count``, 0 to 1; also return how many were not
+    within -1 to 1.
 
     A motor stops while PX4 is disarmed, and where its output is NaN.
     """
@@ -82,7 +82,8 @@ def hil_sensor(
     differential: float | None = None,
     id: int = 0,
 ) -> bytes:
-    """Return the payload of a HIL_SENSOR; a group without a new reading is None, and its bits are not set.
+    """Return the payload of HIL_SENSOR for the sensors with new readings; sensors that are None are marked as not
+    updated.
 
     Args:
         time_usec: boot clock [us], above 0.
@@ -137,7 +138,7 @@ class Fix:
 
 
 def hil_gps(unix_usec: int, fix: Fix | None, id: int = 0) -> bytes:
-    """Return the payload of a HIL_GPS at a time [us since 1970, UTC]; None is a receiver without a fix."""
+    """Return the payload of HIL_GPS at a time [us since 1970, UTC]; ``fix`` is None for a receiver without a fix."""
     if fix is None or fix.type < 2:
         return _PACK["HIL_GPS"](unix_usec, 0, 0, 0, 65535, 65535, 0, 0, 0, 0, 65535, 0, 0, id, 0)
     north, east, down = fix.velocity_ned
@@ -161,7 +162,8 @@ def hil_gps(unix_usec: int, fix: Fix | None, id: int = 0) -> bytes:
 
 
 def distance_sensor(time_usec: int, distance: float, low: float, high: float, axis: str = "down") -> bytes:
-    """Return the payload of a DISTANCE_SENSOR of a laser; a distance that is not a number has quality 1, the worst.
+    """Return the payload of DISTANCE_SENSOR for a laser rangefinder; a distance [m] of NaN is sent with signal quality
+    1, the worst.
 
     Args:
         time_usec: boot clock [us].
@@ -179,7 +181,8 @@ def distance_sensor(time_usec: int, distance: float, low: float, high: float, ax
 def optical_flow(
     time_usec: int, period_usec: int, flow: Sequence[float], turned: Sequence[float], quality: float, distance: float
 ) -> bytes:
-    """Return the payload of a HIL_OPTICAL_FLOW; an unknown flow is sent as 0 with quality 0.
+    """Return the payload of HIL_OPTICAL_FLOW at a time [us]: flow and rotation [rad] over a period [us]; unknown flow
+    (NaN) has quality 0.
 
     Args:
         time_usec, period_usec: boot clock, and time since the last reading [us].
@@ -204,7 +207,7 @@ def true_state(
     airspeed: float,
     acceleration_ned: Sequence[float],
 ) -> bytes:
-    """Return the payload of a HIL_STATE_QUATERNION as PX4 reads it.
+    """Return the payload of HIL_STATE_QUATERNION, the true state for PX4's logs.
 
     Args:
         time_usec: boot clock [us].
@@ -224,5 +227,5 @@ def true_state(
 
 
 def _clipped_integer(value: float, low: int, high: int) -> int:
-    """Return a number rounded and within limits; the upper limit for NaN and infinity."""
+    """Return a number rounded and clipped to [low, high]; ``high`` for NaN and infinity."""
     return round(min(max(value, low), high)) if math.isfinite(value) else high

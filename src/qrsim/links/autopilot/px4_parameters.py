@@ -45,7 +45,7 @@ _NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
 
 
 def parameters(fleet: Fleet, order: Sequence[int], sight: FleetSight, number: int) -> dict[str, Number]:
-    """Return the parameters of a vehicle by name.
+    """Return the PX4 parameters (name -> value) that describe vehicle ``number`` of a fleet: rotors, motors, sensors.
 
     Args:
         fleet: of multirotors.
@@ -81,18 +81,18 @@ def parameters(fleet: Fleet, order: Sequence[int], sight: FleetSight, number: in
 
 
 def _nudged(value: float, built: float) -> float:
-    """Return a value that differs from PX4's built-in default, so that PX4 stores it."""
+    """Return ``value``, changed slightly if it equals PX4's default ``built``, because PX4 stores no defaults."""
     return round(value if abs(value - built) > AWAY / 2.0 else built + AWAY, 6)
 
 
 def of_vehicle(values: object, number: int) -> float:
-    """Return a vehicle's value of a parameter that is one for all or one for each."""
+    """Return vehicle ``number``'s value from a parameter that holds one value for all vehicles or one for each."""
     found = np.ravel(np.asarray(values, np.float64))
     return float(found[number if len(found) > 1 else 0])
 
 
 def _sensor_parameters(fleet: Fleet, sight: FleetSight) -> dict[str, Number]:
-    """Return the parameters of sensors: the delay of the receiver, and flags for missing sensors."""
+    """Return the PX4 parameters about sensors: the GNSS receiver's delay, and flags for missing sensors."""
     found: dict[str, Number] = {}
     number = sight.sensors.get(s.FIX_POSITION)
     if number is not None:
@@ -110,7 +110,7 @@ def _sensor_parameters(fleet: Fleet, sight: FleetSight) -> dict[str, Number]:
 
 
 def checked(lines: Sequence[str]) -> dict[str, Number]:
-    """Return the parameters of lines NAME=VALUE; raises UsageError for any other line."""
+    """Parse lines NAME=VALUE of --param to PX4 parameters; raises UsageError for any other line."""
     found: dict[str, Number] = {}
     for line in lines:
         name, _, text = line.partition("=")
@@ -127,13 +127,13 @@ def checked(lines: Sequence[str]) -> dict[str, Number]:
 
 
 def environment(found: Mapping[str, Number]) -> dict[str, str]:
-    """Return environment variables that give a PX4 its airframe and parameters."""
+    """Return the environment variables that pass the airframe and these parameters (name -> value) to PX4."""
     words = {f"PX4_PARAM_{name}": text(value) for name, value in found.items()}
     return {"PX4_SIM_MODEL": MODEL, **words}
 
 
 def text(value: Number) -> str:
-    """Return a parameter's value as PX4 reads it; a number with a fraction keeps its point."""
+    """Return a PX4 parameter's value as text; a float keeps its decimal point."""
     if isinstance(value, int):
         return str(value)
     short = f"{value:.6g}"

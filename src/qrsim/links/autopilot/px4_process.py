@@ -87,7 +87,7 @@ class Process:
             raise RunError(f"{build.program}: {error.strerror or error}") from None
 
     def ended(self) -> str:
-        """Return how the process has ended and its last lines, in one line; "" while it runs."""
+        """Return how the PX4 process ended, with its last output lines, as one line; "" while it runs."""
         # The connection is closed a moment before the process has ended.
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(0.05)
@@ -100,19 +100,19 @@ class Process:
         return f"PX4 {how}" + (f"; its last lines: {' | '.join(lines[-LAST_LINES:])}" if lines else "")
 
     def _last_lines(self) -> list[str]:
-        """Return the last lines of the output, which may have gigabytes."""
+        """Return the last lines of PX4's output, read from the end of a file that may have gigabytes."""
         with open(self._log, "rb") as log:
             log.seek(max(0, os.fstat(log.fileno()).st_size - LAST_BYTES))
             return log.read(LAST_BYTES).decode("utf-8", "replace").splitlines()
 
     def ask(self) -> None:
-        """Send the process SIGTERM once, without waiting for it to end."""
+        """Send SIGTERM to the PX4 process once, without waiting for it to end."""
         if self._until is None:
             self._until = time.monotonic() + END_S
             self._signal_group(signal.SIGTERM)
 
     def close(self) -> None:
-        """Ask the process to end, wait, and kill it with its children."""
+        """Send SIGTERM, wait, and kill the PX4 process and its children if they have not ended."""
         self.ask()
         assert self._until is not None
         with suppress(subprocess.TimeoutExpired):
@@ -122,7 +122,7 @@ class Process:
         self._process.wait()
 
     def _signal_group(self, number: signal.Signals) -> None:
-        """Signal the process and its children."""
+        """Send a signal to the PX4 process and its children."""
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, number)
 
@@ -134,7 +134,8 @@ class Process:
 
 
 def started(build: Build, flight: Px4Flight, own: Mapping[str, Number], logs: Path) -> None:
-    """Start a PX4 for each vehicle of a flight, which ends them when it is closed.
+    """Start a PX4 process for each vehicle of ``flight``, with the user's parameters ``own``; closing the flight ends
+    them.
 
     Args:
         build: of PX4.
@@ -148,7 +149,7 @@ def started(build: Build, flight: Px4Flight, own: Mapping[str, Number], logs: Pa
     processes: list[Process] = []
 
     def ask_all() -> None:
-        """Request all processes to end."""
+        """Send SIGTERM to all PX4 processes."""
         for process in processes:
             process.ask()
 

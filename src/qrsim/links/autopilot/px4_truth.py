@@ -21,7 +21,8 @@ PLACE, QUATERNION, VELOCITY, RATES, FORCE, WIND, GUST = 0, 3, 7, 10, 13, 16, 19
 
 
 def geodetic(point: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return latitude, longitude [deg] and height [m] of an Earth-fixed point [m], by Bowring's formula (1976)."""
+    """Convert an Earth-centred, Earth-fixed position [m] to latitude, longitude [deg] and height [m], by Bowring
+    (1976)."""
     x, y, z = point
     away = math.hypot(x, y)
     theta = math.atan2(z * _A, away * _B)
@@ -32,12 +33,12 @@ def geodetic(point: tuple[float, float, float]) -> tuple[float, float, float]:
 
 
 def above(place: tuple[float, float, float], undulation: float) -> tuple[float, float, float]:
-    """Return latitude and longitude unchanged, and the height [m] reduced by the geoid's ``undulation`` [m]."""
+    """Convert a height above the ellipsoid to one above the geoid [m]; latitude and longitude [deg] stay."""
     return place[0], place[1], place[2] - undulation
 
 
 def turned(quaternion: NumpyArray, vectors: NumpyArray) -> NumpyArray:
-    """Rotate body-frame vectors (n, 3) to NED by quaternions (n, 4: w, x, y, z)."""
+    """Rotate body-frame vectors (n, 3) to NED by attitude quaternions (n, 4: w, x, y, z)."""
     w, x, y, z = quaternion.T
     a, b, c = vectors.T
     p, q, r = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
@@ -71,7 +72,7 @@ class TrueStates:
         self._origin, self._to_ned = site.origin_ecef(), site.ned_from_ecef_rotation()
 
     def payloads(self, usec: int) -> list[bytes]:
-        """Return each vehicle's HIL_STATE_QUATERNION at a time [us] of its boot clock."""
+        """Return each vehicle's HIL_STATE_QUATERNION payload, its true state at ``usec`` [us] of PX4's boot clock."""
         floats = np.asarray(self._simulation.packed[1][0])
         rows = floats[self._places].T.astype(np.float64)
         quaternion = rows[:, QUATERNION:VELOCITY]

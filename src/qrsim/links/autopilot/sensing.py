@@ -65,7 +65,8 @@ class FleetSight:
         self._last[:, s.PRESSURE] = math.nan
 
     def read(self) -> list[list[float]]:
-        """Return the commands and readings of each vehicle at this tick, a row of columns each; NaN where unknown."""
+        """Return each vehicle's present commands and sensor readings as a row of numbers, in the columns of
+        ``shared.sight``; NaN: unknown."""
         floats, integers = (np.asarray(part) for part in self._simulation.packed[1])
         now = self._now
         now[:, self._columns] = floats[self._places].T
@@ -77,7 +78,8 @@ class FleetSight:
         return now.tolist()
 
     def look(self) -> tuple[list[Sequence[float]], list[Sensed]]:
-        """Return each vehicle's commanded pitch, roll, throttle and yaw rate, and its readings.
+        """Return each vehicle's command (pitch, roll [rad], throttle, yaw rate [rad/s]) and sensor readings, the last
+        ones where new ones lack.
 
         A sensor without a reading keeps the previous one.
         """
@@ -89,11 +91,12 @@ class FleetSight:
         return [row[ASKED:] for row in rows], [self._sensed_row(row) for row in rows]
 
     def positions(self) -> list[list[float]]:
-        """Return the estimated position of each vehicle, NED [m], as of the last ``look``."""
+        """Return each vehicle's estimated position, NED [m], at the last call of ``look``."""
         return self._last[:, s.POSITION : s.POSITION + 3].tolist()
 
     def _sensed_row(self, row: list[float]) -> Sensed:
-        """Return a row of ``read`` as ``Sensed``, with the place [deg, deg, m above the geoid] and pressure [Pa]."""
+        """Convert a row of ``read`` to a ``Sensed`` record, with latitude, longitude [deg], altitude above the geoid
+        [m] and pressure [Pa]."""
         latitude, longitude = self._site.latitude_rad, self._site.longitude_rad
         north, east, down = row[s.POSITION : s.POSITION + 3]
         # The firmware takes the place to no more than a number to show: a sphere is enough.
@@ -111,7 +114,7 @@ class FleetSight:
 
 
 def pressure_of(row: Sequence[float], site_altitude: float) -> float:
-    """Return the pressure [Pa] that a barometer measures, or that at its measured height above the site.
+    """Return the barometer's pressure [Pa] in a row of readings, or the standard pressure at its measured height.
 
     Args:
         row: numbers of a vehicle, by column.
@@ -122,7 +125,8 @@ def pressure_of(row: Sequence[float], site_altitude: float) -> float:
 
 
 def _sensed_leaves(fleet: Fleet, state: Any, truth: bool) -> Iterator[tuple[int, Any, int | None]]:
-    """Yield (column, leaf, sensor number) of the commands and readings of a fleet."""
+    """Yield (column of the row, array, sensor number or None) for a fleet's commands and readings; ``truth``: true
+    values for feed "truth"."""
     command = state.command
     for column, leaf in enumerate((command.pitch, command.roll, command.throttle, command.yaw_rate), ASKED):
         yield column, leaf, None

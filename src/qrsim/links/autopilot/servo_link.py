@@ -57,7 +57,8 @@ class ServoLink:
         self.lost = self.repeated = self.foreign = self.restarts = 0
 
     def wait(self) -> Servos:
-        """Wait for the autopilot's next servo packet and return it; a repeated packet gets the last reply again.
+        """Wait for ArduPilot's next servo packet and return it; a repeated packet is answered with the last reply
+        again.
 
         Raises:
             RunError: no autopilot has come, or come back, in time.
@@ -76,7 +77,7 @@ class ServoLink:
                 self._say(f"{self.name}: its ArduPilot is silent; waiting {self._wait:g} s for it to start again")
 
     def _next_step(self) -> Servos | None:
-        """Receive one packet; return it decoded, or None after a time-out and for foreign and repeated packets."""
+        """Receive and decode one servo packet; return None after a time-out, and for foreign and repeated packets."""
         try:
             packet, peer = self._socket.recvfrom(LONGEST)
         except TimeoutError:
@@ -106,24 +107,24 @@ class ServoLink:
         return found
 
     def _is_from_autopilot(self, found: Servos, peer: tuple[str, int]) -> bool:
-        """Return whether a packet comes from the vehicle's autopilot, or from one that replaces it."""
+        """Return whether a servo packet comes from this vehicle's ArduPilot, or from one that replaces it."""
         silent = time.monotonic() - self._heard > SILENCE_S
         return self._peer in (None, peer) or found.frame < FIRST_FRAMES or silent
 
     def answer(self, reply: bytes) -> None:
-        """Send a reply to the autopilot, and keep it for repeated packets."""
+        """Send a reply (a JSON line) to ArduPilot, and keep it for repeated packets."""
         self._reply = reply
         self._send_reply(reply)
 
     def _send_reply(self, reply: bytes) -> None:
-        """Send a reply to the autopilot; errors are left to the next wait."""
+        """Send a reply to ArduPilot, ignoring socket errors; the next ``wait`` reports them."""
         # Who is not there any more is found out where its next step is waited for.
         if self._peer is not None and reply:
             with suppress(OSError):
                 self._socket.sendto(reply, self._peer)
 
     def _raise_silence(self) -> NoReturn:
-        """Raise a RunError: no ArduPilot has come, or it has been silent for too long."""
+        """Raise a RunError: no ArduPilot has connected, or it has been silent for too long."""
         if self._last is None:
             raise RunError(
                 f"{self.name}: no ArduPilot has come to UDP port {self.port} in {self._wait:g} s; start it with "
@@ -135,7 +136,7 @@ class ServoLink:
         )
 
     def close(self) -> None:
-        """Close the port."""
+        """Close the vehicle's UDP port."""
         self._socket.close()
 
 

@@ -13,7 +13,8 @@ CENTRE, HALF, FULL = 1500, 500, 2000
 def channels(
     pitch: float, roll: float, throttle: float, yaw_rate: float, throttle_curve: float = 0.0
 ) -> tuple[int, int, int, int, int, int]:
-    """Return roll, pitch, throttle, yaw, arming switch and angle-mode switch, each 1000 to 2000.
+    """Convert an attitude command [rad, rad/s] to stick channels, 1000 to 2000: roll, pitch, throttle, yaw, arming and
+    angle-mode switch.
 
     Args:
         pitch: nose up [rad]; the stick is pushed to lower the nose.
@@ -41,5 +42,5 @@ def channels(
 
 
 def _stick_value(share: float) -> int:
-    """Return the channel value, 1000 to 2000, of a deflection from -1 to 1; the centre for NaN."""
+    """Return the stick channel, 1000 to 2000, for a deflection from -1 to 1; 1500, the centre, for NaN."""
     return CENTRE + round(HALF * max(-1.0, min(1.0, share))) if math.isfinite(share) else CENTRE

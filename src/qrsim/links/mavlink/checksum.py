@@ -12,16 +12,17 @@ _SENT = tuple(bytes((_TURNED[word >> 8], _TURNED[word & 0xFF])) for word in rang
 
 
 def check_of(data: bytes) -> bytes:
-    """Return the CRC-16/MCRF4XX of bytes as MAVLink sends it: two bytes, low byte first."""
+    """Return the MAVLink checksum (CRC-16/MCRF4XX) of bytes as it is sent: two bytes, the low one first."""
     return _SENT[crc_hqx(data.translate(_TURNED), 0xFFFF)]
 
 
 def checks_of(data: bytes, starts: Sequence[int], stops: Sequence[int]) -> list[bytes]:
-    """Return ``check_of`` of each part of ``data``, from a start to before its stop."""
+    """Return the MAVLink checksum, two bytes, of each slice ``data[start:stop]``."""
     turned = data.translate(_TURNED)
     return [_SENT[crc_hqx(turned[start:stop], 0xFFFF)] for start, stop in zip(starts, stops, strict=True)]
 
 
 def x25(data: bytes) -> int:
-    """Return the CRC-16/MCRF4XX of bytes as an integer from 0 to 65535; that of b"123456789" is 0x6F91."""
+    """Return the MAVLink checksum (CRC-16/MCRF4XX) of bytes as an integer, 0 to 65535; that of b"123456789" is
+    0x6F91."""
     return int.from_bytes(check_of(data), "little")

@@ -157,13 +157,13 @@ class Field:
 
     @staticmethod
     def of(text: str) -> Field:
-        """Parse a field "name:type" or, for an array, "name:4f"."""
+        """Parse a message field written as "name:type" or, for an array of four floats, "name:4f"."""
         name, _, kind = text.partition(":")
         return Field(name, kind[-1], int(kind[:-1] or 0))
 
     @property
     def format(self) -> str:
-        """Return the ``struct`` format of this field, such as "4f"."""
+        """Return the ``struct`` format of this field, such as "4f" for an array of four floats."""
         if self.type == "c":
             return f"{self.count}s"
         return f"{self.count or ''}{self.type}"
@@ -202,7 +202,7 @@ class Layout:
 
     @staticmethod
     def of(line: str) -> Layout:
-        """Parse a line of the message table: name, number, fields, and extensions after "|"."""
+        """Parse a line of the message table ("name number field field ... | extension fields") to a Layout."""
         head, _, extensions = line.partition("|")
         name, number, *fields = head.split()
         own = sorted(map(Field.of, fields), key=lambda field: -_SIZES[field.type])
@@ -210,17 +210,18 @@ class Layout:
 
     @cached_property
     def struct(self) -> struct.Struct:
-        """Return the ``struct.Struct`` that packs all fields in wire order, arrays element by element."""
+        """Return the ``struct.Struct`` that packs all fields of the message in wire order, arrays element by
+        element."""
         return struct.Struct("<" + "".join(field.format for field in self.fields))
 
     @cached_property
     def least(self) -> int:
-        """Return the payload's size in bytes without extension fields, as in MAVLink 1."""
+        """Return the size [bytes] of the payload without extension fields, as in MAVLink 1."""
         return struct.calcsize("<" + "".join(field.format for field in self.fields[: self.own]))
 
     @cached_property
     def extra(self) -> int:
-        """Return CRC_EXTRA, a checksum of the message's definition, by which two ends notice different definitions."""
+        """Return CRC_EXTRA, the byte that makes checksums fail where two programs define the message differently."""
         text = f"{self.name} ".encode()
         for field in self.fields[: self.own]:
             text += f"{_TYPES[field.type]} {field.name} ".encode()
@@ -230,7 +231,7 @@ class Layout:
         return (check & 0xFF) ^ (check >> 8)
 
     def payload(self, **values: Any) -> bytes:
-        """Return the payload with the given field values; omitted fields are 0.
+        """Encode the message's payload from field values by name; omitted fields are 0.
 
         Raises:
             ValueError: there is no such field, or an array has another length.
@@ -250,7 +251,8 @@ class Layout:
         return self.struct.pack(*numbers)
 
     def message(self, payload: bytes) -> Message:
-        """Decode a payload; missing bytes at its end count as 0, and surplus bytes are ignored."""
+        """Decode a payload to a message with attributes by field name; missing bytes at its end count as 0, surplus
+        ones are ignored."""
         size = self.struct.size
         numbers = self.struct.unpack(payload[:size].ljust(size, b"\0"))
         values: dict[str, object] = {}
@@ -269,7 +271,7 @@ class Layout:
 
 
 def _layouts() -> dict[str, Layout]:
-    """Return the layouts of all messages by name, from the table above."""
+    """Parse the table of messages above; return message name -> Layout."""
     lines: list[str] = []
     for line in _TABLE.strip().splitlines():
         if line.startswith(" "):

@@ -38,7 +38,8 @@ Handler = Callable[[System, Link, Frame], None]
 
 
 def handle(system: System, link: Link, frame: Frame) -> None:
-    """Answer a frame if it is addressed to this vehicle and its message is known; ignore all others.
+    """Call the handler of a client's frame if it is addressed to this vehicle and its message is known; ignore all
+    others.
 
     Args:
         system: the vehicle.
@@ -53,7 +54,7 @@ def handle(system: System, link: Link, frame: Frame) -> None:
 
 
 def _is_for(system: System, frame: Frame) -> bool:
-    """Return whether a frame is addressed to all systems or this one, and to all components or the autopilot."""
+    """Return whether a frame is addressed to this system (or all) and to the autopilot component (or all)."""
     places = _TARGETS.get(frame.layout.number)
     if places is None:
         return True
@@ -64,7 +65,8 @@ def _is_for(system: System, frame: Frame) -> bool:
 
 
 def _targets() -> dict[int, tuple[int, int]]:
-    """Return message number -> byte offsets of target_system and target_component in the payload; -1: no component."""
+    """Return message number -> (offset of target_system, of target_component) in the payload [bytes]; -1: no component
+    field."""
     found = {}
     for number, layout in BY_NUMBER.items():
         places, at = {}, 0
@@ -84,21 +86,21 @@ _TARGETS = _targets()
 
 
 def _command_long(system: System, link: Link, frame: Frame) -> None:
-    """Answer COMMAND_LONG: let the stack, or the link itself, carry out the command."""
+    """Execute the command of a COMMAND_LONG, by the flight stack or the link itself, and acknowledge it."""
     message = frame.message()
     params = tuple(getattr(message, f"param{number}") for number in range(1, 8))
     _obey(system, link, frame, Command(message.command, params))
 
 
 def _command_int(system: System, link: Link, frame: Frame) -> None:
-    """Answer COMMAND_INT: let the stack, or the link itself, carry out the command."""
+    """Execute the command of a COMMAND_INT, by the flight stack or the link itself, and acknowledge it."""
     m = frame.message()
     params = (m.param1, m.param2, m.param3, m.param4)
     _obey(system, link, frame, Command.of_int(m.command, m.frame, params, m.x, m.y, m.z))
 
 
 def _obey(system: System, link: Link, frame: Frame, command: Command) -> None:
-    """Carry out a command, send COMMAND_ACK, and send the messages that the command requests."""
+    """Execute a client's command, send COMMAND_ACK with the result, and send the messages that the command requests."""
     answer = requests.answer(system, link, command)
     ack, payloads = (system.stack.command(command), ()) if answer is None else answer
     acknowledge(link, frame, command.id, ack)
@@ -111,7 +113,7 @@ def _obey(system: System, link: Link, frame: Frame, command: Command) -> None:
 
 
 def acknowledge(link: Link, frame: Frame, command: int, ack: Ack) -> None:
-    """Send COMMAND_ACK with a result, addressed to the sender of ``frame``."""
+    """Send COMMAND_ACK for a command number with a result, addressed to the sender of ``frame``."""
     link.say(
         "COMMAND_ACK",
         command=command,
@@ -123,7 +125,7 @@ def acknowledge(link: Link, frame: Frame, command: int, ack: Ack) -> None:
 
 
 def _set_mode(system: System, link: Link, frame: Frame) -> None:
-    """Answer SET_MODE with the acknowledgement of the command DO_SET_MODE."""
+    """Change the flight mode as a SET_MODE message asks, and answer with the COMMAND_ACK of DO_SET_MODE."""
     message = frame.message()
     acknowledge(link, frame, DO_SET_MODE, Ack(system.stack.set_mode(message.base_mode, message.custom_mode)))
 
@@ -132,18 +134,19 @@ def _set_mode(system: System, link: Link, frame: Frame) -> None:
 
 
 def _axes(m: Message, x: str, y: str, z: str) -> Triple:
-    """Return the values of the named fields of a message as a tuple."""
+    """Return the values of a message's fields that are named ``x``, ``y`` and ``z`` as a tuple."""
     return getattr(m, x), getattr(m, y), getattr(m, z)
 
 
 def _take(system: System, link: Link, target: Target) -> None:
-    """Pass a set-point to the stack; the link then counts as flying the vehicle if the mode takes set-points."""
+    """Pass a client's set-point to the flight stack, and note whether this link now flies the vehicle (for
+    lock-step)."""
     system.stack.setpoint(target)
     link.flies, link.owes = system.stack.takes_setpoints, False
 
 
 def _local_target(system: System, link: Link, frame: Frame) -> None:
-    """Pass the set-point of SET_POSITION_TARGET_LOCAL_NED to the stack."""
+    """Pass the set-point of a SET_POSITION_TARGET_LOCAL_NED message to the flight stack."""
     m = frame.message()
     target = LocalTarget(
         m.coordinate_frame,
@@ -158,7 +161,7 @@ def _local_target(system: System, link: Link, frame: Frame) -> None:
 
 
 def _global_target(system: System, link: Link, frame: Frame) -> None:
-    """Pass the set-point of SET_POSITION_TARGET_GLOBAL_INT to the stack."""
+    """Pass the set-point of a SET_POSITION_TARGET_GLOBAL_INT message to the flight stack."""
     m = frame.message()
     target = GlobalTarget(
         m.coordinate_frame,
@@ -175,20 +178,22 @@ def _global_target(system: System, link: Link, frame: Frame) -> None:
 
 
 def _attitude_target(system: System, link: Link, frame: Frame) -> None:
-    """Pass the set-point of SET_ATTITUDE_TARGET to the stack."""
+    """Pass the set-point of a SET_ATTITUDE_TARGET message to the flight stack."""
     m = frame.message()
     rates = _axes(m, "body_roll_rate", "body_pitch_rate", "body_yaw_rate")
     _take(system, link, AttitudeTarget(m.type_mask, m.q, rates, m.thrust))
 
 
 def _takes_sticks(system: System, by: tuple[int, ...]) -> bool:
-    """Return whether COM_RC_IN_MODE is one of ``by``; always true for ArduPilot, which has no such parameter."""
+    """Return whether the parameter COM_RC_IN_MODE is one of ``by``, the values that admit these sticks; always True for
+    ArduPilot."""
     parameters = system.stack.parameters
     return system.stack.heartbeat().autopilot == ARDUPILOT or int(parameters["COM_RC_IN_MODE"]) in by
 
 
 def _manual(system: System, link: Link, frame: Frame) -> None:
-    """Take MANUAL_CONTROL: x forwards, y right and r right in 1/1000, z 0 to 1000 with 500 in the middle."""
+    """Pass the sticks of MANUAL_CONTROL to the flight stack: x forwards, y and r right, -1000 to 1000; z 0 to 1000, 500
+    centred."""
     m = frame.message()
     if _takes_sticks(system, (1, 2, 3)):
         forward, right, up, turn = (math.nan if axis == _NO_AXIS else axis / 1e3 for axis in (m.x, m.y, m.z, m.r))
@@ -196,7 +201,8 @@ def _manual(system: System, link: Link, frame: Frame) -> None:
 
 
 def _override(system: System, link: Link, frame: Frame) -> None:
-    """Take RC_CHANNELS_OVERRIDE: roll, pitch, throttle, yaw in us, 1500 in the middle, a low pitch is forwards."""
+    """Pass the sticks of RC_CHANNELS_OVERRIDE to the flight stack: roll, pitch, throttle, yaw [us], 1500 centred; low
+    pitch is forwards."""
     m = frame.message()
     if _takes_sticks(system, (0, 2, 3)):
         raw = (m.chan1_raw, m.chan2_raw, m.chan3_raw, m.chan4_raw)
@@ -205,13 +211,13 @@ def _override(system: System, link: Link, frame: Frame) -> None:
 
 
 def _follow(system: System, link: Link, frame: Frame) -> None:
-    """Pass the position of FOLLOW_TARGET to the stack, for its follow-me mode."""
+    """Pass the target position of a FOLLOW_TARGET message to the flight stack, for its follow-me mode."""
     m = frame.message()
     system.stack.follow_target(FollowTarget(m.lat * 1e-7, m.lon * 1e-7, m.alt, m.vel))
 
 
 def _actuators(system: System, link: Link, frame: Frame) -> None:
-    """Tell the client once that SET_ACTUATOR_CONTROL_TARGET is not flown."""
+    """Tell the client, once, that SET_ACTUATOR_CONTROL_TARGET is not supported."""
     system.tell_once("actuators", Text(Severity.WARNING, "SET_ACTUATOR_CONTROL_TARGET is not flown"))
 
 
@@ -219,7 +225,7 @@ def _actuators(system: System, link: Link, frame: Frame) -> None:
 
 
 def _heartbeat(system: System, link: Link, frame: Frame) -> None:
-    """Pass a ground station's HEARTBEAT to the stack, for the data-link failsafe."""
+    """Pass a ground station's HEARTBEAT to the flight stack, whose data-link failsafe watches for it."""
     if frame.message().type == GROUND_STATION:
         system.stack.heard_ground()
 
@@ -238,7 +244,7 @@ def _ping(system: System, link: Link, frame: Frame) -> None:
 
 
 def _timesync(system: System, link: Link, frame: Frame) -> None:
-    """Answer TIMESYNC with the simulated time [ns]."""
+    """Answer a TIMESYNC request with the simulated time [ns]."""
     message = frame.message()
     if message.tc1 == 0:
         link.say("TIMESYNC", tc1=int(system.view.seen.time * 1e9), ts1=message.ts1)
@@ -260,17 +266,17 @@ def _file(system: System, link: Link, frame: Frame) -> None:
 
 
 def _logs(system: System, link: Link, frame: Frame) -> None:
-    """Answer a request for the list of logs with an empty LOG_ENTRY: the vehicle has no logs."""
+    """Answer LOG_REQUEST_LIST with an empty LOG_ENTRY: the vehicle has no onboard logs."""
     link.say("LOG_ENTRY")
 
 
 def _partner(frame: Frame) -> tuple[int, int]:
-    """Return (system, component) of the sender."""
+    """Return (system id, component id) of the sender of a frame."""
     return frame.system, frame.component
 
 
 def _set_current(system: System, link: Link, frame: Frame) -> None:
-    """Make an item the current one (MISSION_SET_CURRENT) and send MISSION_CURRENT."""
+    """Make a mission item the current one, as MISSION_SET_CURRENT asks, and send MISSION_CURRENT."""
     system.stack.set_current(frame.message().seq)
     payload = ENCODERS[LAYOUTS["MISSION_CURRENT"].number](system.view)
     assert payload is not None

@@ -62,7 +62,8 @@ class Failures:
         self._fleet = next(fleet for fleet in simulation.world.fleets if name in fleet.vehicle_names)
 
     def inject(self, unit: int, kind: int, instances: Sequence[int], critical: float) -> tuple[Result, str]:
-        """Inject a failure that a client requests; return the result and a text for it.
+        """Inject the failure of an INJECT_FAILURE command (``unit``, ``kind``: MAVLink's numbers); return the result
+        and a text for the client.
 
         Args:
             unit: FAILURE_UNIT.
@@ -92,7 +93,8 @@ class Failures:
     def _inject(
         self, targets: list[str], what: str, instances: Sequence[int], word: str, asked: tuple[str, dict[str, Any]]
     ) -> tuple[Result, str]:
-        """Inject a fault into the given instances (from 1; none: all); return the result and a text for the client."""
+        """Inject a fault ``asked`` (kind, parameters) into instances (from 1; none: all) of ``targets``; return the
+        result and a text."""
         if not targets:
             return Result.DENIED, f"Not injectable: {what}; start qrsim mavlink with --injectable all"
         if any(not 0 < number <= len(targets) for number in instances):
@@ -109,7 +111,7 @@ class Failures:
         return Result.ACCEPTED, f"Cleared: {what}" if word == "ok" else f"Injected: {what} {word}, instance {which}"
 
     def _speed(self, target: str) -> float:
-        """Return a rotor's present speed as a fraction, 0 to 1, of its maximum."""
+        """Return the present speed of a rotor (``target``: "rotor N") as a fraction, 0 to 1, of its maximum."""
         fleets = [fleet.name for fleet in self._simulation.world.fleets]
         speeds: Any = self._simulation.state.fleets[fleets.index(self._fleet.name)].vehicle
         row, rotor = self._fleet.vehicle_names.index(self._name), int(target.split()[1])
@@ -119,14 +121,16 @@ class Failures:
 
 
 def slots_of(fleet: Fleet, field: str) -> Iterator[FaultSlot]:
-    """Yield the fault slots of the sensors that report a field, such as ``position_ned``."""
+    """Yield the fleet's slots for injected sensor faults, of the sensors that report a field such as
+    ``position_ned``."""
     for slot in fleet.fault_slots:
         if any(name == field or name.startswith(f"{field}.") for name in slot.fields):
             yield slot
 
 
 def _numbers(word: str, unit: _Unit) -> tuple[str, dict[str, Any]]:
-    """Return the fault kind of a FAILURE_TYPE word and the fault's parameters, which MAVLink does not define."""
+    """Return the fault kind for a FAILURE_TYPE word, and fault parameters for it, since MAVLink defines no
+    magnitudes."""
     wrong = unit.wrong
     of_field = {"wrong": ("bias", wrong), "drift": ("rate", 0.1 * wrong), "garbage": ("range", 10.0 * wrong)}
     if word in of_field:
@@ -141,7 +145,7 @@ def _numbers(word: str, unit: _Unit) -> tuple[str, dict[str, Any]]:
 
 
 def _motors(fleet: Fleet) -> list[str]:
-    """Return the names "rotor N" of the rotors that can fail, in PX4's motor order; an X quadrotor is reordered."""
+    """Return the names "rotor N" of the fleet's rotors that can fail, those of an X quadrotor in PX4's motor order."""
     rotors = [slot.rotor for slot in fleet.rotor_slots]
     if len(rotors) == 4 and isinstance(fleet.vehicle, Multirotor) and len(fleet.vehicle.rotors) == 4:
         corners = {(True, True): 0, (False, False): 1, (True, False): 2, (False, True): 3}

@@ -49,7 +49,8 @@ _BY_ROTORS = {4: QUADROTOR, 6: HEXAROTOR, 8: OCTOROTOR}
 
 
 def prepared(scenario: Scenario, injectable: Sequence[str] = ()) -> Scenario:
-    """Return a scenario whose vehicles stand on the ground, without routes, and whose fleets follow paths.
+    """Return a scenario changed for MAVLink: vehicles start on the ground without routes, with controllers that follow
+    paths.
 
     Vehicles without a contact of their own are ``parked``. A fleet whose controller takes no paths, velocities and
     attitudes gets a ``cascade``, with its ``feed`` if that has it. Vehicles that take no such controller stay.
@@ -79,12 +80,12 @@ def prepared(scenario: Scenario, injectable: Sequence[str] = ()) -> Scenario:
 
 
 def flown(fleet: Fleet) -> bool:
-    """Return whether a stack can fly the vehicles of a fleet."""
+    """Return whether a flight stack (PX4 or ArduPilot, simulated) can fly the vehicles of a fleet."""
     return set(kinds_of(fleet)) >= NEEDED and handling_of(fleet.vehicle) is not None
 
 
 def type_of(vehicle: Vehicle) -> int:
-    """Return the MAV_TYPE of a vehicle."""
+    """Return MAVLink's MAV_TYPE number for a vehicle model."""
     if isinstance(vehicle, Drives):
         return GROUND_ROVER
     if isinstance(vehicle, Aeroplane):
@@ -93,7 +94,8 @@ def type_of(vehicle: Vehicle) -> int:
 
 
 def start_parameters(fleet: Fleet, number: int) -> dict[str, float]:
-    """Return the failsafes of a scenario as parameters of a vehicle's flight stack, by name; none without failsafes.
+    """Return the failsafes of a scenario's fleet as flight-stack parameters (name -> value) of vehicle ``number``; {}
+    without failsafes.
 
     Args:
         fleet: of the vehicle.
@@ -112,7 +114,7 @@ def start_parameters(fleet: Fleet, number: int) -> dict[str, float]:
 
 
 def plan_parameters(scenario: Scenario, world: World) -> dict[int, Mapping[str, float]]:
-    """Return the parameters that come with plans, by the row of the vehicle that has the plan; warn of unknown ones.
+    """Return vehicle row -> parameters (name -> value) from the plan files of a scenario; warn of unknown parameters.
 
     Args:
         scenario: with the plans of its vehicles.
@@ -131,13 +133,13 @@ def plan_parameters(scenario: Scenario, world: World) -> dict[int, Mapping[str, 
 
 
 def _row_of(vehicle: PlannedVehicle, world: World) -> int:
-    """Return the row of the vehicle of a plan."""
+    """Return the row, among all vehicles of the world, of a vehicle that has a plan file."""
     fleet, _, rest = vehicle.path.removeprefix("fleets.").rpartition(".vehicles.")
     return world.rows_of(fleet).start + int(rest.partition(".")[0])
 
 
 def start_rally(scenario: Scenario, world: World) -> dict[int, tuple[Item, ...]]:
-    """Return the rally points of vehicles as items, by the row of the vehicle: those of its plan, or its ``rally_ned``.
+    """Return vehicle row -> rally points as mission items, from its plan file or its ``rally_ned``.
 
     Args:
         scenario: with the plans of its vehicles.
@@ -159,7 +161,7 @@ def start_rally(scenario: Scenario, world: World) -> dict[int, tuple[Item, ...]]
 
 
 def _rally_items(places: Iterable[tuple[float, float, float]]) -> tuple[Item, ...]:
-    """Return items of places: latitude and longitude [deg], height above home [m]."""
+    """Return rally points as mission items, from (latitude, longitude [deg], height above home [m])."""
     return tuple(
         Item(seq, ABOVE_HOME[1], RALLY_POINT, x=round(latitude * 1e7), y=round(longitude * 1e7), z=height)
         for seq, (latitude, longitude, height) in enumerate(places)
@@ -167,7 +169,8 @@ def _rally_items(places: Iterable[tuple[float, float, float]]) -> tuple[Item, ..
 
 
 def systems_of(world: World, first: int) -> list[tuple[int, Facts]]:
-    """Return (row in the world, facts) of each vehicle that a stack can fly or show; system ids count from ``first``.
+    """Return (row in the world, facts) of each vehicle that a flight stack can fly or show; system ids count up from
+    ``first``.
 
     Raises:
         UsageError: there is none, or there are more than system ids.
@@ -194,7 +197,8 @@ def systems_of(world: World, first: int) -> list[tuple[int, Facts]]:
 
 
 def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
-    """Return the facts that a stack needs about a vehicle: limits, area, kinds of order, battery, speeds."""
+    """Return the facts that a flight stack needs about vehicle ``number`` of a fleet: limits, area, battery, speeds,
+    system id."""
     area: Any = world.area
     limited, zones = area.is_box or isinstance(area, PolygonArea | ZonesArea), _zones(area)
     ceiling, floor = (float(area.z_min), float(area.z_max)) if limited else (-np.inf, np.inf)
@@ -215,7 +219,7 @@ def _facts(world: World, fleet: Fleet, number: int, system: int) -> Facts:
     controller = fleet.controller
 
     def own(value: object) -> float:
-        """Return a vehicle's number of a parameter that is one for all or one for each."""
+        """Return this vehicle's value from a parameter that holds one value for all vehicles or one for each."""
         return float(np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number])
 
     if isinstance(controller, RoverController):
@@ -247,13 +251,13 @@ def _at_zero(ground: Ground) -> bool:
 
 
 def _wing_facts(common: Facts, fleet: Fleet, number: int) -> Facts:
-    """Return the facts of a fixed wing: ``common`` with its airspeeds [m/s] and loiter radius [m]."""
+    """Return ``common`` with a fixed wing's airspeeds [m/s] and loiter radius [m] added."""
     controller: Any = fleet.controller
     vehicle: Any = fleet.vehicle
     guidance: Any = fleet.guidance
 
     def own(value: object) -> float:
-        """Return a vehicle's number of a parameter that is one for all or one for each."""
+        """Return this vehicle's value from a parameter that holds one value for all vehicles or one for each."""
         return float(np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number])
 
     circles = isinstance(guidance, FixedWingGuidance)
@@ -267,7 +271,7 @@ def _wing_facts(common: Facts, fleet: Fleet, number: int) -> Facts:
 
 
 def _zones(area: Any) -> tuple[Zone, ...]:
-    """Return the geofence zones of the flight area; a box or a polygon becomes one inclusion zone."""
+    """Return a scenario's flight area as geofence zones; a box or a polygon becomes one inclusion zone."""
     if isinstance(area, ZonesArea):
         return area.zones
     if area.is_box:

@@ -21,7 +21,7 @@ _KINDS = {number: (number.to_bytes(3, "little"), bytes([extra])) for number, ext
 
 
 def frame(number: int, payload: bytes, sequence: int, system: int, component: int = 1) -> bytes:
-    """Return a MAVLink 2 frame with a message's payload.
+    """Return a complete MAVLink 2 frame (header, payload, checksum) for message ``number``.
 
     Args:
         number: of the message.
@@ -56,7 +56,7 @@ class Frame:
     version: int
 
     def message(self) -> Message:
-        """Return the decoded message of this frame."""
+        """Decode the payload of this frame to a message with attributes by field name."""
         return self.layout.message(self.payload)
 
 
@@ -73,13 +73,14 @@ class Reader:
         self.damaged = self.skipped = 0
 
     def datagram(self, data: bytes) -> Iterator[Frame]:
-        """Yield the whole frames of a datagram; an incomplete frame at its end is dropped."""
+        """Parse a datagram on its own, and yield its frames; an incomplete frame at its end is dropped."""
         self._kept = b""
         yield from self.feed(data)
         self._kept = b""
 
     def feed(self, data: bytes) -> Iterator[Frame]:
-        """Yield the frames that are complete once ``data`` is appended to the stream; the rest is kept."""
+        """Append received bytes to the stream, and yield every frame that is now complete; an incomplete one is
+        kept."""
         data = self._kept + data
         at, end = 0, len(data)
         while at < end:
@@ -109,7 +110,8 @@ class Reader:
         self._kept = data[at:]
 
     def inside(self) -> Iterator[Frame]:
-        """Yield whole frames found inside the incomplete frame that is kept, in case its start was no frame start."""
+        """Yield whole frames hidden in the incomplete frame that is kept, in case its start byte was not the start of a
+        frame."""
         kept = self._kept
         at = _whole(kept, 1, len(kept))
         if at is not None:
@@ -119,7 +121,7 @@ class Reader:
 
 
 def _whole(data: bytes, begin: int, end: int) -> int | None:
-    """Return the offset of the first valid frame that starts from ``begin`` up to ``end``; None without one."""
+    """Return the offset of the first valid frame in ``data`` that starts in [begin, end); None without one."""
     for at in range(begin, min(end, len(data) - 2)):
         if data[at] in (VERSION_1, VERSION_2):
             size = _size(data, at)
@@ -129,7 +131,7 @@ def _whole(data: bytes, begin: int, end: int) -> int | None:
 
 
 def _size(data: bytes, at: int) -> int:
-    """Return the length in bytes of the frame that begins at ``at``."""
+    """Return the length [bytes] of the frame whose header is at offset ``at``."""
     length = data[at + 1]
     if data[at] == VERSION_1:
         return length + 8
@@ -137,7 +139,7 @@ def _size(data: bytes, at: int) -> int:
 
 
 def _read(data: bytes, at: int, size: int) -> Frame | None:
-    """Return the frame of ``size`` bytes at ``at``; None if its checksum or its flags are wrong."""
+    """Parse the frame of ``size`` bytes at offset ``at``; return None if its checksum or flags are wrong."""
     length = data[at + 1]
     if data[at] == VERSION_1:
         head = 6

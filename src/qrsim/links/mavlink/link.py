@@ -43,11 +43,11 @@ class Link:
         self.flies = self.owes = self.muted = False
 
     def put(self, number: int, payload: bytes) -> None:
-        """Queue a message for the next ``flush``, which happens at once when a datagram is full."""
+        """Queue message ``number`` until ``flush``, which is called by itself when a datagram is full."""
         self._queue(frame(number, payload, self.sequence, self.system, COMPONENT))
 
     def put_frames(self, frames: Sequence[bytes]) -> None:
-        """Queue frames that are numbered from ``sequence`` on, as ``put`` queues a message."""
+        """Queue encoded frames, numbered from this link's next sequence number on, until ``flush``."""
         size = self._size + sum(map(len, frames))
         if size > LARGEST_DATAGRAM:
             for each in frames:
@@ -57,7 +57,8 @@ class Link:
         self._size, self.sequence = size, (self.sequence + len(frames)) & 0xFF
 
     def _queue(self, part: bytes) -> None:
-        """Queue the frame with the next number."""
+        """Queue one encoded frame, and advance the sequence number; flushes first if it no longer fits into a
+        datagram."""
         self.sequence = (self.sequence + 1) & 0xFF
         size = len(part)
         if self._size + size > LARGEST_DATAGRAM:
@@ -66,12 +67,12 @@ class Link:
         self._size += size
 
     def say(self, name: str, **values: object) -> None:
-        """Send a message by its name and fields at once, after the queued ones."""
+        """Send a message, given by name and field values, at once, together with the queued ones."""
         self.put(NUMBERS[name], LAYOUTS[name].payload(**values))
         self.flush()
 
     def flush(self) -> None:
-        """Send the queued messages in one datagram."""
+        """Send the queued messages as one datagram."""
         if self._parts:
             data = self._parts[0] if len(self._parts) == 1 else b"".join(self._parts)
             self._parts, self._size = [], 0

@@ -29,11 +29,11 @@ class Lockstep:
         self._news = asyncio.Event()
 
     def heard(self) -> None:
-        """Wake the waiting coroutine, since a frame has arrived."""
+        """Wake the coroutine that waits for frames; called when a frame has arrived."""
         self._news.set()
 
     async def begun(self) -> None:
-        """Wait until every vehicle that takes set-points is flown by a link."""
+        """Wait until some client sends set-points to every vehicle that takes them."""
         self._say("lock-step: the world stands until every vehicle has a set-point")
         flown = [system for system in self._systems if system.stack.takes_setpoints]
         while not all(any(link.flies for link in system.links) for system in flown):
@@ -42,7 +42,8 @@ class Lockstep:
             await self._heard(PATIENCE_S)
 
     async def answered(self) -> None:
-        """Wait until no link owes a set-point for this step, or give up the late links after PATIENCE_S."""
+        """Wait until all clients that fly a vehicle have sent the set-point for this step; give up late ones after
+        PATIENCE_S."""
         loop = asyncio.get_running_loop()
         until = loop.time() + PATIENCE_S
         while owing := self._owing():
@@ -53,11 +54,11 @@ class Lockstep:
             await self._heard(left)
 
     def _owing(self) -> list[tuple[System, Link]]:
-        """Return the links that fly a vehicle and still owe a set-point for this step."""
+        """Return the (vehicle, link) pairs whose client has not sent the set-point for this step yet."""
         return [(system, link) for system in self._systems for link in system.links if link.flies and link.owes]
 
     def _give_up(self, owing: list[tuple[System, Link]]) -> None:
-        """No longer wait for links that have owed a set-point for too long, and log it."""
+        """Stop waiting for clients that have not sent a set-point in time, and log that."""
         for system, link in owing:
             link.flies = False
             self._say(
@@ -66,7 +67,7 @@ class Lockstep:
             )
 
     async def _heard(self, seconds: float) -> None:
-        """Wait until a frame arrives, at most ``seconds`` [s]."""
+        """Wait until any frame arrives, at most ``seconds`` [s]."""
         self._news.clear()
         with suppress(TimeoutError):
             async with asyncio.timeout(seconds):

@@ -44,7 +44,7 @@ class Ports:
 
 
 def opened(count: int, host: str, tcp: bool, own_ports: bool) -> Ports:
-    """Bind the sockets of ``count`` vehicles, in the first free block of ports.
+    """Bind the sockets of ``count`` vehicles (UDP, and TCP if ``tcp``) on ``host``, in the first free block of ports.
 
     Args:
         count: vehicles.
@@ -82,7 +82,7 @@ def opened(count: int, host: str, tcp: bool, own_ports: bool) -> Ports:
 
 
 def _bound(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
-    """Return a non-blocking socket that is bound to a port."""
+    """Return a non-blocking socket, of UDP or TCP (``kind``), bound to a host and port."""
     found = socket.socket(socket.AF_INET, kind)
     try:
         if kind is socket.SOCK_STREAM:

@@ -31,13 +31,14 @@ Answer = tuple[Ack, Sequence[tuple[int, bytes]]]
 
 
 def answer(system: System, link: Link, command: Command) -> Answer | None:
-    """Return the answer to a command that requests messages or intervals; None for other commands."""
+    """Execute a command that requests a message or sets its interval, and return the acknowledgement; None for other
+    commands."""
     own = COMMANDS.get(command.id)
     return None if own is None else own(system, link, command)
 
 
 def data_stream(system: System, link: Link, frame: Frame) -> None:
-    """Set message rates as REQUEST_DATA_STREAM asks, as ArduPilot does; PX4 ignores it."""
+    """Set message rates as ArduPilot does for REQUEST_DATA_STREAM; ignored with PX4."""
     request = frame.message()
     if system.stack.heartbeat().autopilot != ARDUPILOT or request.start_stop not in (0, 1):
         return
@@ -49,12 +50,12 @@ def data_stream(system: System, link: Link, frame: Frame) -> None:
 
 
 def _number(value: float) -> int:
-    """Return the parameter of a command as the number of a message; -1 if it is not a number."""
+    """Convert a command parameter, a float, to a message number; -1 if it is not one."""
     return int(value) if math.isfinite(value) and abs(value) < 2**24 else -1
 
 
 def _set_interval(system: System, link: Link, command: Command) -> Answer:
-    """Answer SET_MESSAGE_INTERVAL."""
+    """Set the interval of a message on this link, as MAV_CMD_SET_MESSAGE_INTERVAL asks; return the acknowledgement."""
     number, interval = _number(command.params[0]), command.params[1]
     if not sendable(number, system.view) or not math.isfinite(interval):
         return Ack(Result.DENIED), ()
@@ -63,7 +64,7 @@ def _set_interval(system: System, link: Link, command: Command) -> Answer:
 
 
 def _get_interval(system: System, link: Link, command: Command) -> Answer:
-    """Answer GET_MESSAGE_INTERVAL with an acknowledgement and a MESSAGE_INTERVAL."""
+    """Answer MAV_CMD_GET_MESSAGE_INTERVAL: an acknowledgement and a MESSAGE_INTERVAL message."""
     number = _number(command.params[0])
     interval = link.streams.interval_us(number) if number in ENCODERS else 0
     payload = LAYOUTS["MESSAGE_INTERVAL"].payload(message_id=max(number, 0) & 0xFFFF, interval_us=interval)
@@ -71,7 +72,7 @@ def _get_interval(system: System, link: Link, command: Command) -> Answer:
 
 
 def _request(system: System, link: Link, command: Command) -> Answer:
-    """Answer REQUEST_MESSAGE."""
+    """Answer MAV_CMD_REQUEST_MESSAGE: an acknowledgement and the requested message."""
     number = _number(command.params[0])
     if number == _MODES:
         # Of one mode by its number from 1 on, or of all.
@@ -82,13 +83,13 @@ def _request(system: System, link: Link, command: Command) -> Answer:
 
 
 def _send(system: System, number: int) -> Answer:
-    """Return ACCEPTED and the message with this number; UNSUPPORTED if the vehicle cannot send it."""
+    """Return the answer with message ``number``; UNSUPPORTED if the vehicle cannot send it."""
     payload = ENCODERS[number](system.view) if number in ENCODERS else None
     return (Ack(Result.UNSUPPORTED), ()) if payload is None else (Ack(Result.ACCEPTED), ((number, payload),))
 
 
 def _request_version(system: System, link: Link, command: Command) -> Answer:
-    """Answer REQUEST_AUTOPILOT_CAPABILITIES, as the flavour of autopilot does."""
+    """Answer REQUEST_AUTOPILOT_CAPABILITIES as PX4 or ArduPilot does: with AUTOPILOT_VERSION, or by a refusal."""
     # PX4's MavlinkReceiver does not look at the parameter, ArduPilot wants 1.
     if system.stack.heartbeat().autopilot == ARDUPILOT and command.params[0] != 1.0:
         return Ack(Result.FAILED), ()
@@ -96,7 +97,7 @@ def _request_version(system: System, link: Link, command: Command) -> Answer:
 
 
 def _request_protocol(system: System, link: Link, command: Command) -> Answer:
-    """Answer REQUEST_PROTOCOL_VERSION; a stack of ArduPilot says "unsupported", as ArduPilot does."""
+    """Answer REQUEST_PROTOCOL_VERSION; with ArduPilot it is unsupported."""
     if system.stack.heartbeat().autopilot == ARDUPILOT:
         return Ack(Result.UNSUPPORTED), ()
     return _send(system, NUMBERS["PROTOCOL_VERSION"])

@@ -43,7 +43,8 @@ class Restarts:
         self._due: dict[int, float] = {}
 
     def look(self) -> None:
-        """Restart the vehicles that asked for a reboot or whose restart is due; call it between two ticks."""
+        """Restart every vehicle that was asked to reboot or has been wrecked for long enough; call it between two
+        ticks."""
         requests = self._simulation.requests
         if requests and requests[-1].tick == self._simulation.tick:
             # A recording repeats restarts before the requests of their tick.
@@ -66,7 +67,7 @@ class Restarts:
                 system.tell_once("way", Text(Severity.WARNING, why))
 
     def _is_due(self, row: int, system: System) -> bool:
-        """Return whether it is time to put a wreck back without a reboot."""
+        """Return whether a wrecked vehicle has waited long enough to be put back without a reboot command."""
         now = system.view.seen.time
         if not self._respawn or now < self._due.setdefault(row, now + LIES_FOR_S):
             return False
@@ -74,7 +75,8 @@ class Restarts:
         return True
 
     def _put_back(self, row: int, system: System) -> str:
-        """Put a wreck back to its start with a new battery; return "", or the reason it could not be done."""
+        """Put a wrecked vehicle (at ``row`` of the world) back to its start with a new battery; return "", or why it
+        failed."""
         try:
             put_back(self._simulation, self._begins, row)
         except UsageError as error:

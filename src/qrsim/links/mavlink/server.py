@@ -69,7 +69,7 @@ class Server:
         self._lockstep: Lockstep | None = None
 
     async def serve(self) -> None:
-        """Open the sockets and fly ticks at the pace, until the coroutine is cancelled."""
+        """Open the sockets and advance the simulation at its pace, until the coroutine is cancelled."""
         loop = asyncio.get_running_loop()
         if self._wire.lockstep:
             self._lockstep = Lockstep(self._world.systems, self._say)
@@ -99,19 +99,22 @@ class Server:
     async def _open(
         self, sock: socket.socket, system: System, rates: dict[str, float], peer: Address, phase: float
     ) -> None:
-        """Serve a system on a UDP socket; ``peer`` is where messages go before anybody has sent one."""
+        """Serve one vehicle on a UDP socket, sending to ``peer`` until a client writes; ``rates`` [Hz] by message,
+        ``phase``: 0 to 1 of a period."""
         loop = asyncio.get_running_loop()
         await loop.create_datagram_endpoint(lambda: _Datagrams(self, system, rates, peer, phase), sock=sock)
 
     def streams(self, rates: dict[str, float], phase: float) -> Streams:
-        """Return new message streams for a link, with the given default rates [Hz] and phase (0 to 1)."""
+        """Return the message schedule of a new link, with default rates [Hz] by message name and a phase (0 to 1 of a
+        period)."""
         step = self._world.simulation.world.time_step
         # Who waits for clients is as fast as they are, and they are to hear of every tick.
         by_simulated_time = self._wire.by_simulated_time or self._wire.lockstep
         return Streams(rates, step, self._wire.factor, by_simulated_time, phase)
 
     def heard(self, links: Iterable[tuple[System, Link]], frame: Frame) -> None:
-        """Let each system answer a frame; an exception in an answer is logged and does not end the flight."""
+        """Pass a received frame to each vehicle in ``links``; an exception in its answer is logged and does not end the
+        flight."""
         for system, link in links:
             try:
                 handle(system, link, frame)
@@ -138,21 +141,21 @@ class _Datagrams(asyncio.DatagramProtocol):
         self._transport: Any = None
 
     def connection_made(self, transport: object) -> None:
-        """Keep the transport, and add this address to the links of the system."""
+        """Store the transport, and add this client's address to the links of the vehicle."""
         self._transport = transport
         self._system.links.append(self._link)
 
     def datagram_received(self, data: bytes, address: Address) -> None:
-        """Handle the frames of a datagram, and answer to its sender from now on."""
+        """Handle the MAVLink frames of a datagram, and send to its sender from now on."""
         for frame in self._reader.datagram(data):
             self._peer = address
             self._server.heard([(self._system, self._link)], frame)
 
     def error_received(self, error: Exception) -> None:
-        """Ignore socket errors: no client is listening at the peer's port yet."""
+        """Ignore socket errors, such as a client that does not listen on the peer's port yet."""
 
     def _send(self, data: bytes) -> None:
-        """Send bytes to the address of the last datagram that was received."""
+        """Send bytes to the address that sent the last datagram."""
         if self._transport is not None:
             self._transport.sendto(data, self._peer)
 
@@ -168,7 +171,7 @@ class _Connection(asyncio.Protocol):
         self._nonsense = 0
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Give a new client a link to each system; refuse it if there are too many."""
+        """Give a new TCP client a link to each vehicle; refuse it if there are too many clients."""
         assert isinstance(transport, asyncio.Transport)
         server = self._server
         if len(server.clients) >= MOST_CLIENTS:
@@ -185,7 +188,7 @@ class _Connection(asyncio.Protocol):
             system.links.append(link)
 
     def connection_lost(self, error: Exception | None) -> None:
-        """Remove the client's links from the systems."""
+        """Remove a closed TCP client's links from the vehicles."""
         self._transport = None
         self._server.clients.discard(self)
         for number, link in self._links.items():
@@ -194,7 +197,8 @@ class _Connection(asyncio.Protocol):
             system.transfers.forget(link)
 
     def data_received(self, data: bytes) -> None:
-        """Handle the frames in received bytes; close a client that sends too many bytes outside frames."""
+        """Handle the frames in bytes from a TCP client; disconnect a client that sends too many bytes outside
+        frames."""
         systems = self._server.systems
         self._nonsense += len(data)
         for frame in self._reader.feed(data):
@@ -205,11 +209,11 @@ class _Connection(asyncio.Protocol):
             self._give_up("sends no MAVLink")
 
     def _has_room(self) -> bool:
-        """Return whether the client reads fast enough for telemetry to be sent."""
+        """Return whether the client reads fast enough: its send buffer is not full."""
         return self._transport is not None and self._transport.get_write_buffer_size() < MOST_STALE
 
     def _send(self, data: bytes) -> None:
-        """Send bytes to the client; close a client that reads too slowly."""
+        """Send bytes to the client; disconnect one that reads too slowly."""
         if self._transport is None or self._transport.is_closing():
             return
         if self._transport.get_write_buffer_size() > MOST_WAITING:
@@ -218,7 +222,7 @@ class _Connection(asyncio.Protocol):
         self._transport.write(data)
 
     def _give_up(self, why: str) -> None:
-        """Close the connection and log why."""
+        """Close the connection to this client and log why."""
         if self._transport is not None:
             self._server.say(f"a client by TCP {why}, and is given up")
             self._transport.abort()

@@ -60,14 +60,16 @@ class SimWind:
         self.now = self._of_world()
 
     def _of_world(self) -> tuple[float, float] | None:
-        """Return speed [m/s] at 20 ft and direction [deg] of the wind; None if it has no such numbers."""
+        """Return the world's mean wind: speed [m/s] at 20 ft and the bearing it comes from [deg]; None if it has no
+        such numbers."""
         found = self._simulation.world.wind
         if not isinstance(found, LogShear | VeeringShear):
             return None
         return round(float(found.speed_20ft), 6), round(math.degrees(float(found.wind_from_rad)), 4)
 
     def ask(self, speed: float, bearing: float, constant: float, asked_by: str) -> None:
-        """Let the mean wind approach a speed [m/s] and bearing [deg]; raises UsageError if it is too fast."""
+        """Let the mean wind approach a speed [m/s] and bearing [deg] by a SIM_WIND_TC of ``constant`` [s]; raises
+        UsageError if too fast."""
         most = wind_limit(self._simulation.world)
         if speed > most:
             raise UsageError(f"{speed:g} m/s; allowed: 0 to {most:g} m/s")
@@ -79,7 +81,7 @@ class SimWind:
             table["SIM_WIND_SPD"], table["SIM_WIND_DIR"] = speed, bearing
 
     def again(self) -> None:
-        """Apply the wind parameters again after a reset, and end all shoves."""
+        """Apply the SIM_WIND parameters again after a reset, and end all pushes by SIM_SHOVE."""
         self.now = self._of_world()
         for _, values in self.shoves.values():
             values["SIM_SHOVE_TIME"] = 0.0
@@ -89,7 +91,8 @@ class SimWind:
             self.ask(table["SIM_WIND_SPD"], table["SIM_WIND_DIR"], table["SIM_WIND_TC"], self._by)
 
     def tick(self) -> None:
-        """Move the wind towards its target, and end shoves that are over; call it before every tick."""
+        """Move the wind towards its commanded value, and end pushes (SIM_SHOVE) that are over; call it before every
+        tick."""
         time, now = self._simulation.time, self.now
         for name, (end, values) in [*self.shoves.items()]:
             if time >= end - 1e-9:
@@ -132,7 +135,8 @@ class SimParameters:
         craft.parameters.changed = self._changed
 
     def _changed(self, name: str) -> bool:
-        """Apply a parameter that has changed; return whether it could be applied, and tell the client why not."""
+        """Apply a SIM_ parameter that a client has changed; return whether it could be applied, else send the client
+        the reason."""
         values, family = self._values, name.split("_")[1]
         try:
             if family == "WIND":
@@ -150,7 +154,7 @@ class SimParameters:
         return True
 
     def again(self) -> None:
-        """Apply all parameters again after a reboot or a reset, which end faults."""
+        """Apply all SIM_ parameters again after a reboot or a reset, which remove the faults."""
         self._faults.clear()
         self._air.shoves.pop(self._name, None)
         self._values["SIM_SHOVE_TIME"] = 0.0
@@ -160,7 +164,8 @@ class SimParameters:
             self._drop(self._values["SIM_BATT_VOLTAGE"])
 
     def _set(self, what: str, faults: Callable[[Values, Fleet, Geodesy], dict[str, Fault | None]]) -> None:
-        """Replace the injected faults of a part (``what``) by those that ``faults`` computes from the parameters."""
+        """Set the injected faults of one part (``what``, for messages) to those that ``faults`` computes from the SIM_
+        parameters."""
         wanted = faults(self._values, self._fleet, self._craft.geodesy)
         for target, fault in wanted.items():
             if fault is not None and target not in targets_of(self._fleet):
@@ -175,7 +180,7 @@ class SimParameters:
             self._faults.update({} if fault is None else {target: fault})
 
     def _shove(self, seconds: float) -> None:
-        """Push the vehicle for a time [s]; 0 ends that."""
+        """Push the vehicle with the SIM_SHOVE acceleration for a time [s]; 0 ends the push."""
         if BODY not in targets_of(self._fleet):
             raise UsageError("not injectable: body; start qrsim mavlink with --injectable all")
         request = Request(BODY, OK, (self._name,))
@@ -186,7 +191,7 @@ class SimParameters:
         self._air.shoves[self._name] = (self._simulation.time + seconds, self._values)
 
     def _drop(self, volts: float) -> None:
-        """Lower the battery's charge to that of a cell voltage."""
+        """Lower the battery's charge until its open-circuit voltage is ``volts`` [V] (SIM_BATT_VOLTAGE)."""
         if self._volts is None:
             raise UsageError("there is no battery that could lose charge")
         numbers = {"charge": float(np.interp(volts, self._volts, CHARGES))}
@@ -195,13 +200,14 @@ class SimParameters:
 
 
 def _volts(fleet: Fleet, number: int) -> NumpyArray | None:
-    """Return the open-circuit voltages [V] of a vehicle's battery at ``CHARGES``; None if it does not drain."""
+    """Return the open-circuit voltages [V] of a vehicle's battery at the charges ``CHARGES``; None for a battery that
+    does not drain."""
     battery: Any = fleet.battery
     if not battery.drains:
         return None
 
     def own(value: object) -> Any:
-        """Return this vehicle's value of a parameter that is either one for all vehicles or one per vehicle."""
+        """Return this vehicle's value from a parameter that holds one value for all vehicles or one for each."""
         return np.broadcast_to(np.asarray(value, np.float64), (fleet.size,))[number]
 
     if isinstance(battery, LithiumCells):
@@ -215,18 +221,18 @@ def _volts(fleet: Fleet, number: int) -> NumpyArray | None:
 
 
 def _target(fleet: Fleet, unit: int) -> str:
-    """Return the first sensor of a FAILURE_UNIT that may fail; "" for none."""
+    """Return the name of the first sensor of a FAILURE_UNIT kind in which faults can be injected; "" for none."""
     return next((slot.sensor for slot in slots_of(fleet, UNITS[unit].field)), "")
 
 
 def _nonzero(values: Values, name: str, field: str, factor: float = 1.0) -> dict[str, float]:
-    """Return "field.axis" -> value of the SIM_NAME_X, _Y, _Z parameters times ``factor``; empty if all are 0."""
+    """Return "field.axis" -> ``factor`` times the parameters SIM_NAME_X, _Y and _Z; {} if all are 0."""
     found = {f"{field}.{axis.lower()}": factor * values[f"SIM_{name}_{axis}"] for axis in AXES}
     return found if any(found.values()) else {}
 
 
 def _receiver(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
-    """Return the fault of the GNSS receiver that SIM_GPS parameters ask for, by target."""
+    """Return {target: fault} of the GNSS receiver as the SIM_GPS parameters set it; a fault of None means healthy."""
     place = UNITS[GPS].field
     rates = _nonzero(values, "GPS1_GLTV", place)
     north, east, up = (values[f"SIM_GPS1_GLTCH_{axis}"] + values[f"SIM_GPS_GLITCH_{axis}"] for axis in AXES)
@@ -245,7 +251,7 @@ def _receiver(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault
 
 
 def _barometer(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
-    """Return the fault of the barometer that SIM_BARO parameters ask for, by target."""
+    """Return {target: fault} of the barometer as the SIM_BARO parameters set it; a fault of None means healthy."""
     height = UNITS[BARO].field
     fault: Fault | None = None
     if values["SIM_BARO_DISABLE"]:
@@ -264,7 +270,7 @@ def _barometer(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Faul
 
 
 def _magnetometer(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
-    """Return the fault of the magnetometer that SIM_MAG1 parameters ask for, by target."""
+    """Return {target: fault} of the magnetometer as the SIM_MAG1 parameters set it; a fault of None means healthy."""
     # SIM_Compass.cpp subtracts the offsets.
     bias = _nonzero(values, "MAG1_OFS", UNITS[MAG].field, -UT_PER_MGAUSS)
     fault: Fault | None = ("wrong", {"bias": bias}) if bias else None
@@ -274,7 +280,8 @@ def _magnetometer(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, F
 
 
 def _inertial(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
-    """Return {target: fault} of gyroscope and accelerometer, by SIM_ parameters; None: no fault."""
+    """Return {target: fault} of gyroscope and accelerometer as the SIM_ parameters set it; a fault of None means
+    healthy."""
     force, stuck = UNITS[ACCEL].field, values["SIM_ACCEL1_FAIL"]
     found: dict[str, dict[str, dict[str, float]]] = {}
     of_accelerometer = _nonzero(values, "ACC1_BIAS", force)
@@ -290,21 +297,22 @@ def _inertial(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault
 
 
 def _pitot(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
-    """Return {target: fault of the airspeed sensor} by SIM_ARSPD_FAIL [m/s]; the fault is None at 0."""
+    """Return {target: fault} of the airspeed sensor as SIM_ARSPD_FAIL [m/s] sets it; a fault of None (at 0) means
+    healthy."""
     speed = values["SIM_ARSPD_FAIL"]
     numbers = {"field": UNITS[AIRSPEED].field, "scale": 0.0, "bias": speed}
     return {_target(fleet, AIRSPEED): ("wrong", numbers) if speed else None}
 
 
 def _sonar(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
-    """Return the fault of the rangefinder that SIM_SONAR parameters ask for, by target."""
+    """Return {target: fault} of the rangefinder as the SIM_SONAR parameters set it; a fault of None means healthy."""
     share, offset = values["SIM_SONAR_GLITCH"], values["SIM_SONAR_OFFSET"]
     fault: Fault | None = ("wrong", {"field": UNITS[SONAR].field, "bias": offset}) if offset else None
     return {_target(fleet, SONAR): ("intermittent", {"share": share}) if share else fault}
 
 
 def _engines(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault | None]:
-    """Return the faults of the rotors in the mask SIM_ENGINE_FAIL, by target; None for healthy ones."""
+    """Return {"rotor N": fault} for the rotors in the bit mask SIM_ENGINE_FAIL; a fault of None means healthy."""
     mask, health = int(values["SIM_ENGINE_FAIL"]), values["SIM_ENGINE_MUL"]
     rotors = motor_order(fleet)
     if mask >> len(rotors):
@@ -314,7 +322,8 @@ def _engines(values: Values, fleet: Fleet, geodesy: Geodesy) -> dict[str, Fault 
 
 
 def motor_order(fleet: Fleet) -> list[int]:
-    """Return the rotor numbers in the order of ArduPilot's motors; unchanged for frames that ArduPilot lacks."""
+    """Return the fleet's rotor numbers in ArduPilot's motor order; in the fleet's own order for frames that ArduPilot
+    lacks."""
     rotors = fleet.vehicle.rotors if isinstance(fleet.vehicle, Multirotor) else ()
     found = []
     for angle, _ in FRAMES.get(len(rotors), ()):

@@ -63,14 +63,15 @@ class System:
         self.booted: Callable[[], None] = lambda: None
 
     def restart(self) -> None:
-        """Restart as after a boot; an unfinished plan upload is dropped."""
+        """Restart the vehicle's flight stack as after a boot; an unfinished plan upload is dropped."""
         self.stack.reset()
         self.transfers.cancel()
         self.told.clear()
         self.text(Text(Severity.INFO, "Started again"))
 
     def publish(self, tick: int, wall: float) -> None:
-        """Send the messages, events and texts that are due at a tick on all links."""
+        """Send every message, event and text that is due at a tick on all links; ``wall`` [s] is the time of
+        ``time.monotonic``."""
         self.announce(tick)
         for link in self.links:
             if self.streams_on(link, wall):
@@ -85,7 +86,8 @@ class System:
             self.transfers.ask_again(wall)
 
     def announce(self, tick: int) -> None:
-        """Queue the events and texts of a tick on all links, and forget the payloads of the last one."""
+        """Queue the flight stack's events and texts of a tick on all links, and drop payloads cached for the previous
+        tick."""
         self.tick = tick
         self._payloads.clear()
         for event in self.stack.events():
@@ -94,7 +96,8 @@ class System:
             self.text(text)
 
     def streams_on(self, link: Link, wall: float) -> bool:
-        """Return whether a link takes streams now; one whose client has left gets those that it began with."""
+        """Return whether telemetry may be sent on a link at ``wall`` [s]; a link whose client has left goes back to its
+        default rates."""
         link.muted = self.muted
         if self.muted:
             return False
@@ -104,13 +107,15 @@ class System:
         return link.ready()
 
     def payload(self, number: int) -> bytes | None:
-        """Return the payload of a message at this tick, computed once for all links; None: it is not sent."""
+        """Return the payload of message ``number`` at this tick, computed once for all links; None if the vehicle does
+        not send it."""
         if number not in self._payloads:
             self._payloads[number] = ENCODERS[number](self.view)
         return self._payloads[number]
 
     def _tell(self, event: Event) -> None:
-        """Send the messages that an event of the stack triggers: mode, home, landed, item reached."""
+        """Send the messages that an event of the flight stack triggers (mode, home or landed state changed, item
+        reached)."""
         if event.kind == "item_reached":
             self._broadcast("MISSION_ITEM_REACHED", LAYOUTS["MISSION_ITEM_REACHED"].payload(seq=event.number))
         self.reboots |= event.kind == "reboot"
@@ -120,7 +125,7 @@ class System:
                 self._broadcast(name, payload)
 
     def text(self, text: Text) -> None:
-        """Send a STATUSTEXT on all links, split into chunks if it is long, and log it."""
+        """Send a STATUSTEXT on all links, in chunks if it is long, and log it."""
         self._note(text.text)
         whole = text.text.encode("ascii", "replace")
         pieces = [whole[at : at + _CHUNK] for at in range(0, len(whole), _CHUNK)] or [b""]
@@ -139,7 +144,7 @@ class System:
             self._broadcast("STATUSTEXT", LAYOUTS["STATUSTEXT"].payload(**values))
 
     def present(self) -> None:
-        """Send a HEARTBEAT while no ticks are flown."""
+        """Send a HEARTBEAT on all links; called while the simulation waits and no ticks are flown."""
         payload = ENCODERS[NUMBERS["HEARTBEAT"]](self.view)
         assert payload is not None
         self._broadcast("HEARTBEAT", payload)
@@ -147,7 +152,7 @@ class System:
             link.flush()
 
     def _note(self, line: str) -> None:
-        """Log a line with the time and the name of the vehicle."""
+        """Log a line for the operator, with the simulated time and the vehicle's name in front."""
         self._log(f"t = {self.view.seen.time:.10g} s, '{self.name}': {line}")
 
     def note_once(self, line: str) -> None:
@@ -157,12 +162,12 @@ class System:
             self._note(line)
 
     def tell_once(self, key: str, text: Text) -> None:
-        """Send a text on all links unless one with the same ``key`` was sent since the last restart."""
+        """Send a STATUSTEXT on all links unless one with the same ``key`` was sent since the last restart."""
         if key not in self.told:
             self.told.add(key)
             self.text(text)
 
     def _broadcast(self, name: str, payload: bytes) -> None:
-        """Send a message on all links of the system."""
+        """Queue a message, given by name and payload, on all links of the vehicle."""
         for link in self.links:
             link.put(NUMBERS[name], payload)

@@ -25,7 +25,7 @@ HASH, UINT32, NO_INDEX = "_HASH_CHECK", 5, 0xFFFF
 
 
 def send_all(system: System, link: Link) -> None:
-    """Answer PARAM_REQUEST_LIST: every parameter, with its number and how many there are."""
+    """Answer PARAM_REQUEST_LIST: send every parameter as a PARAM_VALUE, with its index and the count."""
     if _has_hash(system):
         link.put(_NUMBER, _hash(system))
     for parameter in system.stack.parameters:
@@ -34,7 +34,7 @@ def send_all(system: System, link: Link) -> None:
 
 
 def send_one(system: System, link: Link, frame: Frame) -> None:
-    """Answer PARAM_REQUEST_READ, by number or name."""
+    """Answer PARAM_REQUEST_READ: send the PARAM_VALUE of one parameter, requested by index or name."""
     request = frame.message()
     table, index = system.stack.parameters, request.param_index
     name = request.param_id.decode("ascii", "replace")
@@ -50,7 +50,7 @@ def send_one(system: System, link: Link, frame: Frame) -> None:
 
 
 def set_one(system: System, link: Link, frame: Frame) -> None:
-    """Answer PARAM_SET; the resulting value is sent on all links."""
+    """Set a parameter as PARAM_SET asks; its resulting value is sent on all links."""
     request, table = frame.message(), system.stack.parameters
     name = request.param_id.decode("ascii", "replace")
     parameter = table.parameter(name)
@@ -73,12 +73,13 @@ def set_one(system: System, link: Link, frame: Frame) -> None:
 
 
 def _has_hash(system: System) -> bool:
-    """Return whether a vehicle has PX4's parameter ``_HASH_CHECK``."""
+    """Return whether a vehicle offers PX4's ``_HASH_CHECK``, a hash of all parameters."""
     return system.stack.heartbeat().autopilot != ARDUPILOT
 
 
 def _hash(system: System) -> bytes:
-    """Return the PARAM_VALUE of ``_HASH_CHECK``: names and values of all parameters, as PX4's ``param_hash_check``."""
+    """Return the PARAM_VALUE payload of ``_HASH_CHECK``: the hash of all parameters' names and values, as PX4's
+    ``param_hash_check``."""
     table, state = system.stack.parameters, 0
     for parameter in table:
         value = table[parameter.name]
@@ -89,12 +90,13 @@ def _hash(system: System) -> bytes:
 
 
 def _format(system: System, type: int) -> struct.Struct:
-    """Return the struct of a value in PARAM_VALUE: an integer's own bytes with PX4, always a float with ArduPilot."""
+    """Return the struct that packs a value (of MAV_PARAM_TYPE ``type``) into PARAM_VALUE: PX4 sends integers bytewise,
+    ArduPilot floats."""
     return _INTEGER if type == INT32 and system.stack.heartbeat().autopilot != ARDUPILOT else _REAL
 
 
 def _payload(system: System, parameter: Parameter) -> bytes:
-    """Return the payload of PARAM_VALUE of a parameter."""
+    """Return the PARAM_VALUE payload of a parameter with its present value."""
     table = system.stack.parameters
     value = table[parameter.name]
     kind = _format(system, parameter.type)
@@ -103,7 +105,7 @@ def _payload(system: System, parameter: Parameter) -> bytes:
 
 
 def _refuse(link: Link, frame: Frame, name: bytes, index: int, error: int) -> None:
-    """Answer with PARAM_ERROR, addressed to the sender of ``frame``."""
+    """Send PARAM_ERROR about a parameter, by name and index, to the sender of ``frame``."""
     link.say(
         "PARAM_ERROR",
         target_system=frame.system,

@@ -65,7 +65,7 @@ class Transfers:
     # ---- upload ----
 
     def begin(self, link: Link, partner: Partner, message: Message) -> None:
-        """Answer MISSION_COUNT: request the first item, or accept an empty plan at once."""
+        """Begin a plan upload, as MISSION_COUNT asks: request its first item, or accept an empty plan at once."""
         kind = _kind(message.mission_type)
         if kind is None:
             self._ack(link, partner, PlanResult.UNSUPPORTED, message.mission_type)
@@ -81,7 +81,8 @@ class Transfers:
         self._go_on()
 
     def item(self, link: Link, partner: Partner, message: Message) -> None:
-        """Take MISSION_ITEM or MISSION_ITEM_INT of an upload; after an item out of order, request the due one again."""
+        """Store a MISSION_ITEM or MISSION_ITEM_INT of a plan upload and request the next; after an item out of order,
+        request the due one again."""
         upload, kind = self.upload, message.mission_type
         if self._ardupilot and kind == PlanKind.MISSION and message.current in (GO_THERE, ALTITUDE_ONLY):
             self._ack(link, partner, self._guided(message), kind)
@@ -100,7 +101,7 @@ class Transfers:
             self._go_on()
 
     def _guided(self, message: Message) -> PlanResult:
-        """Obey an ArduPilot guided item (fly there, or change the altitude only); return the result."""
+        """Execute an ArduPilot guided mission item: fly there, or only change the altitude; return the result."""
         if message.current == ALTITUDE_ONLY:
             # As GCS_MAVLINK::handle_mission_item, whatever the vehicle does about it.
             self._stack.change_altitude(item_of(message))
@@ -108,7 +109,7 @@ class Transfers:
         return PlanResult.ACCEPTED if self._stack.go_to(item_of(message)) else PlanResult.ERROR
 
     def _go_on(self) -> None:
-        """Request the next item of an upload, or accept the plan after the last one."""
+        """Request the next item of the running upload, or accept the plan after the last one."""
         upload = self.upload
         assert upload is not None
         if len(upload.items) == upload.count:
@@ -125,7 +126,8 @@ class Transfers:
         upload.link.say(name, **_to(upload.partner), seq=len(upload.items), mission_type=upload.kind)
 
     def ask_again(self, wall: float) -> None:
-        """Request an item that has not arrived again, or give up the upload; the old plan remains."""
+        """Request an overdue item of the upload again, or abort the upload; ``wall`` [s] is the time of
+        ``time.monotonic``."""
         upload = self.upload
         if upload is None or wall - upload.asked < ASK_AGAIN_S:
             return
@@ -135,19 +137,19 @@ class Transfers:
         self._go_on()
 
     def cancel(self) -> None:
-        """Abort the upload and tell its client; the old plan remains."""
+        """Abort the upload and send its client MISSION_ACK (cancelled); the old plan remains."""
         if self.upload is not None:
             upload, self.upload = self.upload, None
             self._ack(upload.link, upload.partner, PlanResult.CANCELLED, upload.kind)
 
     def _give_up(self, upload: Upload) -> None:
-        """Abort an upload that has timed out and warn clients; the old plan remains."""
+        """Abort an upload whose client no longer answers, and warn all clients; the old plan remains."""
         self.cancel()
         what = f"{upload.kind.name.capitalize()} upload timed out at item {len(upload.items)} of {upload.count}"
         self._say(Text(Severity.WARNING, f"{what}; the one of before stays"))
 
     def clear(self, link: Link, partner: Partner, message: Message) -> None:
-        """Answer MISSION_CLEAR_ALL."""
+        """Delete the plan of a kind, as MISSION_CLEAR_ALL asks, and send MISSION_ACK."""
         kind = _kind(message.mission_type)
         kinds = tuple(PlanKind) if message.mission_type == ALL_KINDS else () if kind is None else (kind,)
         result = PlanResult.ACCEPTED if kinds else PlanResult.UNSUPPORTED
@@ -157,7 +159,8 @@ class Transfers:
         self._ack(link, partner, result, message.mission_type)
 
     def heard_ack(self, partner: Partner, message: Message) -> None:
-        """Take MISSION_ACK: abort the client's upload, or, if it is UNSUPPORTED, request items in the other dialect."""
+        """Handle MISSION_ACK of an uploading client: abort, or, for UNSUPPORTED, switch between MISSION_ITEM and
+        MISSION_ITEM_INT."""
         upload = self.upload
         if upload is None or upload.partner != partner or message.type == PlanResult.ACCEPTED:
             return
@@ -177,7 +180,7 @@ class Transfers:
     # ---- download ----
 
     def count(self, link: Link, partner: Partner, message: Message) -> None:
-        """Answer MISSION_REQUEST_LIST with the number of items."""
+        """Answer MISSION_REQUEST_LIST with MISSION_COUNT, the number of items of a plan."""
         kind = _kind(message.mission_type)
         if kind is None:
             self._ack(link, partner, PlanResult.UNSUPPORTED, message.mission_type)
@@ -185,7 +188,8 @@ class Transfers:
         link.say("MISSION_COUNT", **_to(partner), count=len(self._stack.items(kind)), mission_type=kind)
 
     def send(self, link: Link, partner: Partner, message: Message, integers: bool) -> None:
-        """Answer MISSION_REQUEST_INT, or MISSION_REQUEST with floats."""
+        """Answer MISSION_REQUEST_INT or MISSION_REQUEST: send an item of a plan as MISSION_ITEM_INT (``integers``) or
+        as MISSION_ITEM with floats."""
         kind = _kind(message.mission_type)
         items = () if kind is None else self._stack.items(kind)
         home = self._stack.home_item() if kind is PlanKind.MISSION and message.seq == 0 else None
@@ -212,27 +216,28 @@ class Transfers:
         )
 
     def refuse(self, link: Link, partner: Partner, message: Message) -> None:
-        """Answer requests for part of a list with UNSUPPORTED."""
+        """Refuse to transfer only a part of a plan: answer with MISSION_ACK, unsupported."""
         self._ack(link, partner, PlanResult.UNSUPPORTED, message.mission_type)
 
     @staticmethod
     def _ack(link: Link, partner: Partner, result: PlanResult, kind: int) -> None:
-        """Send MISSION_ACK with a result."""
+        """Send MISSION_ACK with a result for a kind of plan (MAV_MISSION_TYPE), addressed to ``partner``."""
         link.say("MISSION_ACK", **_to(partner), type=int(result), mission_type=int(kind))
 
 
 def _kind(number: int) -> PlanKind | None:
-    """Return the kind of plan with a number of MAVLink; None for an unknown one."""
+    """Return the kind of plan (mission, fence, rally) of a MAV_MISSION_TYPE number; None for an unknown one."""
     return PlanKind(number) if number in tuple(PlanKind) else None
 
 
 def _to(partner: Partner) -> dict[str, int]:
-    """Return the target_system and target_component fields that address a partner."""
+    """Return the message fields target_system and target_component that address ``partner`` (system id, component
+    id)."""
     return {"target_system": partner[0], "target_component": partner[1]}
 
 
 def item_of(message: Message) -> Item:
-    """Return the item of a MISSION_ITEM_INT, or of a MISSION_ITEM, whose place becomes integers."""
+    """Convert a MISSION_ITEM_INT or MISSION_ITEM message to an Item, with x and y as integers."""
     x, y = message.x, message.y
     if isinstance(x, float):
         x, y = _as_integer(message.frame, x), _as_integer(message.frame, y)
@@ -241,17 +246,18 @@ def item_of(message: Message) -> Item:
 
 
 def _scale(frame: int) -> float:
-    """Return the number of integer units per degree or metre in x and y of a mission item, by its frame."""
+    """Return the integer units per degree (1e7) or metre (1e4; 1 in the mission frame) in x and y of a mission item, by
+    its MAV_FRAME."""
     return 1.0 if frame == _MISSION_FRAME else 1e4 if frame in _LOCAL_FRAMES else 1e7
 
 
 def _as_integer(frame: int, value: float) -> int:
-    """Return x or y of a mission item as an integer; UNSET_INT for NaN."""
+    """Convert x or y of a mission item from a float to its integer form; UNSET_INT for NaN."""
     number = value * _scale(frame)
     return round(number) if math.isfinite(number) and abs(number) < UNSET_INT else UNSET_INT
 
 
 def _as_float(frame: int, value: int) -> float:
-    """Return x or y of a mission item as the nearest float32; NaN for UNSET_INT."""
+    """Convert x or y of a mission item from its integer form to the nearest float32; NaN for UNSET_INT."""
     number = math.nan if value == UNSET_INT else value / _scale(frame)
     return float(struct.unpack("<f", struct.pack("<f", number))[0])

@@ -117,7 +117,7 @@ class FlownWorld:
         self._command()
 
     def _start_parameters(self, stack: Flight, row: int) -> None:
-        """Set the parameters of a stack to the failsafes of its scenario."""
+        """Set the flight stack's parameters of the vehicle at ``row`` of the world to the failsafes of its scenario."""
         for fleet in self.simulation.world.fleets:
             rows = self.simulation.world.rows_of(fleet.name)
             if rows.start <= row < rows.stop:
@@ -125,23 +125,24 @@ class FlownWorld:
                     stack.parameters.set(name, value)
 
     def _warm(self) -> None:
-        """Compile the programs of flight and restarts before the first tick."""
+        """Compile all programs that a flight needs, restarts included, before the first tick."""
         self.simulation.advance(self._latches.actions())
         self.simulation.set_state(np.full_like(self.simulation.truth.state, np.nan))
         self.simulation.reset()
 
     def _fresh_restarts(self) -> Restarts:
-        """Return a new ``Restarts`` object, with no restart pending."""
+        """Return a new ``Restarts`` object, in which no vehicle waits for a restart."""
         systems = list(zip(self._rows, self.systems, strict=True))
         return Restarts(self.simulation, self._latches, systems, self._respawn, self._put_back)
 
     def _put_back(self, row: int) -> None:
-        """Record that a vehicle has been restarted."""
+        """Note in the recording that the vehicle at ``row`` has been put back to its start."""
         if self.recording is not None:
             self.recording.restarted(row)
 
     def tick(self, wall: float) -> None:
-        """Advance by one tick, run the flight stacks, and send the messages that are due.
+        """Advance the world by one tick, run the flight stacks, and send all due messages; ``wall`` [s]:
+        ``time.monotonic``.
 
         Args:
             wall: time of the wall clock [s], of ``time.monotonic``.
@@ -161,7 +162,7 @@ class FlownWorld:
         self._busy += 0.02 * (busy - self._busy)
 
     def reset(self, seed: int) -> None:
-        """Start another episode: vehicles at their starts, disarmed, with their parameters and plans kept."""
+        """Start a new episode with a seed: vehicles at their starts, disarmed; parameters and plans stay."""
         if self.recording is not None:
             self.recording.end()
         self.simulation.reset(seed)
@@ -177,7 +178,7 @@ class FlownWorld:
         self._command()
 
     def _command(self) -> None:
-        """Run each flight stack on its vehicle's present readings, and latch its order."""
+        """Run every vehicle's flight stack on its present readings, and latch the order that it returns."""
         sight = self._sight
         seen = sight.see()
         load = int(min(1000.0, 1e3 * self._busy))
@@ -197,7 +198,8 @@ class FlownWorld:
                 self._fly(system, order)
 
     def _fly(self, system: System, order: Order) -> None:
-        """Latch a system's order; an order that cannot be flown is reported to clients, and the last one holds."""
+        """Latch an order for its vehicle; an order that the controller cannot fly is reported to clients, and the last
+        one holds."""
         try:
             # A set-point has no range of its own; the whole check, with its words, is for what cannot be flown.
             if not (order.kind in NEEDED and math.isfinite(sum(order.numbers))):
@@ -210,7 +212,8 @@ class FlownWorld:
         system.view.order = order
 
     def _true_states(self) -> Sequence[Sequence[float]]:
-        """Return for each vehicle its true quaternion, rates, geodetic position, velocity, airspeed and force."""
+        """Return for each vehicle its true quaternion, body rates, geodetic position, velocity, airspeed and specific
+        force."""
         truth, site = self.simulation.truth, self.simulation.site
         latitude, longitude, height = site.ned_to_geodetic(truth.position_ned)
         altitude = height - self._geoid.undulation(truth.position_ned[:, 0], truth.position_ned[:, 1])

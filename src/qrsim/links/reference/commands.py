@@ -24,7 +24,8 @@ HEAD_SIZE = 4
 
 
 def rows_of(given: Sequence[Arrayd], widths: Sequence[int], what: str, names: Sequence[str]) -> list[list[float]]:
-    """Return the vectors of a message as one list of numbers per vehicle; raises UsageError for wrong counts.
+    """Return a message's vectors (``given``) as lists of numbers, one for each vehicle; raises UsageError for a wrong
+    number or length.
 
     Args:
         given: the vectors.
@@ -83,7 +84,7 @@ class Commands:
         self._last: bytes = b""
 
     def of(self, request: Step) -> Any:
-        """Convert a STEP to a command for ``Simulation.step``.
+        """Convert a STEP message to a command for ``Simulation.step``; raises UsageError for wrong vectors.
 
         Raises:
             UsageError: the number of vectors or of their entries is wrong.
@@ -96,12 +97,14 @@ class Commands:
         return command
 
     def samples(self, start_ned: NumpyArray) -> list[object]:
-        """Return a waypoint, a velocity and a control command, to compile them, for vehicles at (n, 3) NED [m]."""
+        """Return a waypoint, a velocity and a control command for vehicles at (n, 3) NED [m], to compile each kind in
+        advance."""
         hover = np.tile([0.0, 0.0, 0.5, 0.0, 12.0], (len(start_ned), 1))
         return [WaypointSetpoint.of(start_ned), VelocitySetpoint.of(np.zeros_like(start_ned)), hover]
 
     def learn(self, payload: bytes, request: Step, ticks: int) -> None:
-        """Store the layout of a STEP: later ones that differ only in numbers are not parsed.
+        """Store how a STEP message is laid out in bytes, so that later ones that differ only in numbers need no
+        parsing.
 
         Args:
             payload: the message as it came.
@@ -119,7 +122,8 @@ class Commands:
         self._last = begin
 
     def known(self, payload: bytes) -> tuple[Any, int] | None:
-        """Return the command and the ticks of a STEP of a learnt layout, else None."""
+        """Return the command and number of ticks of a STEP with a stored layout, read without parsing; None for
+        others."""
         known = self._known.get(len(payload))
         if known is None or not payload.startswith(known.begin):
             return None
@@ -148,7 +152,7 @@ class MixedCommands(Commands):
         self._fleets, self._dtype = fleets, dtype
 
     def of(self, request: Step) -> Content:
-        """Convert a STEP to commands by fleet; vectors for vehicles that take no commands are ignored.
+        """Convert a STEP message to a command for each fleet; vectors of vehicles that take no commands are ignored.
 
         Raises:
             UsageError: the number of vectors or of their entries is wrong.
@@ -168,7 +172,7 @@ class MixedCommands(Commands):
         return found
 
     def samples(self, start_ned: NumpyArray) -> list[Any]:
-        """Return commands of each kind by fleet, to compile them, for vehicles at (n, 3) NED [m]."""
+        """Return a command of each kind for each fleet, for vehicles at (n, 3) NED [m], to compile them in advance."""
         found: list[Content] = [{}, {}, {}]
         first = 0
         for fleet in self._fleets:
@@ -183,18 +187,20 @@ class MixedCommands(Commands):
         return found
 
     def learn(self, payload: bytes, request: Step, ticks: int) -> None:
-        """Do nothing: vectors of mixed fleets differ in their lengths."""
+        """Do nothing: vectors of mixed fleets differ in length, so that every STEP message is parsed."""
 
 
 def commands_of(fleets: Sequence[Fleet], dtype: DType) -> Commands:
-    """Return the converter from STEP messages to commands for these fleets, mixed if their command types differ."""
+    """Return the converter from STEP messages to commands for these fleets; a ``MixedCommands`` if their command types
+    differ."""
     if all(fleet.vehicle.command_type is Command for fleet in fleets):
         return Commands([name for fleet in fleets for name in fleet.vehicle_names], dtype)
     return MixedCommands(fleets, dtype)
 
 
 def _command_of_array(kind: int, size: int, dtype: DType) -> tuple[NumpyArray, object]:
-    """Return the array (n, width) for the vectors of a STEP, and the fleet's command, which is a view of it.
+    """Return a buffer (n, width) for a STEP's vectors, and the fleet's command, a view of it; ``kind``: the STEP's
+    type.
 
     The fields of the command are views of the array's columns.
     """
@@ -207,7 +213,7 @@ def _command_of_array(kind: int, size: int, dtype: DType) -> tuple[NumpyArray, o
 
 
 def _command(kind: int, rows: NumpyArray) -> object:
-    """Return the command of a fleet from the vectors (n, width) of a STEP of a kind in ``KINDS``."""
+    """Return a fleet's command from a STEP's vectors (n, width); ``kind``: the STEP's type, a key of ``KINDS``."""
     if KINDS[kind] == CONTROL:
         return rows
     numbers, command = _command_of_array(kind, len(rows), rows.dtype)

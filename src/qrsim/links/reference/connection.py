@@ -62,7 +62,7 @@ class Connection(asyncio.Protocol):
     # ---- called by asyncio ----
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Begin serving the client."""
+        """Begin to serve the client that has connected."""
         self.transport = cast("asyncio.Transport", transport)
         self.transport.set_write_buffer_limits(high=MOST_WAITING)
         found = self._socket = transport.get_extra_info("socket")
@@ -74,7 +74,7 @@ class Connection(asyncio.Protocol):
         self.finished = asyncio.get_running_loop().create_task(self._serve(refused))
 
     def data_received(self, data: bytes) -> None:
-        """Append received bytes; reading pauses while a whole request waits."""
+        """Append received bytes; stop reading while more bytes wait than the largest request has."""
         if self._discard:
             return
         self._deframer.feed(data)
@@ -87,7 +87,8 @@ class Connection(asyncio.Protocol):
             self._ask_for_the_rest()
 
     def _ask_for_the_rest(self) -> None:
-        """Have the system acknowledge a partly received request at once (TCP_QUICKACK).
+        """Make the kernel acknowledge a partly received request at once (TCP_QUICKACK), so that the client sends its
+        rest.
 
         The reference client writes length and message apart, and its system holds the second back until the first is
         acknowledged (Nagle's algorithm), which ours would do some 40 ms later: there is no reply to say it with.
@@ -97,58 +98,59 @@ class Connection(asyncio.Protocol):
                 self._socket.setsockopt(socket.IPPROTO_TCP, QUICKACK, 1)
 
     def eof_received(self) -> bool:
-        """Handle the client's end of stream: answer pending requests, without long steps and pauses."""
+        """Handle the client's end of stream: answer pending requests, but stop long steps and pauses; return True (stay
+        open)."""
         self.leaving.set()
         self._wake()
         return True
 
     def pause_writing(self) -> None:
-        """Answer no further request while the client does not read."""
+        """Stop answering requests, because the client does not read its replies."""
         self._can_write.clear()
 
     def resume_writing(self) -> None:
-        """Continue with the next request."""
+        """Continue answering requests, because the client reads its replies again."""
         self._can_write.set()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Mark the client as gone when the transport reports the end of the connection."""
+        """Note that the connection has ended, so that all that waits for this client stops."""
         self.gone_soon()
 
     def gone_soon(self) -> None:
-        """Mark the client as leaving: the connection closes after the present request."""
+        """Note that the client is leaving: the connection is closed after the present request."""
         self.leaving.set()
         self.gone.set()
         self._can_write.set()
         self._wake()
 
     def _wake(self) -> None:
-        """Wake the coroutine that waits for more bytes."""
+        """Wake the coroutine that waits for more bytes of a request."""
         if self._more is not None and not self._more.done():
             self._more.set_result(None)
 
     # ---- answering ----
 
     def send(self, message: Message) -> None:
-        """Send a message in one write."""
+        """Send a protobuf message at once, framed, together with the held ones."""
         self.send_frame(frame(message.SerializeToString()))
 
     def send_frame(self, content: bytes) -> None:
-        """Send a framed message, in one write with the held ones."""
+        """Send a framed message (``content``) at once, together with the held ones."""
         self.hold_frame(content)
         self.send_held()
 
     def hold_frame(self, content: bytes) -> None:
-        """Hold a framed message for the next write, or until this connection waits."""
+        """Hold a framed message (``content``) until the next write, or until this connection waits."""
         self._held.append(content)
 
     def send_held(self) -> None:
-        """Send the messages that were held until the end of a request."""
+        """Send the messages that ``hold_frame`` has held back."""
         if self._held and not (self.gone.is_set() or self.transport.is_closing()):
             self.transport.write(b"".join(self._held))
         self._held.clear()
 
     def acknowledge(self, error: str | None = None, note: str = "") -> None:
-        """Send an ACK, or an error if a text is given."""
+        """Send an ACK with an optional note; with ``error``, send a refusal with that text instead."""
         text = note if error is None else error
         if len(text) > LONGEST_TEXT:
             text = f"{text[:LONGEST_TEXT]} ..."
@@ -157,11 +159,11 @@ class Connection(asyncio.Protocol):
 
     @property
     def backlog(self) -> int:
-        """Number of bytes waiting to be sent."""
+        """Number of bytes that wait to be sent to the client."""
         return self.transport.get_write_buffer_size()
 
     def any_session(self) -> Session | EpisodeSession:
-        """Return the session, of either kind.
+        """Return the client's session, of a simulation or of a task's episodes; raises UsageError without one.
 
         Raises:
             UsageError: there is none.
@@ -173,7 +175,7 @@ class Connection(asyncio.Protocol):
         return self.session
 
     def required_session(self) -> Session:
-        """Return the session of a simulation.
+        """Return the client's session if it is one of a simulation; raises UsageError otherwise.
 
         Raises:
             UsageError: there is none, or it plays a task.
@@ -184,7 +186,7 @@ class Connection(asyncio.Protocol):
         return session
 
     def required_episodes(self) -> EpisodeSession:
-        """Return the session of a task's episodes.
+        """Return the client's session if it is one of a task's episodes; raises UsageError otherwise.
 
         Raises:
             UsageError: there is none, or it plays no task.
@@ -196,12 +198,12 @@ class Connection(asyncio.Protocol):
         return self.session
 
     def idle_s(self) -> float:
-        """Return the time [s] for which the server has waited for the client's next request; 0 while it answers."""
+        """Return for how long [s] the server has waited for the client's next request; 0 while it answers one."""
         since = self._waits_since
         return 0.0 if since is None else asyncio.get_running_loop().time() - since
 
     async def pause(self, seconds: float) -> None:
-        """Wait, but stop if the client leaves."""
+        """Wait for a time [s], but stop early if the client leaves."""
         self.send_held()
         loop = asyncio.get_running_loop()
         end = loop.time() + seconds
@@ -214,7 +216,7 @@ class Connection(asyncio.Protocol):
             await loop.run_in_executor(None, time.sleep, rest)
 
     async def _serve(self, refused: str | None) -> None:
-        """Serve the client until it leaves, then end its session; or refuse it with a reason."""
+        """Serve the client until it leaves, then end its session; with ``refused``, a reason, only send it."""
         try:
             if refused is not None:
                 self.acknowledge(refused)
@@ -227,7 +229,7 @@ class Connection(asyncio.Protocol):
                 await self._close()
 
     async def _answer_all(self) -> None:
-        """Answer one request after the other until the connection is to be closed."""
+        """Answer the client's requests one after the other, until the connection is to be closed."""
         clock = asyncio.get_running_loop().time
         turn_ends = clock() + TURN_S
         while not self.gone.is_set():
@@ -261,7 +263,7 @@ class Connection(asyncio.Protocol):
             turn_ends = clock() + TURN_S
 
     async def _answer(self, payload: bytes) -> bool:
-        """Answer a request; return whether to go on.
+        """Answer the request in ``payload`` (protobuf bytes); return False if the connection is to be closed.
 
         After an INIT that fails the connection is closed, because the reference client waits for a second message.
         """

@@ -25,7 +25,7 @@ Part = pb.World.Part
 
 
 def description(scenario: Scenario, simulation: Simulation) -> pb.World:
-    """Return the message WORLD of a scenario's simulation."""
+    """Return the protobuf message WORLD, which describes area, obstacles, weather and fleets of a simulation."""
     world, reading = simulation.world, simulation.reading
     spec = scenario.spec.model_dump(mode="json")
     air = spec["world"]
@@ -50,7 +50,8 @@ def description(scenario: Scenario, simulation: Simulation) -> pb.World:
 
 
 def _add_fleet(found: pb.World, spec: Mapping[str, Any], fleet: Fleet, world: World, reading: FleetReading) -> None:
-    """Append the description of a fleet to a WORLD message: vehicles, sensors, commands with their limits."""
+    """Append a fleet's description to the message WORLD (``found``): vehicles, sensors, and commands with their
+    limits."""
     start = as_array(fleet.start.position_ned)
     added = found.fleet.add(
         name=fleet.name,
@@ -73,7 +74,7 @@ def _add_fleet(found: pb.World, spec: Mapping[str, Any], fleet: Fleet, world: Wo
 
 
 def _limits_message(fleet: Fleet) -> Part:
-    """Return a fleet's state limits as a protobuf message."""
+    """Return a fleet's limits on the state, beyond which a flight ends, as a protobuf message."""
     limits = fleet.limits
     message = Part(type=type(limits).__name__)
     for field in dataclasses.fields(limits):
@@ -85,7 +86,8 @@ def _limits_message(fleet: Fleet) -> Part:
 
 
 def _part(spec: str | Content, known: Mapping[str, object]) -> Part:
-    """Return a component's description as a protobuf message: its type, parameters and units."""
+    """Return a component of a scenario as a protobuf message: its type, parameters and units; ``known``: type ->
+    class."""
     content = {"type": spec} if isinstance(spec, str) else dict(spec)
     kind = str(content.pop("type"))
     units = _units_by_field(known.get(kind))
@@ -100,14 +102,14 @@ def _part(spec: str | Content, known: Mapping[str, object]) -> Part:
 
 
 def _units_by_field(kind: object) -> dict[str, str]:
-    """Return field -> unit of a component; empty for other values."""
+    """Return field -> unit of a component's class; {} for anything else."""
     if not dataclasses.is_dataclass(kind):
         return {}
     return {field.name: field_info(field).unit for field in dataclasses.fields(kind)}
 
 
 def _values(content: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, object]]:
-    """Yield (dotted name, text or flat list of numbers) of all entries of a part of a scenario.
+    """Yield (dotted name, text or flat list of numbers) for each entry, at any depth, of a part of a scenario.
 
     Lists of points are flattened. Several such lists, such as the courtyards of a building, are numbered, and so are
     parts, such as the zones of an area.

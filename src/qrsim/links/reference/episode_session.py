@@ -57,7 +57,7 @@ class EpisodeSession:
 
     @property
     def vehicle_names(self) -> tuple[str, ...]:
-        """Name of each vehicle of the world, including those without a commander."""
+        """Names of all vehicles of the world, including those that no agent commands."""
         return tuple(name for fleet in self.play.world.fleets for name in fleet.vehicle_names)
 
     @property
@@ -67,7 +67,7 @@ class EpisodeSession:
 
     @property
     def world(self) -> World:
-        """The world of the task."""
+        """World (parameters) of the task."""
         return self.play.world
 
     @property
@@ -77,11 +77,11 @@ class EpisodeSession:
 
     @property
     def answer_shape(self) -> tuple[int, ...]:
-        """Shape of an agent's answer with its last action; () for a task without answers."""
+        """Shape of the answer that each agent gives with its last action; () for a task without answers."""
         return tuple(self.play.task.answer_shape(self.play.world))
 
     def begin(self) -> None:
-        """Start the first episode.
+        """Build the task and its world, and start the first episode.
 
         Raises:
             RunError: a fleet found no place.
@@ -97,11 +97,11 @@ class EpisodeSession:
         self._start_episode()
 
     def start_clock(self, factor: float) -> None:
-        """Begin to count the pace, at a factor (0: lock-step); raises UsageError."""
+        """Start counting the pace at a real-time factor (0: lock-step); raises UsageError for a bad factor."""
         self.pacer = Pacer(factor, self.time)
 
     def restart(self, seed: int | None) -> None:
-        """Start the first episode of a new seed, or the next one of the same series.
+        """Start the first episode of a new seed, or, for None, the next one of the same series of seeds.
 
         Raises:
             RunError: a fleet found no place.
@@ -115,7 +115,7 @@ class EpisodeSession:
         self.pacer.restarted()
 
     def _start_episode(self) -> None:
-        """Start an episode from the session's seed and episode number, and store its first observation."""
+        """Start an episode from the session's seed and the episode's number, and store its first observation."""
         keys = self.play.keys(Key.roots(np.array([self.seed]), np.array([self.episode])))
         self._running = False
         begun = self._episodes.start(np.zeros(1, int), keys)
@@ -124,7 +124,7 @@ class EpisodeSession:
         self._running, self._step = True, 0
 
     def act(self, request: Act) -> Outcome:
-        """Advance the episode by a step with the agents' actions, and return the outcome.
+        """Advance the episode by one step with the agents' actions, and return the protobuf outcome.
 
         Raises:
             UsageError: the episode has ended; or wrong actions or answers, and nothing has changed.
@@ -153,7 +153,8 @@ class EpisodeSession:
         )
 
     def _action(self, given: Sequence[Arrayd]) -> NumpyArray:
-        """Return the actions (n, A) of a request."""
+        """Return the agents' actions (n, A) from a request's vectors; raises UsageError for wrong counts and numbers
+        out of range."""
         axes, agents = self.play.axes, self.play.agents
         with np.errstate(over="ignore"):
             action = np.array(rows_of(given, (len(axes),), "action", agents), PRECISION)
@@ -165,7 +166,7 @@ class EpisodeSession:
         return action
 
     def _answer(self, given: Sequence[Act.Answer]) -> NumpyArray:
-        """Return the answers of the n agents, (n, ...)."""
+        """Return the agents' answers (n, ...) from a request; raises UsageError for wrong counts or numbers."""
         shape, agents = self.answer_shape, self.play.agents
         if not shape:
             raise UsageError("answer: nothing is handed in in this task")
@@ -184,38 +185,38 @@ class EpisodeSession:
     # ---- what is told ----
 
     def observation(self) -> list[pb.Values]:
-        """Return the observations of the agents."""
+        """Return the agents' present observations as protobuf arrays, each with its name."""
         return _values(_flat(self._seen) if isinstance(self._seen, dict) else {"": self._seen})
 
     def info(self) -> list[pb.Values]:
-        """Return the ground truth."""
+        """Return the task's ground truth at this step as protobuf arrays, each with its name."""
         return _values(self._truth)
 
     @property
     def states(self) -> States:
-        """The STATE messages, for watchers."""
+        """Encoder of STATE messages for clients that watch."""
         self._states = self._states or States(self)
         return self._states
 
     @property
     def packed(self) -> tuple[Packer, Buffers]:
-        """The state of the world in flat buffers, and their layout."""
+        """Layout and flat buffers of the world's present state."""
         state = jax.tree.map(np.asarray, self._episodes.episode(0).state)
         if self._layout is None:
             self._layout = Packer(state)
         return self._layout, self._layout.pack(state)
 
     def summary(self) -> str:
-        """Return a summary for the operator."""
+        """Return a line for the operator on the episodes played."""
         return f"{self._step} steps of episode {self.episode} of seed {self.seed}"
 
     def end(self) -> None:
-        """End the session; call nothing after it."""
+        """End the session; no other method may be called afterwards."""
         self.thread.shutdown(wait=False)
 
 
 def _flat(arrays: Mapping[str, object], before: str = "") -> dict[str, object]:
-    """Return the arrays of a dict of dicts, with the names on the way to each."""
+    """Flatten a dict of dicts of arrays: each array by its dotted name, after ``before``."""
     found: dict[str, object] = {}
     for name, array in arrays.items():
         found |= _flat(array, f"{before}{name}.") if isinstance(array, dict) else {f"{before}{name}": array}
@@ -223,7 +224,7 @@ def _flat(arrays: Mapping[str, object], before: str = "") -> dict[str, object]:
 
 
 def _values(arrays: Mapping[str, object]) -> list[pb.Values]:
-    """Return arrays (1, n, ...) as messages."""
+    """Convert arrays (1, n, ...) by name to protobuf arrays of shape (n, ...)."""
     found = []
     for name, array in arrays.items():
         numbers = np.asarray(array)[0]

@@ -29,7 +29,8 @@ async def clear(client: Client, message: Message) -> None:
 
 
 def request_of(asked: pb.Inject) -> Request:
-    """Return the request of an INJECT message; raises UsageError for invalid texts and numbers given twice."""
+    """Convert an INJECT message to an injection request; raises UsageError for invalid texts and numbers given
+    twice."""
     _check_texts([asked.target, asked.kind, asked.field, *asked.vehicle, *(each.name for each in asked.number)])
     numbers: dict[str, object] = {"field": asked.field} if asked.HasField("field") else {}
     for each in asked.number:
@@ -42,14 +43,15 @@ def request_of(asked: pb.Inject) -> Request:
 
 
 def _check_texts(texts: list[object]) -> None:
-    """Check that all texts of a message are UTF-8; raises UsageError."""
+    """Raise UsageError unless all texts of a message are UTF-8 (protobuf gives others as bytes)."""
     # What is not UTF-8 comes as bytes.
     if not all(isinstance(text, str) for text in texts):
         raise UsageError("message: a text is not UTF-8")
 
 
 async def _apply_request(client: Client, what: str, request: Request) -> None:
-    """Apply a request to the client's session or to its claimed vehicles, and acknowledge it."""
+    """Apply an injection request to the client's session or to its claimed vehicles, and acknowledge it; ``what``:
+    message name."""
     session, sharing = client.required_session(), client.server.sharing
     still: contextlib.AbstractAsyncContextManager[object] = contextlib.nullcontext()
     if sharing is not None:
@@ -61,7 +63,8 @@ async def _apply_request(client: Client, what: str, request: Request) -> None:
 
 
 def _claimed_request(client: Client, sharing: Sharing, what: str, request: Request) -> Request:
-    """Return a request limited to the client's claimed vehicles, by default to those that have the target.
+    """Return an injection request for the client's claimed vehicles only, by default those with the target; ``what``:
+    message name.
 
     Raises:
         UsageError: one is not claimed by it, or the request is for the whole world and the operator does not allow it.
@@ -83,6 +86,6 @@ def _claimed_request(client: Client, sharing: Sharing, what: str, request: Reque
 
 
 def _vehicles_with(world: World, target: str | None) -> set[str]:
-    """Return the names of the vehicles that have a target part; without a target, all names."""
+    """Return the names of the vehicles that have a sensor or part (``target``); all names without a target."""
     fleets = [fleet for fleet in world.fleets if target is None or plain_target(target) in targets_of(fleet)]
     return {name for fleet in fleets for name in fleet.vehicle_names}

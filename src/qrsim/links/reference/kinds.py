@@ -27,7 +27,7 @@ WIDTHS = {number: len(FIELDS[name]) for number, name in KINDS.items() if name in
 
 
 def order_of(request: pb.Order) -> Order:
-    """Return an order from its message.
+    """Convert a protobuf order to an ``Order`` record.
 
     Raises:
         UsageError: its text is none, or a velocity has not three numbers.

@@ -22,7 +22,7 @@ _HEARD = b"\x32"
 
 
 def words_of(request: pb.Say) -> list[Words]:
-    """Return the radio messages of a request.
+    """Return the radio messages of a SAY request; raises UsageError for invalid names and two messages of one vehicle.
 
     Raises:
         UsageError: a name is no text, or a vehicle says two things at once.
@@ -39,33 +39,34 @@ def words_of(request: pb.Say) -> list[Words]:
 
 
 def hand_over(simulation: Simulation, words: Sequence[Words]) -> None:
-    """Pass messages to the radios of vehicles, all or none; raises UsageError for invalid messages."""
+    """Queue messages at the vehicles' radios in the simulation, all or none; raises UsageError for invalid messages."""
     world, names = simulation.world, simulation.vehicle_names
     simulation.send_all([checked_message(world, names, each.vehicle, each.numbers, each.to) for each in words])
 
 
 def heard_by_all(simulation: Simulation) -> list[list[pb.Readings.Heard]]:
-    """Return, for each vehicle, the newest message that it has received from each sender."""
+    """Return for each vehicle, in protobuf, the newest radio message that it has received from each sender."""
     if simulation.world.radio is None:
         return [[] for _ in range(simulation.size)]
     return [[_heard_message(each) for each in heard] for heard in simulation.inboxes()]
 
 
 def _heard_message(found: Received) -> pb.Readings.Heard:
-    """Convert a received radio message to its protobuf message."""
+    """Convert a received radio message to protobuf."""
     return pb.Readings.Heard(
         sender=found.sender, sent=found.sent, received=found.received, rssi=found.rssi, value=found.payload.tolist()
     )
 
 
 def heard_bytes(heard: Sequence[pb.Readings.Heard]) -> bytes:
-    """Return the radio messages that a vehicle has received, encoded as a part of its protobuf message."""
+    """Encode the radio messages that a vehicle has received as bytes of its part of a READINGS message."""
     parts = [each.SerializeToString() for each in heard]
     return b"".join(_HEARD + varint(len(part)) + part for part in parts)
 
 
 def said(play: Play, request: Act) -> NumpyArray:
-    """Return the radio payloads of agents (n, D), NaN for those that send nothing; D = 0 without a radio.
+    """Return the agents' radio messages (n, D) from an ACT request, NaN where an agent sends none; D = 0 without a
+    radio.
 
     Raises:
         UsageError: there is no radio, or not one message of each agent, of D finite numbers or none.

@@ -50,7 +50,8 @@ def varint(value: int) -> bytes:
 
 
 def largest_fleet(limit: int) -> int:
-    """Return the largest number of vehicles in a STATE of at most ``limit`` bytes, length message included."""
+    """Return the largest number of vehicles for which a STATE message fits into ``limit`` bytes, its length
+    included."""
     count = limit // BYTES_PER_VEHICLE
     while state_size(count) > limit:
         count -= 1
@@ -58,7 +59,7 @@ def largest_fleet(limit: int) -> int:
 
 
 def state_size(vehicles: int) -> int:
-    """Return the size [bytes] of a STATE with its length message."""
+    """Return the size [bytes] of a STATE message for a number of vehicles, its length message included."""
     body = len(_T_HEAD) + 8 + vehicles * BYTES_PER_VEHICLE
     return HEAD_SIZE + 3 + len(varint(body)) + body
 
@@ -76,15 +77,15 @@ class Source(Protocol):
 
     @property
     def world(self) -> World:
-        """World whose state is sent."""
+        """World (parameters) of the state that is sent."""
 
     @property
     def packed(self) -> tuple[Packer, Buffers]:
-        """The state of the world in flat buffers, and their layout."""
+        """Layout and flat buffers of the world's state."""
 
 
 def places_of(simulation: Source) -> Any:
-    """Return the state of a world with each leaf replaced by its indices in the packed arrays."""
+    """Return the tree of a world's state with, in place of its numbers, their indices in the flat buffers."""
     layout, _ = simulation.packed
     floats, integers = layout.sizes
     return layout.unpack((np.arange(floats), np.arange(integers, dtype=np.int32)))
@@ -128,7 +129,7 @@ class Readout:
         self._find_places(simulation)
 
     def _find_places(self, simulation: Source) -> None:
-        """Store the indices of each vehicle's numbers in the packed state."""
+        """Find and store the indices of every vehicle's state vector in the flat buffers."""
         places = places_of(simulation)
         self._x_places = np.concatenate([_state_places(fleet) for fleet in places.fleets])
         # Vehicles from outside can have a state without a thrust, for example.
@@ -151,7 +152,7 @@ class Readout:
         )
 
     def frame(self) -> bytes:
-        """Return the bytes of the present STATE, with its length message."""
+        """Return the present STATE message as bytes, framed with its length."""
         floats = np.asarray(self._simulation.packed[1][0])
         self._time[0] = self._simulation.time
         self.vectors()
@@ -173,7 +174,7 @@ class Readout:
         return self._x
 
     def _explained(self) -> bytes:
-        """Return the framed STATE with a reason for each invalid vehicle."""
+        """Return the framed STATE message, with the reason for each invalid vehicle appended."""
         floats, integers = self._simulation.packed[1]
         codes, values = np.asarray(integers).take(self._codes), np.asarray(floats).take(self._values)
         body = bytes(self._buffer[self._body_at : self._body_at + self._body_size])
@@ -187,7 +188,7 @@ class Readout:
         return Message.FromString(self.frame()[HEAD_SIZE:]).state
 
     def all_valid(self) -> bool:
-        """Return whether all vehicles fly."""
+        """Return whether all vehicles still fly."""
         return not np.count_nonzero(np.asarray(self._simulation.packed[1][1]).take(self._codes))
 
 
@@ -200,7 +201,8 @@ class States:
         self._explaining: Readout | None = None
 
     def frame(self, reasons: bool = False) -> bytes:
-        """Return the bytes of the present STATE, with its length message."""
+        """Return the present STATE message as bytes, framed with its length; ``reasons``: why vehicles are invalid,
+        too."""
         return (self._with_reasons() if reasons else self._plain).frame()
 
     def vectors(self) -> NumpyArray:
@@ -212,11 +214,11 @@ class States:
         return self._with_reasons().message()
 
     def all_valid(self) -> bool:
-        """Return whether all vehicles fly."""
+        """Return whether all vehicles still fly."""
         return self._plain.all_valid()
 
     def _with_reasons(self) -> Readout:
-        """Return the readout that adds reasons, building it at the first call."""
+        """Return the encoder that adds reasons to STATE messages, built at the first call."""
         self._explaining = self._explaining or Readout(self._simulation, reasons=True)
         return self._explaining
 
@@ -235,7 +237,8 @@ class _Posed:
         self._compiled = jax.jit(_vectors)
 
     def vectors(self, layout: Packer, buffers: Buffers) -> NumpyArray:
-        """Return the state vectors (n, 13) of vehicles of a packed state, with the high parts of positions."""
+        """Return the state vectors (n, 13) of these vehicles from a packed state, with positions without their rounding
+        remainders."""
         part = layout.numbers.fleets[self._number].vehicle
         state = jax.tree.map(lambda number: np.asarray(layout.leaf(buffers, number)), part)
         with jax.enable_x64(layout.dtype == np.float64):
@@ -243,14 +246,14 @@ class _Posed:
 
 
 def _vectors(vehicle: Vehicle, state: Any) -> jax.Array:
-    """Return pose and thrust [N] of a fleet's vehicles as state vectors (n, 13)."""
+    """Return position, attitude, velocity, rates and thrust of a fleet's vehicles as state vectors (n, 13)."""
     pose, like = vehicle.pose(state), state.position_ned.x
     thrust = jnp.broadcast_to(jnp.asarray(vehicle.load(state).thrust), like.shape)
     return jnp.stack([*jax.tree.leaves(pose), thrust], axis=1)
 
 
 def _posed(world: World, fleets: Sequence[FleetState]) -> list[_Posed]:
-    """Return the fleets that need ``Vehicle.pose``, because their states lack a part of the pose."""
+    """Return the fleets whose state vectors need the vehicle's method ``pose``, as their states lack a part of it."""
     found, first = [], 0
     for number, (fleet, state) in enumerate(zip(world.fleets, fleets, strict=True)):
         rows = slice(first, first + fleet.size)
@@ -261,7 +264,8 @@ def _posed(world: World, fleets: Sequence[FleetState]) -> list[_Posed]:
 
 
 def _state_places(fleet: FleetState) -> NumpyArray:
-    """Return the indices (n, 13) of the state vectors in the packed state; -1 for parts that the state lacks."""
+    """Return the indices (n, 13) of a fleet's state vectors in the flat float buffer; -1 for parts that the state
+    lacks."""
     own = vars(fleet.vehicle)
     nothing = np.full(len(fleet.violation.code), -1)
     columns: list[NumpyArray] = []
@@ -271,7 +275,8 @@ def _state_places(fleet: FleetState) -> NumpyArray:
 
 
 def _low_places(fleets: Sequence[FleetState]) -> NumpyArray | None:
-    """Return the indices (n, 3) of the low parts of positions in the packed state, None in double precision."""
+    """Return the indices (n, 3), in the flat float buffer, of the rounding remainders of positions; None in double
+    precision."""
     lows = [fleet.position_low_ned for fleet in fleets]
     if any(low is None for low in lows):
         return None
@@ -279,7 +284,7 @@ def _low_places(fleets: Sequence[FleetState]) -> NumpyArray | None:
 
 
 def _measured_places(fleet: FleetState) -> dict[int, object]:
-    """Return column of the measured vector -> indices (n,) of its numbers in the packed state."""
+    """Return column of the measured state vector -> indices (n,) of the sensors' numbers in the flat float buffer."""
     found: dict[int, object] = {}
     for reading in reversed(fleet.readings):
         if isinstance(reading, GnssReading):

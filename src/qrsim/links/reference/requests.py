@@ -48,7 +48,7 @@ async def init(connection: Client, message: Message) -> None:
 def _session_options(
     connection: Client, task: str, *, scenario: str | None = None, flown: bool = True, **others: Any
 ) -> SessionOptions:
-    """Return the options of a client's session, its scenario to be flown by commands or played."""
+    """Return the options of a client's new session; ``flown``: by a client's commands, else a task that is played."""
     server = connection.server
     # What is not UTF-8 comes as bytes.
     if not isinstance(task, str) or not isinstance(scenario, str | None):
@@ -61,7 +61,7 @@ def _session_options(
 
 
 def _task_info(session: Session) -> pb.TaskInfo:
-    """Return the message TaskInfo of a session: time step and number of vehicles."""
+    """Return the message TASKINFO of a session: its time step [s] and number of vehicles."""
     return pb.TaskInfo(timestep=session.time_step, numUAVs=session.simulation.size)
 
 
@@ -75,12 +75,12 @@ async def reset(connection: Client, message: Message) -> None:
 
 
 def _print_episode(connection: Client, session: Session) -> None:
-    """Log session, episode and seed."""
+    """Print a line for the operator on the new episode: session, episode and seed."""
     connection.server.say(f"session {session.number}, episode {session.episode}: seed {session.simulation.seed}")
 
 
 async def disconnect(connection: Client, message: Message) -> None:
-    """End the session, and the server if requested and allowed."""
+    """End the client's session, and the server too if the client asks for that and it is allowed."""
     await connection.server.close_session(connection)
     if connection.server.sharing is not None:
         connection.server.sharing.release(connection)
@@ -94,7 +94,7 @@ async def disconnect(connection: Client, message: Message) -> None:
 
 
 async def set_state(connection: Client, message: Message) -> None:
-    """Set the vehicles' states, and acknowledge it."""
+    """Set the vehicles' states from a SETSTATE message, and acknowledge it."""
     session = connection.required_session()
     await connection.server.run(session, lambda: session.set_state(message.setsState.X))
     connection.acknowledge()
@@ -102,13 +102,14 @@ async def set_state(connection: Client, message: Message) -> None:
 
 
 def known_step(connection: Client, payload: bytes) -> tuple[object, int] | None:
-    """Return the command and the ticks of a STEP of a learnt layout, else None."""
+    """Return command and ticks of a STEP that a session can read without parsing (see ``Commands.known``), else
+    None."""
     session = connection.session
     return session.commands.known(payload) if isinstance(session, Session) else None
 
 
 def parsed_step(connection: Client, message: Message, payload: bytes) -> tuple[object, int]:
-    """Parse the command and the ticks of a STEP.
+    """Parse a STEP message, and return its command and number of ticks; raises UsageError for a wrong one.
 
     Raises:
         UsageError: the request is wrong, or there is nothing to advance.
@@ -124,7 +125,7 @@ def parsed_step(connection: Client, message: Message, payload: bytes) -> tuple[o
 
 
 async def step(connection: Client, command: object, ticks: int) -> None:
-    """Advance the session by ``ticks`` and send its state; in real time, not before its wall-clock time.
+    """Advance the session by ``ticks`` with a command, and send its state; in real time, not before it is due.
 
     Raises:
         UsageError: the command cannot be flown, and nothing has changed; or its client leaves meanwhile.
@@ -149,7 +150,7 @@ async def step(connection: Client, command: object, ticks: int) -> None:
 
 
 async def hello(connection: Client, message: Message) -> None:
-    """Report the server's version, capabilities, tasks and sessions."""
+    """Answer HELLO with the server's version, capabilities, tasks and sessions."""
     server = connection.server
     connection.reasons = message.hello.reasons
     found = pb.Server(
@@ -163,7 +164,7 @@ async def hello(connection: Client, message: Message) -> None:
 
 
 async def open_session(connection: Client, message: Message) -> None:
-    """Start a session with the client's seed, pace or scenario."""
+    """Start a session with the seed, pace or scenario of an OPEN message, and send its description."""
     server, request = connection.server, message.open
     factor = checked_factor(request.realtime if request.HasField("realtime") else server.options.realtime or 0.0)
     chosen = _chosen(connection, request)
@@ -175,7 +176,7 @@ async def open_session(connection: Client, message: Message) -> None:
 
 
 def _chosen(connection: Client, request: pb.Open | pb.Play) -> Content:
-    """Return task, scenario and seeds of a request as keyword arguments of ``_session_options``."""
+    """Return task, scenario and seeds of an OPEN or PLAY message, as keyword arguments of ``_session_options``."""
     if request.HasField("task") and request.HasField("scenario"):
         raise UsageError("give either a task or a scenario")
     seed = _seed(request)
@@ -187,7 +188,7 @@ def _chosen(connection: Client, request: pb.Open | pb.Play) -> Content:
 
 
 def _seed(request: pb.Open | pb.Play | pb.Restart) -> int | None:
-    """Return the seed of a request, None where it has none."""
+    """Return the seed in a request, None if it has none; raises UsageError if it is out of range."""
     if not request.HasField("seed"):
         return None
     if request.seed >= 2**63:
@@ -196,7 +197,7 @@ def _seed(request: pb.Open | pb.Play | pb.Restart) -> int | None:
 
 
 async def restart(connection: Client, message: Message) -> None:
-    """Start the next episode of the task, or the first one of a seed."""
+    """Start the next episode of the task, or the first one of a seed; send the session's description."""
     session, seed = connection.required_session(), _seed(message.restart)
     async with _still(connection, "RESTART"):
         await connection.server.run(session, lambda: session.restart(seed))
@@ -205,7 +206,8 @@ async def restart(connection: Client, message: Message) -> None:
 
 
 def _still(connection: Client, what: str = "") -> contextlib.AbstractAsyncContextManager[object]:
-    """Return a context in which a shared world does not advance; ``what``: a change, which needs the world alone.
+    """Return a context in which a shared world does not advance; ``what``: name of a change, refused while others have
+    claims.
 
     Args:
         connection: whose request it is.
@@ -223,7 +225,7 @@ def _still(connection: Client, what: str = "") -> contextlib.AbstractAsyncContex
 
 
 def _send_session(connection: Client, session: Session) -> None:
-    """Send a client the description of its session, and the state to all who watch it."""
+    """Send a client its session's description, and the first state to all clients that watch the session."""
     simulation = session.simulation
     message = pb.Session(
         id=session.number,
@@ -238,7 +240,7 @@ def _send_session(connection: Client, session: Session) -> None:
 
 
 async def get_readings(connection: Client, message: Message) -> None:
-    """Send every sensor's reading, or the reason it is missing."""
+    """Send every sensor's present reading, or the reason why it is missing."""
     session = connection.required_session()
     async with _still(connection):
         told = session.sensors.frame()
@@ -250,7 +252,7 @@ async def get_readings(connection: Client, message: Message) -> None:
 
 
 async def watch(connection: Client, message: Message) -> None:
-    """Start or stop sending the states of a session to this client."""
+    """Start or stop sending the states of a session, which another client controls, to this client."""
     request = message.watch
     if connection.session is not None:
         raise UsageError("WATCH: this connection has a session of its own; watch from another connection")
@@ -263,7 +265,7 @@ async def watch(connection: Client, message: Message) -> None:
 
 
 async def get_events(connection: Client, message: Message) -> None:
-    """Send the events since the last request."""
+    """Send the session's events since the last request."""
     session = connection.required_session()
     if isinstance(session, SharedSession):
         async with _still(connection):
@@ -275,7 +277,7 @@ async def get_events(connection: Client, message: Message) -> None:
 
 
 async def pace(connection: Client, message: Message) -> None:
-    """Send the pace statistics, and change the pace if requested."""
+    """Send the statistics of the session's pace, and set a new pace if the message has one."""
     session = connection.any_session()
     report = session.pacer.report()
     if message.pace.HasField("factor"):
@@ -285,14 +287,14 @@ async def pace(connection: Client, message: Message) -> None:
 
 
 async def describe(connection: Client, message: Message) -> None:
-    """Send the description of the world."""
+    """Send the description of the session's world."""
     session = connection.required_session()
     found = await connection.server.run(session, lambda: description(session.scenario, session.simulation))
     connection.send(Message(type=Message.WORLD, world=found))
 
 
 async def play(connection: Client, message: Message) -> None:
-    """Start an episode of a task, or the next one, and send its first observation."""
+    """Start an episode of a task, or the next one, and send its description and first observation."""
     server, request = connection.server, message.play
     if request.HasField("task") or request.HasField("scenario") or not isinstance(connection.session, EpisodeSession):
         chosen = _chosen(connection, request)
@@ -321,7 +323,7 @@ async def play(connection: Client, message: Message) -> None:
 
 
 def _episode_options(connection: Client, chosen: Content) -> SessionOptions:
-    """Return the options of an episode session; raise UsageError if this server cannot play."""
+    """Return the options of a new session of episodes; raises UsageError if this server cannot play tasks."""
     options = connection.server.options
     if options.record is not None or options.view is not None:
         raise UsageError(
@@ -341,7 +343,7 @@ def _episode_options(connection: Client, chosen: Content) -> SessionOptions:
 
 
 async def act(connection: Client, message: Message) -> None:
-    """Advance an episode by a step, and send its outcome."""
+    """Advance an episode by one step with the actions of an ACT message, and send its outcome."""
     session = connection.required_episodes()
     found = await connection.server.run(session, lambda: session.act(message.act))
     wait = session.pacer.wait_s(session.time)
@@ -352,7 +354,7 @@ async def act(connection: Client, message: Message) -> None:
 
 
 async def say(connection: Client, message: Message) -> None:
-    """Queue a client's messages for the radios of vehicles, and acknowledge the request."""
+    """Queue the radio messages of a SAY message at the vehicles' radios, and acknowledge it."""
     session, words = connection.required_session(), words_of(message.say)
     if isinstance(session, SharedSession):
         session.plant.say(connection.number, words)

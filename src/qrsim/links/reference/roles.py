@@ -52,21 +52,21 @@ class Host(Protocol):
 
     @property
     def sessions(self) -> Mapping[int, Any]:
-        """Sessions by their ids."""
+        """Sessions of the server by their ids."""
 
     @property
     def say(self) -> Callable[[str], None]:
-        """Function that prints a line for the operator."""
+        """Function that prints a line for the server's operator."""
 
     @property
     def sharing(self) -> Any:
-        """The world that all clients share (sharing.py); None where each session has an owner."""
+        """World that all clients share (sharing.py); None if each session has a world to itself."""
 
     def stop(self) -> None:
-        """End the server."""
+        """Stop the server."""
 
     def admit(self, connection: Any) -> str | None:
-        """Register a connection; return the reason for refusing it, or None."""
+        """Register a client's connection; return the reason for refusing it, or None."""
 
     def report_bug(self, error: Exception) -> None:
         """Print an internal error for the operator."""
@@ -78,25 +78,27 @@ class Host(Protocol):
         """Answer a request of a connection."""
 
     def open(self, connection: Any, make: Callable[[int], S]) -> Awaitable[S]:
-        """Start a session by ``make(id)`` for a connection, in place of its old one, and return it."""
+        """Start the session that ``make(id)`` returns for a connection, in place of its present one, and return it."""
 
     def close_session(self, connection: Any) -> Awaitable[None]:
-        """End the session of a connection."""
+        """End the session of a connection, if it has one."""
 
     def run_in_thread(self, work: Callable[[], T]) -> Awaitable[T]:
-        """Run slow work in a thread."""
+        """Await the result of slow work, run in a thread."""
 
     def run(self, session: Session | EpisodeSession, work: Callable[[], T]) -> Awaitable[T]:
-        """Run slow work in the thread of a session."""
+        """Await the result of slow work on a session, run in that session's thread."""
 
     def advance(self, connection: Any, session: Session, command: Any, ticks: int) -> Awaitable[None]:
-        """Advance a session by ``ticks`` with a command."""
+        """Advance a session by ``ticks`` with a command, in the session's thread."""
 
     def watch(self, connection: Any, session: int | None, period: float, stop: bool) -> None:
-        """Start or stop sending a session's states to a connection."""
+        """Start or stop (``stop``) sending a session's states to a connection; ``period``: least simulated time between
+        two [s]."""
 
     def broadcast(self, session: Session | EpisodeSession, states: dict[bool, bytes] | None = None) -> None:
-        """Send the state of a session to its watchers."""
+        """Send a session's state to all clients that watch it; ``states``: already encoded, without and with
+        reasons."""
 
 
 class Client(Protocol):
@@ -110,22 +112,22 @@ class Client(Protocol):
 
     @property
     def backlog(self) -> int:
-        """Number of bytes waiting to be sent."""
+        """Number of bytes that wait to be sent to this client."""
 
     def send(self, message: Message) -> None:
-        """Send a message."""
+        """Send a protobuf message to this client."""
 
     def send_frame(self, content: bytes) -> None:
-        """Send bytes of whole messages."""
+        """Send framed messages, as bytes, to this client."""
 
     def hold_frame(self, content: bytes) -> None:
-        """Hold bytes of whole messages until the next send."""
+        """Hold framed messages, as bytes, until the next send to this client."""
 
     def acknowledge(self, error: str | None = None, note: str = "") -> None:
-        """Send an ACK, or an error if a text is given."""
+        """Send an ACK with an optional note; with ``error``, a refusal with that text instead."""
 
     def any_session(self) -> Session | EpisodeSession:
-        """Return the client's session of either kind."""
+        """Return the client's session, of a simulation or of a task's episodes; raises UsageError without one."""
 
     def required_session(self) -> Session:
         """Return the client's session of a simulation; raises UsageError without one."""

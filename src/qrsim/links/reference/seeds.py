@@ -19,12 +19,12 @@ class Seeds:
         self._next = first
 
     def next(self) -> int:
-        """Return the seed of the next episode."""
+        """Return the seed of the next episode of this series."""
         found = self._next
         if self.episodes == "new":
             self._next = (found + 1) % MOST_SEEDS
         return found
 
     def begin(self, first: int) -> Seeds:
-        """Return a series of seeds of the same kind with another first seed."""
+        """Return a series of seeds that starts with the seed ``first`` and continues as this one does."""
         return Seeds(first, self.episodes)

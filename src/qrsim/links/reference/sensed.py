@@ -52,7 +52,8 @@ class Sensed:
         self._heard: list[list[Readings.Heard]] = []
 
     def frame(self, kind: Message.Type, rows: Sequence[int], truth: bool, missed: int = 0) -> bytes:
-        """Return a framed message with the stamped readings of the vehicles with indices ``rows``.
+        """Return a framed READINGS or SENSED message (``kind``) with the readings of vehicles ``rows``; ``truth``: true
+        states too.
 
         Args:
             kind: READINGS or SENSED.
@@ -73,7 +74,7 @@ class Sensed:
         return frame(_HEADS[kind] + varint(len(whole)) + whole)
 
     def _drop_stale(self) -> None:
-        """Drop cached values of an earlier tick."""
+        """Drop the values cached at an earlier tick."""
         if self._tick != self._simulation.tick:
             self._tick, self._vectors, self._heard = self._simulation.tick, None, []
             self._written.clear()
@@ -82,13 +83,14 @@ class Sensed:
             self._flies = np.asarray(self._simulation.packed[1][1]).take(self._codes) == 0
 
     def _state_bytes(self, row: int) -> bytes:
-        """Return the true state vector of a vehicle as bytes."""
+        """Return the true state vector of the vehicle at ``row`` as protobuf bytes."""
         if self._vectors is None:
             self._vectors = self._states.vectors()
         return self._vectors[row].tobytes()
 
     def _encoded_vehicle(self, row: int) -> bytes:
-        """Return the encoded readings of a vehicle with its received radio messages, cached for this tick."""
+        """Return the readings and received radio messages of the vehicle at ``row`` as protobuf bytes, cached for this
+        tick."""
         encoded = self._written.get(row)
         if encoded is None:
             fleet, own = self._of_row[row]
@@ -117,11 +119,12 @@ class _FleetSensed:
         self._reading: Any = None
 
     def look(self) -> None:
-        """Drop cached values of an earlier tick."""
+        """Drop the values cached at an earlier tick."""
         self._values = self._reading = None
 
     def _measured(self) -> tuple[NumpyArray, NumpyArray]:
-        """Return the readings (n, V), their times (n, S) [s], and whether each is fresh (n, S) bool."""
+        """Return the fleet's readings with the times [s] of its sensors behind them, (n, V + S), and whether each
+        sensor's is new, (n, S) bool."""
         if self._values is None:
             simulation = self._simulation
             floats = np.asarray(simulation.packed[1][0])
@@ -133,7 +136,7 @@ class _FleetSensed:
         return self._values, self._fresh
 
     def _timing(self) -> tuple[NumpyArray, NumpyArray]:
-        """Return the time of each sensor's reading (n, S) [s], and whether it arrives at this tick (n, S) bool."""
+        """Return when each sensor's reading was taken (n, S) [s], and whether it arrives at this tick (n, S) bool."""
         simulation, fleet = self._simulation, self._fleet
         tick: Any = simulation.tick
         dt = simulation.world.time_step
@@ -149,13 +152,14 @@ class _FleetSensed:
         return times, fresh
 
     def _fleet_reading(self) -> Any:
-        """Return the simulation's reading, cached for this tick."""
+        """Return the simulation's present reading, cached for this tick."""
         if self._reading is None:
             self._reading = self._simulation.reading
         return self._reading
 
     def vehicle(self, row: int, name: str, flies: bool) -> bytes:
-        """Return the encoded message of a vehicle, selected by its number in the fleet."""
+        """Return the readings of the vehicle at ``row`` of the fleet as protobuf bytes; ``flies``: it has not
+        stopped."""
         if not self._quick:
             return self._by_protobuf(row, name, flies)
         values, fresh = self._measured()
@@ -170,7 +174,8 @@ class _FleetSensed:
         return bytes(buffer)
 
     def _template(self, name: str) -> tuple[bytearray, NumpyArray, NumpyArray]:
-        """Return an encoded message with marker numbers, and the byte offsets of its numbers and of its flags."""
+        """Return a vehicle's encoded message, and the byte offsets in it at which its numbers and its flags are to be
+        written."""
         count = self._measured()[0].shape[1]
         # Each number says its own place: what protobuf makes of them is searched once.
         marks = np.float64(2.0**40) + np.arange(count) * np.pi
@@ -186,7 +191,8 @@ class _FleetSensed:
     def _vehicle_message(
         self, name: str, values: NumpyArray, fresh: NumpyArray, why: str = "", reasons: Sequence[str] = ()
     ) -> Any:
-        """Return the message of a vehicle from its values, freshness flags and reasons."""
+        """Return a vehicle's protobuf message from values with times behind them (V + S,), freshness (S,), why it
+        stopped, and reasons for missing readings."""
         message = Readings.Vehicle(name=name, valid=not why, reason=why)
         begin, count = 0, len(values) - len(self._sensors)
         for i, sensor in enumerate(self._sensors):
@@ -198,7 +204,8 @@ class _FleetSensed:
         return message
 
     def _by_protobuf(self, row: int, name: str, flies: bool) -> bytes:
-        """Return the encoded message of a vehicle that has stopped or lacks a reading, with the reasons."""
+        """Return as protobuf bytes, with reasons, the readings of a vehicle that has stopped (not ``flies``) or lacks a
+        reading."""
         if flies:
             self._last_words.pop(row, None)
             why, reasons = "", self._missing_reasons(row)
@@ -213,12 +220,13 @@ class _FleetSensed:
         return self._with_pictures(row, name, why, reasons)
 
     def _missing_reasons(self, row: int) -> list[str]:
-        """Return for each sensor why the reading of a vehicle is missing, "" where it is not."""
+        """Return, for each sensor, why the reading of the vehicle at ``row`` is missing; "" where it is not."""
         readings = self._fleet_reading()[self._fleet.name]
         return [getattr(readings, sensor).reasons[row] for sensor in self._fleet.sensor_names]
 
     def _with_pictures(self, row: int, name: str, why: str, reasons: Sequence[str]) -> bytes:
-        """Return the encoded readings message of one vehicle in a fleet with cameras."""
+        """Return the readings of a vehicle in a fleet with cameras as protobuf bytes; ``why``: reason that it
+        stopped."""
         found = Readings.Vehicle(name=name, valid=not why, reason=why)
         readings = self._fleet_reading()[self._fleet.name]
         for sensor_name, reason in zip(self._fleet.sensor_names, reasons, strict=True):

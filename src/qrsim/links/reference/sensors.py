@@ -29,7 +29,7 @@ _FIELD, _SENSOR_REASON, _VALUES = b"\x12", b"\x1a", b"\x12"
 
 
 def sensor_readings(simulation: Simulation) -> pb.Readings:
-    """Return every sensor's reading, or the reason it is missing."""
+    """Return the protobuf message READINGS: every sensor's present reading, or the reason why it is missing."""
     reading, found = simulation.reading, pb.Readings(t=simulation.time)
     told = zip(simulation.vehicle_names, simulation.valid, simulation.reasons, heard_by_all(simulation), strict=True)
     for name, valid, reason, heard in told:
@@ -63,7 +63,7 @@ class SensorPart:
     sources: list[tuple[NumpyArray, Derive | None]]
 
     def values(self, floats: NumpyArray) -> NumpyArray:
-        """Return the numbers (n, V) of all fields."""
+        """Return this sensor's numbers (n, V) for all vehicles, gathered from the packed state's float buffer."""
         found = []
         for places, derive in self.sources:
             numbers = floats.take(places)
@@ -92,7 +92,7 @@ class SensorReadout:
             self._lay_out(fleets)
 
     def frame(self) -> bytes | None:
-        """Write the present READINGS with its length message; None if protobuf has to write it."""
+        """Return the present READINGS message as framed bytes; None if it has to be encoded by protobuf."""
         floats, integers = self._simulation.packed[1]
         if not self._writable or np.count_nonzero(np.asarray(integers).take(self._codes)):
             return None
@@ -106,7 +106,7 @@ class SensorReadout:
         return self._bytes.tobytes()
 
     def _lay_out(self, fleets: list[list[Any]]) -> None:
-        """Write the constant bytes, and store the offsets of the numbers."""
+        """Write the parts of READINGS that never change into a buffer, and store the offsets of its numbers."""
         content = b""
         names = iter(self._simulation.vehicle_names)
         self._sensors = [sensor for sensors in fleets for sensor in sensors]
@@ -128,7 +128,7 @@ class SensorReadout:
 
 
 def _blank_vehicle(name: str, sensors: list[SensorPart]) -> tuple[bytes, list[list[int]]]:
-    """Return an encoded Vehicle with zeros for numbers, and the offset of each sensor's numbers."""
+    """Return a vehicle's encoded message with zeros for all numbers, and the byte offset of each sensor's numbers."""
     content = _encoded_text(_NAME, name) + _VALID + _encoded_text(_VEHICLE_REASON, "")
     found = []
     for sensor in sensors:
@@ -144,19 +144,21 @@ def _blank_vehicle(name: str, sensors: list[SensorPart]) -> tuple[bytes, list[li
 
 
 def _appended(content: bytes, tag: bytes, inner: bytes) -> tuple[bytes, int]:
-    """Return an encoded message with another one appended as a field, and the offset of that one."""
+    """Append ``inner``, an encoded message, to ``content`` as the field with this tag; return the bytes, and the offset
+    of ``inner``."""
     content += tag + varint(len(inner))
     return content + inner, len(content)
 
 
 def _encoded_text(tag: bytes, text: str) -> bytes:
-    """Encode a text as a field of a protobuf message."""
+    """Encode a text as the protobuf field with this tag."""
     encoded = text.encode()
     return tag + varint(len(encoded)) + encoded
 
 
 def sensor_of(name: str, reading: Any, site: Site) -> SensorPart | None:
-    """Return the encoder of a sensor's readings, from the indices of its reading; None for one with pictures."""
+    """Return the encoder of one sensor's readings; ``reading`` holds buffer indices in place of numbers. None for
+    cameras."""
     if isinstance(reading, CameraReading):
         return None
     said = {field.name: getattr(reading, field.name) for field in dataclasses.fields(reading)}
@@ -172,7 +174,8 @@ def sensor_of(name: str, reading: Any, site: Site) -> SensorPart | None:
         fields += [(field, 1) for field in derived]
 
         def geodetic(position_ned: NumpyArray) -> NumpyArray:
-            """Return latitude [degrees], longitude [degrees], height [m] and fix type as columns (n, 4) or fewer."""
+            """Convert positions NED (n, 3) [m] to latitude, longitude [deg], height [m] and fix type, as far as the
+            sensor has these columns."""
             latitude, longitude, height = site.ned_to_geodetic(position_ned)
             # Who has a position has a fix of three dimensions.
             columns = [np.degrees(latitude), np.degrees(longitude), height, np.full_like(height, 3.0)]

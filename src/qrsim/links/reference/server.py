@@ -87,7 +87,7 @@ class Server:
     # ---- life ----
 
     async def serve(self, ready: Callable[[str, int], None] = lambda host, port: None) -> None:
-        """Listen and answer clients until ``stop``; ``ready`` is called with host and port.
+        """Listen for clients and serve them until ``stop`` is called; ``ready`` is called with the host and port.
 
         Args:
             ready: called with the address as soon as clients can connect.
@@ -128,7 +128,7 @@ class Server:
         await self._end_all()
 
     async def _start_shared(self) -> str:
-        """Start the world that all clients share; return a line about it for the operator."""
+        """Start the world that all clients share, and return a line about it for the operator."""
         options = self.options
         scenario = await self.run_in_thread(lambda: self.tasks.offboard(""))
         session_options = SessionOptions(
@@ -143,7 +143,7 @@ class Server:
         return f"{begun}, pace {session.pace}"
 
     async def _start_session(self, session: Session | EpisodeSession) -> str:
-        """Start a session in its thread; return a line about it for the operator."""
+        """Start a session in a thread for it, and return a line about it for the operator."""
         try:
             await asyncio.get_running_loop().run_in_executor(session.thread, session.begin)
         except BaseException:
@@ -154,18 +154,18 @@ class Server:
         return f"session {session.number} begins: {session.scenario.name}, {count}, seed {session.seed}"
 
     def _listen_error(self, error: OSError) -> str:
-        """Return the message for an address on which the server cannot listen."""
+        """Return the message for a host and port on which the server cannot listen."""
         where = f"{self.options.host}:{self.options.port}"
         if error.errno == errno.EADDRINUSE:
             return f"cannot listen on {where}: the port is in use; choose another with --port, or 0 for any"
         return f"cannot listen on {where}: {error.strerror or error}"
 
     def stop(self) -> None:
-        """End the server; may be called from its own thread only."""
+        """Stop the server; call it only from the server's own thread."""
         self._stopping.set()
 
     async def _end_all(self) -> None:
-        """Close all connections, the shared world and the threads; waits at most 5 s for the clients."""
+        """Close all connections, the shared world and all threads, waiting at most 5 s for the clients."""
         for connection in list(self._connections):
             connection.gone_soon()
         tasks = [connection.finished for connection in self._connections if connection.finished]
@@ -177,14 +177,14 @@ class Server:
         self._others.shutdown(wait=False)
 
     async def _end_sharing(self, sharing: Sharing) -> None:
-        """End the world that clients share, after its last tick."""
+        """Stop the world that clients share, once its present tick is over."""
         session = sharing.session
         async with sharing.lock:
             sharing.end()
         await self._end_session(session)
 
     def admit(self, connection: Connection) -> str | None:
-        """Register a new connection; return the reason for refusing it, or None."""
+        """Register a client's connection; return the reason for refusing it, or None."""
         self._numbered += 1
         connection.number = self._numbered
         refused = None
@@ -194,7 +194,7 @@ class Server:
         return refused
 
     async def forget(self, connection: Connection) -> None:
-        """End the session and the watching of a connection that is closing."""
+        """End the session of a connection that closes, and stop sending states to it."""
         await self.close_session(connection)
         if self.sharing is not None:
             self.sharing.forget(connection)
@@ -202,13 +202,13 @@ class Server:
         self._connections.discard(connection)
 
     def report_bug(self, error: Exception) -> None:
-        """Print an unexpected error."""
+        """Print an unexpected exception for the operator."""
         print("".join(traceback.format_exception(error)), file=sys.stderr, flush=True)
 
     # ---- requests ----
 
     async def answer(self, connection: Connection, message: Message) -> None:
-        """Answer a request of a connection.
+        """Answer a client's request by the handler of its message type.
 
         Raises:
             QrsimError: it was wrong; nothing was sent.
@@ -231,7 +231,7 @@ class Server:
         await handler(connection, message)
 
     async def open(self, connection: Connection, make: Callable[[int], S]) -> S:
-        """Start a session for a connection, in place of the one it has.
+        """Start the session that ``make(id)`` returns for a connection, in place of its present one, and return it.
 
         Args:
             connection: whose it is to be.
@@ -265,13 +265,13 @@ class Server:
         return session
 
     def _watch_idle(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Check for idle owners in a thread, because a timer of the event loop would slow every request."""
+        """Look for idle owners from a thread, since a timer of the event loop would slow down every request."""
         while not self._stopped.wait(min(0.25 * self.options.idle_timeout, MOST_BETWEEN_LOOKS_S)):
             with suppress(RuntimeError):  # the loop has ended
                 loop.call_soon_threadsafe(self._end_idle)
 
     def _end_idle(self) -> None:
-        """End the sessions of owners that have sent no request for too long."""
+        """End the sessions of clients that have sent no request for too long."""
         longest = self.options.idle_timeout
         for connection in self._connections:
             session = connection.session
@@ -285,7 +285,7 @@ class Server:
             ending.add_done_callback(self._endings.discard)
 
     def _owner_leaves(self) -> bool:
-        """Return whether a session is ending or the connection that owns it is closing."""
+        """Return whether a session is just ending, or the client that owns one is leaving."""
         return self._ending > 0 or any(
             other.session is not None and other.leaving.is_set() for other in self._connections
         )
@@ -299,7 +299,8 @@ class Server:
         await self._end_session(session)
 
     async def _end_session(self, session: Session | EpisodeSession, why: str = "") -> None:
-        """End a session in its thread, remove it, and print its summary."""
+        """End a session in its thread, remove it, and print its summary for the operator; ``why``: reason of the
+        end."""
         self._ending += 1
         try:
             await self.run(session, session.end)
@@ -309,15 +310,16 @@ class Server:
         self.say(f"session {session.number} ended{why}: {session.summary()}")
 
     async def run_in_thread(self, work: Callable[[], T]) -> T:
-        """Run slow work that belongs to no session in a thread."""
+        """Await the result of slow work that belongs to no session, run in a thread."""
         return await asyncio.get_running_loop().run_in_executor(self._others, work)
 
     async def run(self, session: Session | EpisodeSession, work: Callable[[], T]) -> T:
-        """Run slow work on a session in a thread."""
+        """Await the result of slow work on a session, run in that session's thread."""
         return await asyncio.get_running_loop().run_in_executor(session.thread, work)
 
     async def advance(self, connection: Connection, session: Session, command: object, ticks: int) -> None:
-        """Advance a session in its thread by some ticks, flown by a command.
+        """Advance a session by ``ticks`` with a command, in the session's thread; raises UsageError if the client
+        leaves first.
 
         Raises:
             UsageError: the command cannot be flown, and nothing has changed; or its client leaves meanwhile.
@@ -335,7 +337,8 @@ class Server:
     # ---- watching ----
 
     def watch(self, connection: Connection, session: int | None, period: float, stop: bool) -> None:
-        """Start or stop sending states to a connection.
+        """Start or stop (``stop``) sending a session's states to a connection; ``period``: least simulated time between
+        two [s].
 
         Raises:
             UsageError: there is no such session, or it is not said which.
@@ -353,7 +356,8 @@ class Server:
         self._watching[connection] = Watching(session, period)
 
     def broadcast(self, session: Session | EpisodeSession, states: dict[bool, bytes] | None = None) -> None:
-        """Send the state of a session to its watchers; slow ones miss it.
+        """Send a session's state to all clients that watch it, except those that read too slowly; ``states``: already
+        encoded.
 
         Args:
             session: whose state.

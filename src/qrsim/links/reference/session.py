@@ -118,7 +118,7 @@ class Session:
         return self.simulation.world.time_step
 
     def begin(self) -> None:
-        """Build the world and start; in real time, compile everything in advance.
+        """Build the world and start the first episode; in real time, compile everything in advance.
 
         Raises:
             RunError: the recording cannot be written.
@@ -136,12 +136,12 @@ class Session:
             self._view.begin(self.simulation, f"{scenario.name}, session {self.number}")
 
     def prepare(self) -> None:
-        """Prepare the first episode: in real time, compile in advance."""
+        """Compile everything before the first episode if the session runs in real time."""
         if self._options.realtime:
             self.warm()
 
     def warm(self) -> None:
-        """Compile every kind of step by flying it from the start and resetting."""
+        """Compile every kind of command by flying it once from the start, and reset."""
         start = self.simulation.truth.position_ned
         self.simulation.set_state(np.full_like(start, np.nan))
         for command in self.commands.samples(start):
@@ -152,11 +152,11 @@ class Session:
         self.simulation.reset()
 
     def start_clock(self, factor: float) -> None:
-        """Begin to count the pace, at a factor (0: lock-step); raises UsageError."""
+        """Start counting the pace at a real-time factor (0: lock-step); raises UsageError for a bad factor."""
         self.pacer = Pacer(factor, self.time)
 
     def restart(self, seed: int | None = None) -> None:
-        """Start the next episode, or with a seed the first one of that seed's series.
+        """Start the next episode; with ``seed``, the first one of the series of seeds that begins with it.
 
         Raises:
             UsageError: it is no seed.
@@ -171,7 +171,7 @@ class Session:
             self._view.show(self.simulation)
 
     def _start_episode(self) -> None:
-        """Start an episode: new readouts, a new request log, and a new run folder if the session is recorded."""
+        """Start an episode: new encoders of replies, a new log of requests, and a new run folder if it is recorded."""
         self.states, self.sensors = States(self.simulation), SensorReadout(self.simulation)
         self.close_recording()
         self.episode += 1
@@ -187,7 +187,7 @@ class Session:
 
     @property
     def ticks_are_kept(self) -> bool:
-        """Whether every tick is examined, for events or a recording."""
+        """Whether every tick has to be examined, for events or for a recording."""
         return self._options.events or self._options.record is not None
 
     def _new_writer(self, folder: Path) -> RunWriter:
@@ -204,7 +204,7 @@ class Session:
     # ---- steps ----
 
     def ticks(self, dt: float) -> int:
-        """Return the number of time steps in ``dt`` [s]; raises UsageError unless it is a whole number above 0.
+        """Convert a time ``dt`` [s] to ticks; raises UsageError unless it is a whole number of ticks above 0.
 
         Raises:
             UsageError: it is not a positive multiple.
@@ -219,19 +219,19 @@ class Session:
         return round(count)
 
     def expected_s(self, command: object, ticks: int) -> float:
-        """Return the expected wall time of some ticks [s]; infinite for a kind of command not seen yet."""
+        """Return the expected wall time [s] of ``ticks`` with a kind of command; infinite for a kind not flown yet."""
         seconds, measured = self._seconds.get(_command_kind(command), (math.inf, 1))
         return seconds * max(1.0, ticks / measured)
 
     def piece(self, command: object, ticks: int) -> int:
-        """Return how many of ``ticks`` to advance in one call, so that it takes about PIECE_S."""
+        """Return how many of ``ticks`` to advance in one call, so that the call takes about PIECE_S [s]."""
         if _command_kind(command) not in self._seconds:
             return min(ticks, PIECE_TICKS)
         seconds, measured = self._seconds[_command_kind(command)]
         return min(ticks, max(PIECE_TICKS, int(PIECE_S * measured / seconds)))
 
     def advance(self, command: object, ticks: int) -> None:
-        """Advance by a number of ticks with a command.
+        """Advance the simulation by a number of ticks with a command.
 
         Raises:
             UsageError: the command cannot be flown; nothing has changed.
@@ -250,7 +250,7 @@ class Session:
         )
 
     def _advance_ticks(self, command: object, ticks: int) -> None:
-        """Advance by some ticks with a command, recording each tick if needed."""
+        """Advance the simulation by some ticks with a command, and record every tick if needed."""
         if self.ticks_are_kept:
             for done in range(0, ticks, PIECE_TICKS):
                 self._record_history(self.simulation.record(min(PIECE_TICKS, ticks - done), command, PIECE_TICKS))
@@ -277,15 +277,15 @@ class Session:
     # ---- what is kept ----
 
     def more_columns(self) -> dict[str, list[Column]]:
-        """Return the extra columns that a subclass records; none here."""
+        """Return the extra columns that a subclass writes into the recording; none here."""
         return {}
 
     def more_values(self) -> dict[str, Values]:
-        """Return the values (T, n) of a subclass's extra columns for the last ticks; none here."""
+        """Return the values (T, n) of a subclass's extra columns for the last T ticks; none here."""
         return {}
 
     def _record_history(self, history: History) -> None:
-        """Extract the events of a history, and write both to the run folder."""
+        """Find the events in a history of states, and write both to the run folder."""
         assert self._finder is not None
         events = self._finder.find(history)
         if self._writer is None:
@@ -303,16 +303,16 @@ class Session:
             self._writer = None
 
     def keep_requests(self) -> None:
-        """Store the injections since the last ticks, for GET_EVENTS and in the recording."""
+        """Write the injection requests since the last call to the recording, and keep them for GET_EVENTS."""
         self._requests.write_new()
 
     def _write_injection(self, entry: Mapping[str, object]) -> None:
-        """Write an entry of ``injections.yaml`` into the recording."""
+        """Write one injection request, an entry of ``injections.yaml``, to the recording."""
         if self._writer is not None:
             self._writer.note_injection(entry)
 
     def keep_events(self, found: list[Content]) -> None:
-        """Store events for GET_EVENTS and in the recording."""
+        """Keep events for GET_EVENTS, and write them to the recording."""
         if self._options.events:
             self._events.extend(found)
             while len(self._events) > MOST_EVENTS:
@@ -323,7 +323,7 @@ class Session:
                 self._writer.append_event(**event)
 
     def events(self) -> Events:
-        """Return the events since the last call.
+        """Return the events since the last call as a protobuf message.
 
         Raises:
             UsageError: they are not collected.
@@ -339,7 +339,7 @@ class Session:
         return found
 
     def close_recording(self) -> None:
-        """End the recording of the present episode."""
+        """Finish the run folder of the present episode."""
         if self._writer is None:
             return
         try:
@@ -349,14 +349,14 @@ class Session:
         self._writer = None
 
     def summary(self) -> str:
-        """Return a summary for the operator."""
+        """Return a line for the operator on what the session flew."""
         report = self.pacer.report()
         late = f", {report.overruns} late, at worst by {1e3 * report.worst_delay:.1f} ms" if report.factor else ""
         episodes = f" in {self.episode} episodes" if self.episode > 1 else ""
         return f"{report.steps} steps, {report.simulated:g} s{episodes}{late}"
 
     def end(self) -> None:
-        """End the recording; call nothing after it."""
+        """End the session's recording; no other method may be called afterwards."""
         self.close_recording()
         if self._view is not None:
             self._view.note("The session has ended. The page waits for the next client.")
@@ -364,7 +364,7 @@ class Session:
 
 
 def _command_kind(command: object) -> object:
-    """Return the kind of a command, or by fleet the kind of each command."""
+    """Return what identifies a kind of command: its type, or {fleet: type} for commands by fleet."""
     if isinstance(command, Mapping):
         return tuple((name, type(part)) for name, part in command.items())
     return type(command)

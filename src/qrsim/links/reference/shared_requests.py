@@ -19,14 +19,14 @@ MOST_RATE_HZ = 1e6
 
 
 def _shared_world(client: Client) -> Sharing:
-    """Return the shared world of the client's server."""
+    """Return the world that all clients of this server share."""
     found = client.server.sharing
     assert isinstance(found, Sharing)
     return found
 
 
 def has_no_owner(server: Host, name: str) -> UsageError:
-    """Return the error for a request (``name``) that only the owner of a world can make."""
+    """Return the error for a request (``name``) that is refused in a shared world, since nobody owns it."""
     return UsageError(
         f"{name}: this server's world is shared by its clients (--pace {server.options.pace}); CLAIM vehicles of it, "
         "and send COMMANDs"
@@ -34,14 +34,14 @@ def has_no_owner(server: Host, name: str) -> UsageError:
 
 
 def _checked_names(names: Sequence[object]) -> list[str]:
-    """Return names as texts; raises UsageError for bytes that are no text."""
+    """Return vehicle names as texts; raises UsageError for bytes that are not UTF-8."""
     if not all(isinstance(name, str) for name in names):
         raise UsageError("message: a text is not UTF-8")
     return [str(name) for name in names]
 
 
 async def claim(client: Client, message: Message) -> None:
-    """Claim vehicles for the client, and send all that it has."""
+    """Claim vehicles for the client, as CLAIM asks, and send the names of all that it has claimed."""
     sharing, request = _shared_world(client), message.claim
     session, default = sharing.session, client.server.options.silence
     silence = None
@@ -67,13 +67,14 @@ async def claim(client: Client, message: Message) -> None:
 
 
 async def release(client: Client, message: Message) -> None:
-    """Return vehicles to their scenario's guidance, and acknowledge it."""
+    """Give a client's claimed vehicles back to their scenario's guidance, and acknowledge it."""
     _shared_world(client).release(client, _checked_names(message.release.vehicle))
     client.acknowledge()
 
 
 async def command(client: Client, message: Message) -> None:
-    """Take orders; at a barrier, wait for the tick that they are to be flown until."""
+    """Take a client's orders for its vehicles; with pace "barrier", wait until the world has reached the client's next
+    tick."""
     sharing, request = _shared_world(client), message.command
     orders = [order_of(order) for order in request.order]
     _check_one_order(orders)
@@ -100,14 +101,14 @@ async def command(client: Client, message: Message) -> None:
 
 
 def _check_one_order(orders: Sequence[Order]) -> None:
-    """Check that no vehicle is given two orders in one message; raises UsageError."""
+    """Raise UsageError if a vehicle gets two orders in one message."""
     for name, count in Counter(order.vehicle for order in orders).items():
         if count > 1:
             raise UsageError(f"COMMAND: '{name}' is given {count} orders; one is allowed")
 
 
 async def subscribe(client: Client, message: Message) -> None:
-    """Start pushing the stamped readings of vehicles."""
+    """Start or stop pushing vehicles' time-stamped sensor readings to the client."""
     sharing, request = _shared_world(client), message.subscribe
     if request.stop:
         sharing.subscribe(client, None)
@@ -124,7 +125,7 @@ async def subscribe(client: Client, message: Message) -> None:
 
 
 async def get_status(client: Client, message: Message) -> None:
-    """Send each vehicle's controller and the age of its last order."""
+    """Send who controls each vehicle, and the age of its last order."""
     session = _shared_world(client).session
     plant = session.plant
     time = plant.now * session.time_step

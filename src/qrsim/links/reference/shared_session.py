@@ -63,12 +63,12 @@ class SharedSession(Session):
         self._flown: list[Flown] = []
 
     def prepare(self) -> None:
-        """Create the plant, and compile its only kind of step."""
+        """Create the ``Plant``, which applies the clients' orders, and compile everything in advance."""
         self.plant = Plant(self.simulation, self._silence, self._options.realtime, self._report_event)
         self.warm()
 
     def warm(self) -> None:
-        """Compile the kind of step that is flown, and the functions of failsafes."""
+        """Compile the step by orders and the failsafes' functions, by flying them once."""
         actions = self.plant.latches.actions()
         if self.ticks_are_kept:
             self.simulation.record(1, actions, PIECE_TICKS)
@@ -78,12 +78,13 @@ class SharedSession(Session):
         self.simulation.reset()
 
     def begin(self) -> None:
-        """Build the world and start; raises RunError where the recording cannot be written."""
+        """Build the world and start the first episode; raises RunError if the recording cannot be written."""
         super().begin()
         self.start_clock()
 
     def start_clock(self, factor: float | None = None) -> None:
-        """Start pacing at the present time, at another factor if one is given; raises UsageError for a bad one."""
+        """Start counting the pace from now, at a new real-time factor if one is given; raises UsageError for a bad
+        factor."""
         factor = self.pacer.factor if factor is None else factor
         if self.pace == "free":
             self.pacer = Metronome(factor, self.time, self.time_step)
@@ -92,12 +93,12 @@ class SharedSession(Session):
         self.plant.keep_pace(factor)
 
     def restart(self, seed: int | None = None) -> None:
-        """Start the next episode; all fly by their guidance, and claims stay."""
+        """Start the next episode: all vehicles fly by their scenario's guidance, and clients keep their claims."""
         super().restart(seed)
         self.start_clock()
 
     def _start_episode(self) -> None:
-        """Start an episode: write pending ticks, reset the plant, and renew the stamped readings."""
+        """Start an episode: write the ticks still queued, end all orders, and renew the stamped readings."""
         self.plant.restart()
         self._drain()
         self._flown = [self.plant.flown]
@@ -105,7 +106,7 @@ class SharedSession(Session):
         self.sensed = Sensed(self.simulation, self.states)
 
     def _report_event(self, kind: str, vehicle: str, text: str) -> None:
-        """Report an event to the operator, the recording and GET_EVENTS."""
+        """Report an event of a vehicle to the operator, the recording and GET_EVENTS."""
         time = self.simulation.time
         self._say(f"t = {time:.10g} s, '{vehicle}': {text}")
         if self.ticks_are_kept:
@@ -115,7 +116,8 @@ class SharedSession(Session):
     # ---- what is kept ----
 
     def _advance_ticks(self, command: object, ticks: int) -> None:
-        """Advance by some ticks with a command, and queue them for the writing thread."""
+        """Advance the simulation by some ticks with the fleets' actions, and queue the states for the writing
+        thread."""
         if not self.ticks_are_kept:
             self.simulation.advance(command, ticks)
         elif ticks > 1:
@@ -131,26 +133,26 @@ class SharedSession(Session):
                 self.hand_over()
 
     def hand_over(self) -> None:
-        """Submit the ticks flown so far to the writing thread."""
+        """Submit the ticks flown so far to the thread that writes the recording."""
         if self._ticks:
             layout, _ = self.simulation.packed
             self._keeping.submit(self._record_ticks, layout, self._ticks)
             self._ticks = []
 
     def _drain(self) -> None:
-        """Wait until the writing thread has written everything."""
+        """Wait until the writing thread has written all submitted ticks."""
         self.hand_over()
         self._keeping.submit(int).result()
 
     def _record_ticks(self, layout: Packer, ticks: list[tuple[int, list[NumpyArray], Flown]]) -> None:
-        """Build a history from packed states of single ticks, and record it."""
+        """Build a history from the packed states of single ticks, and record it with the orders flown."""
         numbers, states, flown = zip(*ticks, strict=True)
         floats, integers = (np.stack(parts) for parts in zip(*states, strict=True))
         history = History(np.array(numbers), self.time_step, layout, (floats, integers))
         self._record_shared(history, list(flown))
 
     def _record_shared(self, history: History, flown: list[Flown]) -> None:
-        """Record a history with its orders; runs in the writing thread and turns errors into warnings."""
+        """Write a history and the orders flown, in the writing thread; errors become warnings."""
         self._flown = flown
         try:
             self._record_history(history)
@@ -159,36 +161,36 @@ class SharedSession(Session):
             warn_user(f"session {self.number}: {type(error).__name__} while ticks were kept: {error}")
 
     def keep_requests(self) -> None:
-        """Store the injections, in the writing thread, after the ticks before them."""
+        """Queue the injection requests for the writing thread, behind the ticks before them."""
         if self._requests.has_new:
             self.hand_over()
             self._keeping.submit(super().keep_requests)
 
     def keep_events(self, found: list[dict[str, object]]) -> None:
-        """Store events in the run folder, by the writing thread."""
+        """Write events into the run folder, in the writing thread."""
         if threading.current_thread().name.startswith("keep-"):
             super().keep_events(found)
         elif found:
             self._keeping.submit(super().keep_events, found)
 
     def events(self) -> Events:
-        """Return the events since the last call, up to the ticks that were submitted for writing."""
+        """Return the events since the last call, up to the ticks that have been submitted for writing."""
         return self._keeping.submit(super().events).result()
 
     def more_columns(self) -> dict[str, list[Column]]:
-        """Return the columns of the orders."""
+        """Return the columns of the clients' orders, for the recording."""
         return {STREAM: order_columns(self.plant)}
 
     def more_values(self) -> dict[str, Values]:
-        """Return the orders of the last ticks flown."""
+        """Return the values (T, n) of the orders' columns for the last T ticks."""
         return {STREAM: stacked(order_columns(self.plant), self._flown)}
 
     def close_recording(self) -> None:
-        """End the recording of the present episode."""
+        """Finish the run folder of the present episode, after all queued ticks."""
         self._drain()
         super().close_recording()
 
     def end(self) -> None:
-        """End the recording; call nothing after it."""
+        """End the session's recording; no other method may be called afterwards."""
         super().end()
         self._keeping.shutdown(wait=False)

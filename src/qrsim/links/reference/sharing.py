@@ -70,7 +70,7 @@ class Sharing:
         self._clock = asyncio.create_task(self._run_free()) if session.pace == "free" else None
 
     def end(self) -> None:
-        """Cancel the tasks that advance the shared world."""
+        """Cancel the asyncio tasks that advance the shared world."""
         for task in (self._clock, self._mover):
             if task is not None:
                 task.cancel()
@@ -80,7 +80,8 @@ class Sharing:
     # ---- claims ----
 
     def claim(self, client: Client, names: Sequence[str], silence: Silence | None) -> tuple[str, ...]:
-        """Claim vehicles for a client, and return all that it has; raises UsageError."""
+        """Claim vehicles for a client, and return the names of all that it has; raises UsageError if one cannot be
+        claimed."""
         plant = self.session.plant
         new = plant.claim(client.number, names, silence)
         if new:
@@ -92,14 +93,15 @@ class Sharing:
         return plant.claims.of(client.number)
 
     def release(self, client: Client, names: Sequence[str] = ()) -> None:
-        """Return a client's vehicles to their scenario's guidance; raises UsageError."""
+        """Give a client's vehicles (default: all) back to their scenario's guidance; raises UsageError for others'
+        vehicles."""
         found = self.session.plant.release(client.number, names)
         if found:
             self._server.say(f"client {client.number} releases {_quoted_names(found)}")
         self._advance_if_ready()
 
     def forget(self, client: Client) -> None:
-        """Free the vehicles of a client that has disconnected."""
+        """Release the vehicles of a client that has disconnected."""
         self._subscriptions.pop(client, None)
         self._waiting.pop(client.number, None)
         found = self.session.plant.lose(client.number)
@@ -108,7 +110,8 @@ class Sharing:
         self._advance_if_ready()
 
     def check_alone(self, client: Client, what: str) -> None:
-        """Raise UsageError if another client has claimed vehicles in this world."""
+        """Raise UsageError if another client has claimed vehicles, so that ``client`` may not do ``what`` to the whole
+        world."""
         claims = self.session.plant.claims
         for other in claims.holders:
             if other != client.number:
@@ -120,14 +123,16 @@ class Sharing:
     # ---- orders ----
 
     def order(self, client: Client, orders: Sequence[Order], source_tick: int | None) -> int:
-        """Queue a client's orders, and return the tick at which they take effect; raises UsageError for bad ones."""
+        """Queue a client's orders, and return the tick at which they take effect; ``source_tick``: of their readings;
+        raises UsageError for bad ones."""
         plant = self.session.plant
         plant.check(client.number, orders)
         plant.order(orders, source_tick)
         return plant.now + 1
 
     async def meet(self, client: Client, orders: Sequence[Order], source_tick: int | None, until: int | None) -> None:
-        """Take orders and wait at the barrier until the world is at a tick.
+        """Queue a client's orders and wait at the barrier until the world is at tick ``until``; raises UsageError for
+        bad ones.
 
         Raises:
             UsageError: an order is wrong, the client has claimed nothing, or the tick is no later one; or it leaves.
@@ -159,7 +164,7 @@ class Sharing:
         waiting.there.result()
 
     def _agreed_tick(self) -> int | None:
-        """Return the tick to advance to, None while a client has not named its tick."""
+        """Return the tick to which all clients at the barrier let the world advance; None while one is missing."""
         if not self._waiting:
             return None
         claims = self.session.plant.claims
@@ -172,7 +177,7 @@ class Sharing:
         return min(waiting.until for waiting in self._waiting.values())
 
     def _advance_if_ready(self) -> None:
-        """Advance if all clients are at the barrier; else wait for the others, up to the timeout."""
+        """Advance the world if all clients wait at the barrier; else start the timeout for the missing ones."""
         if self.session.pace != "barrier" or (self._mover is not None and not self._mover.done()):
             return
         until = self._agreed_tick()
@@ -183,7 +188,7 @@ class Sharing:
             self._timer = asyncio.get_running_loop().call_later(self._timeout, self._on_timeout)
 
     def _on_timeout(self) -> None:
-        """Advance without the clients that are late at the barrier."""
+        """Advance the world without the clients that have not come to the barrier in time."""
         self._timer, self._late = None, True
         self._advance_if_ready()
 
@@ -194,7 +199,7 @@ class Sharing:
             self._timer = None
 
     async def _advance_agreed(self, until: int | None) -> None:
-        """Advance to the agreed tick, answer the clients that wait for it, and repeat while all agree."""
+        """Advance the world to the agreed tick, answer the clients that wait for it, and repeat while all agree."""
         session, plant = self.session, self.session.plant
         try:
             while until is not None:
@@ -225,7 +230,7 @@ class Sharing:
     # ---- the clock ----
 
     async def _run_free(self) -> None:
-        """Advance the world at its pace from the first claim on."""
+        """Advance the world at its pace, without waiting for clients, from the first claim on."""
         await self._claimed.wait()
         session = self.session
         try:
@@ -248,7 +253,7 @@ class Sharing:
             self._server.report_bug(error)
 
     async def _advance_ticks(self, actions: object, ticks: int) -> None:
-        """Advance the session by some ticks, long steps in its thread."""
+        """Advance the world by some ticks with the fleets' actions, in the session's thread if that takes long."""
         session = self.session
         if session.expected_s(actions, ticks) < SHORT_S:
             session.advance(actions, ticks)
@@ -258,23 +263,24 @@ class Sharing:
     # ---- what is told ----
 
     def subscribe(self, client: Client, subscription: Subscription | None) -> None:
-        """Start or stop pushing stamped readings to a client."""
+        """Start or stop (None) pushing time-stamped sensor readings to a client."""
         if subscription is None:
             self._subscriptions.pop(client, None)
         else:
             self._subscriptions[client] = subscription
 
     def sensed(self, client: Client, rows: Sequence[int] | None, truth: bool) -> bytes:
-        """Return the READINGS message of vehicles, by default those that a client has claimed."""
+        """Return the READINGS message for the vehicles at ``rows``, by default those that the client has claimed;
+        ``truth``: with true states."""
         return self.session.sensed.frame(Message.READINGS, self._selected_rows(client, rows), truth)
 
     def _selected_rows(self, client: Client, rows: Sequence[int] | None) -> Sequence[int]:
-        """Return the indices of the selected vehicles, by default those that a client has claimed."""
+        """Return ``rows``, or, for None, the rows of the vehicles that a client has claimed."""
         plant = self.session.plant
         return [plant.latches.row(name) for name in plant.claims.of(client.number)] if rows is None else rows
 
     def _publish(self) -> None:
-        """Push readings to all subscribers; slow ones miss them and delay nobody."""
+        """Push readings to all subscribed clients; a client that reads too slowly misses them."""
         tick = self.session.simulation.tick
         for client, wanted in self._subscriptions.items():
             if 0 <= tick - wanted.last < wanted.every:
@@ -289,6 +295,6 @@ class Sharing:
 
 
 def _quoted_names(names: Sequence[str]) -> str:
-    """Return up to eight quoted names, and the number of the others."""
+    """Return up to eight names in quotes as text, with the number of further names."""
     shown = ", ".join(f"'{name}'" for name in names[:8])
     return f"{shown} and {len(names) - 8} more" if len(names) > 8 else shown

@@ -48,7 +48,8 @@ _GAINS = [field.name for field in dataclasses.fields(OffboardController)]
 
 
 def offboard(scenario: Scenario) -> Scenario:
-    """Return a scenario with controllers that accept every kind of set-point, keeping gains of the same name.
+    """Return a scenario whose controllers are replaced by ones that accept every kind of set-point, with the same gains
+    where named alike.
 
     Fleets whose controller takes them all keep it, as do vehicles that this one does not fly.
     """
@@ -91,7 +92,7 @@ class Tasks:
         return [*own, *(name for name in built_in_names() if name not in own), *REFERENCE_TASKS]
 
     def offboard(self, name: str) -> Scenario:
-        """Return the scenario of a task, changed to accept every kind of command; raises UsageError if unknown.
+        """Return a task's scenario, changed to accept every kind of command; raises UsageError for an unknown task.
 
         Raises:
             UsageError: no task is called so.
@@ -102,11 +103,11 @@ class Tasks:
         return self._loaded[known]
 
     def flown(self, scenario: Scenario) -> Scenario:
-        """Return a scenario changed to accept commands of every kind, with injectable parts."""
+        """Return a scenario changed to accept every kind of command, and with parts in which faults may be injected."""
         return offboard(with_injectable(scenario, of_those(scenario, self._injectable)))
 
     def scenario(self, name: str) -> Scenario:
-        """Return the scenario of a task as written.
+        """Return a task's scenario unchanged; raises UsageError for an unknown task.
 
         Raises:
             UsageError: no task is called so.
@@ -119,17 +120,17 @@ class Tasks:
         raise UsageError(f"no task is called '{_shortened(name)}'{did_you_mean(name[:100], self.names)}")
 
     def _known_name(self, name: str) -> str:
-        """Return our name of a task; "" for any name of the operator's scenario."""
+        """Return the scenario name of a task; "" for the scenario that the operator serves."""
         return "" if self.own and {name, ours(name)} & self._own_names else ours(name)
 
 
 def ours(name: str) -> str:
-    """Translate a task name of the reference implementation to ours; other names stay the same."""
+    """Translate a task name of the reference implementation to this package's; other names stay."""
     return REFERENCE_TASKS.get(name, name)
 
 
 def uploaded(text: str) -> Scenario:
-    """Parse a scenario uploaded by a client.
+    """Parse the YAML text of a scenario that a client has uploaded; raises UsageError for invalid or forbidden content.
 
     Raises:
         UsageError: it is too large, names files, or is wrong.
@@ -156,7 +157,7 @@ def _nesting_depth(text: str) -> int:
 
 
 def _refuse_aliases(text: str) -> None:
-    """Refuse YAML aliases in an upload; with them a small text can expand to a huge one."""
+    """Raise UsageError for YAML aliases in an uploaded text, by which a small text can expand to a huge one."""
     try:
         for token in yaml.scan(text, Loader=yaml.SafeLoader):
             if isinstance(token, yaml.AliasToken):
@@ -166,7 +167,8 @@ def _refuse_aliases(text: str) -> None:
 
 
 def _upload_problems(content: object) -> Iterator[str]:
-    """Yield each forbidden content of an uploaded scenario: file names, foreign parents, numbers above the limits."""
+    """Yield what an uploaded scenario may not have: file names, parents outside the package, numbers above the
+    limits."""
     if not isinstance(content, dict):
         yield "expected keys and values such as name: hover"
         return
@@ -196,12 +198,12 @@ def _upload_problems(content: object) -> Iterator[str]:
 
 
 def _length(value: object) -> int:
-    """Return the number of entries of a list or dict; 0 for other values."""
+    """Return the length of a list or dict; 0 for other values."""
     return len(value) if isinstance(value, list | dict) else 0
 
 
 def _entries(part: object, path: str) -> Iterator[tuple[str, str, object]]:
-    """Yield (path, key, value) of every key at any depth."""
+    """Yield (path, key, value) of every key, at any depth, of an uploaded scenario's content."""
     for key, value in part.items() if isinstance(part, dict) else enumerate(part) if isinstance(part, list) else ():
         where = f"{path}.{key}" if path else str(key)
         if isinstance(part, dict):

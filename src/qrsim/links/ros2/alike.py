@@ -18,7 +18,7 @@ Slot = tuple[int, str, int]
 
 
 def _runs(puts: Sequence[tuple[Slot, Sequence[int]]]) -> list[tuple[Slot, list[int]]]:
-    """Return slots with their columns, those that follow each other joined to one."""
+    """Join slots whose numbers and columns follow each other; return (slot, columns) of each run."""
     found: list[tuple[Slot, list[int]]] = []
     for (offset, code, count), columns in puts:
         if found:
@@ -47,12 +47,14 @@ class Alike:
         self._status = None if first.status is None else self._view(*first.status)
 
     def _view(self, offset: int, code: str, count: int) -> NumpyArray:
-        """Return a writable view (k, count) of the numbers at a byte offset of all k messages."""
+        """Return a writable array (k, count) on the numbers at a byte offset of all k messages; ``code``: their struct
+        code."""
         kind, (length, size) = np.dtype(f"<{code}"), self._bytes.shape
         return np.ndarray((length, count), kind, self._bytes, offset, (size, kind.itemsize))
 
     def messages(self, numbers: NumpyArray, stamps: Sequence[tuple[int, int]]) -> list[bytes | None]:
-        """Return the serialised message of each publication, or None for no message.
+        """Return the serialised messages of k publications from a row of numbers each, and their stamps (s, ns); None
+        for no message.
 
         Args:
             numbers: (n, WIDTH) of all vehicles.

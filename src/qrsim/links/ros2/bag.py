@@ -32,7 +32,7 @@ _ENDLESS = QosTime(9_223_372_036, 854_775_807)
 
 
 def write(run: Run, folder: Path, every: int, distro: str = "jazzy") -> dict[str, int]:
-    """Write a run as a bag, and return the counts of what it contains.
+    """Write every ``every``-th tick of a run as a ROS 2 bag (MCAP); return {"messages": their number}.
 
     Args:
         run: with the streams of its sensors, commands or truth.
@@ -62,7 +62,8 @@ def write(run: Run, folder: Path, every: int, distro: str = "jazzy") -> dict[str
 
 
 def _write_messages(types: Types, recorded: Recorded, folder: Path, version: Literal[8, 9]) -> int:
-    """Write all messages of a run to a bag in MCAP, and return their number."""
+    """Write all messages of a recorded run to a bag in MCAP, and return their number; ``version``: of the bag's
+    format."""
     world = recorded.world
     names = recorded.names
     publications = Publications(types, world, names, recorded.sensor, [False] * len(names), recorded.has_truth)
@@ -78,7 +79,8 @@ def _write_messages(types: Types, recorded: Recorded, folder: Path, version: Lit
         connections: dict[int, object] = {}
 
         def put(number: int, topic: t.Topic, nanoseconds: int, cdr: bytes) -> None:
-            """Write an encoded message at a time [ns], creating its connection at the first use."""
+            """Write a CDR message to the bag at a time [ns]; the connection of topic ``number`` is made at its first
+            message."""
             if number not in connections:
                 qos = [_bag_qos(topic.quality)]
                 connections[number] = writer.add_connection(
@@ -108,7 +110,7 @@ def _write_messages(types: Types, recorded: Recorded, folder: Path, version: Lit
 
 
 def _bag_qos(quality: t.Quality) -> Qos:
-    """Return the QoS of a topic in the form that rosbags stores."""
+    """Return a topic's QoS profile in the form that rosbags stores in a bag."""
     profile = PROFILES[quality]
     return Qos(
         QosHistory.KEEP_LAST,

@@ -12,12 +12,12 @@ from qrsim.links.ros2.typestore import Types
 
 
 def empty(types: Types, name: str) -> Message:
-    """Return a message of a type: numbers 0, texts and sequences empty."""
+    """Return a new ROS message of a type, with numbers 0 and with empty texts and sequences."""
     return types[name](**{field: _default(types, description) for field, description in types.fields(name)})
 
 
 def stamped(types: Types, name: str, time: float, frame: str = "") -> Message:
-    """Return an empty message with a header of a time [s]."""
+    """Return a new ROS message, empty except for its header: simulated time [s] and frame id."""
     message = empty(types, name)
     message.header.stamp.sec, message.header.stamp.nanosec = stamp_of(time)
     message.header.frame_id = frame
@@ -25,7 +25,7 @@ def stamped(types: Types, name: str, time: float, frame: str = "") -> Message:
 
 
 def _default(types: Types, description: Any) -> Any:
-    """Return the default of a field from its description: 0, False, "", an empty list or an array of zeros."""
+    """Return the default of a message field from rosbags' description: 0, False, "", [] or an array of zeros."""
     kind, content = description
     if kind == Nodetype.NAME:
         return empty(types, content)
@@ -40,5 +40,5 @@ def _default(types: Types, description: Any) -> Any:
 
 
 def stamp_of(time: float) -> tuple[int, int]:
-    """Return seconds and nanoseconds of a simulated time [s]."""
+    """Split a simulated time [s] into seconds and nanoseconds, as in a ROS stamp."""
     return divmod(round(time * 1e9), 1_000_000_000)

@@ -70,12 +70,14 @@ Wish = Motion | Place | Tilt | Thrust
 
 
 def topics_of(namespace: str, kinds: Container[str]) -> list[tuple[str, Topic]]:
-    """Return (kind of command, topic) for every topic that a vehicle with these kinds of orders subscribes to."""
+    """Return (name after the namespace, topic) of each command topic for a vehicle that takes orders of these
+    ``kinds``."""
     return [(own, Topic(f"/{namespace}/{own}", kind, "command")) for own, kind, order in TAKEN if order in kinds]
 
 
 def wish_of(own: str, message: Message) -> Wish:
-    """Convert a message on topic ``own`` to the command that it requests; raises UsageError for an invalid one.
+    """Convert a message on the command topic ``own`` to the request that it makes; raises UsageError for an invalid
+    one.
 
     Args:
         own: name of its topic after the namespace.
@@ -105,14 +107,14 @@ def wish_of(own: str, message: Message) -> Wish:
 
 
 def _motion_of(own: str, twist: Message) -> Motion:
-    """Convert a Twist to a velocity FRD or NED [m/s] and a yaw rate [rad/s]."""
+    """Convert a Twist on topic ``own`` to a velocity, FRD or NED [m/s], and a yaw rate [rad/s]."""
     x, y, z = _vector(own, "linear", twist.linear)
     rate = -_vector(own, "angular", twist.angular)[2]
     return Motion((x, -y, -z), rate, True) if own == CMD_VEL else Motion((y, x, -z), rate, False)
 
 
 def _angles(own: str, quaternion: object) -> tuple[float, float, float] | None:
-    """Return roll, pitch, yaw [rad] of a quaternion in a message on topic ``own``, FRD to NED; None for four zeros."""
+    """Return roll, pitch, yaw [rad], FRD to NED, of a quaternion in a message on topic ``own``; None for all zeros."""
     numbers = [_finite(own, f"orientation.{axis}", value) for axis, value in _axes(quaternion, "xyzw")]
     if math.hypot(*numbers) < 1e-6:
         return None
@@ -121,24 +123,24 @@ def _angles(own: str, quaternion: object) -> tuple[float, float, float] | None:
 
 
 def _vector(own: str, name: str, vector: object) -> tuple[float, float, float]:
-    """Return the finite x, y, z of a message's vector; raises UsageError for others."""
+    """Return x, y, z of a message's vector; raises UsageError, naming topic and field, if one is not finite."""
     x, y, z = (_finite(own, f"{name}.{axis}", value) for axis, value in _axes(vector, "xyz"))
     return x, y, z
 
 
 def _axes(record: object, names: str) -> list[tuple[str, float]]:
-    """Return (name, value) for each one-letter field of a message in ``names``."""
+    """Return (name, value) of a message's one-letter fields, such as "x", "y" and "z" for ``names`` "xyz"."""
     return [(axis, float(getattr(record, axis))) for axis in names]
 
 
 def _finite(own: str, name: str, value: float) -> float:
-    """Return a finite number; raises UsageError that names the topic and the field."""
+    """Return a number unchanged; raises UsageError, naming topic and field, if it is not finite."""
     if not math.isfinite(value):
         raise UsageError(f"{own}: {name} is {value:g}, which is not finite")
     return float(value)
 
 
 def _check_frame(own: str, frame: str) -> None:
-    """Check that the frame of a message is the map or empty; raises UsageError."""
+    """Raise UsageError, naming the topic, unless a message's frame_id is "map" or empty."""
     if frame not in ("", MAP):
         raise UsageError(f"{own}: frame '{frame[:60]}'; expected '{MAP}', or none")

@@ -17,7 +17,8 @@ EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
 
 
 def definitions_of(*packages: str) -> dict[str, tuple[list[object], Fields]]:
-    """Return the types of packages as a type store of rosbags registers them, by name, such as "std_srvs/srv/Trigger".
+    """Return the message and service types of ROS packages by name, such as "std_srvs/srv/Trigger", as rosbags
+    registers them.
 
     A service has a type for its request and one for its response, ``_Request`` and ``_Response``.
     """
@@ -36,13 +37,13 @@ def definitions_of(*packages: str) -> dict[str, tuple[list[object], Fields]]:
 
 
 def _parsed_fields(text: str, name: str) -> tuple[list[object], Fields]:
-    """Return constants and fields of a message definition."""
+    """Parse the text of a message definition of type ``name`` to (constants, fields) in rosbags' form."""
     (found,) = get_types_from_msg(text, name).values()
     return found
 
 
 def service_types(name: str, info: Fields) -> dict[str, tuple[list[object], Fields]]:
-    """Return the types from which a service's hash is computed: the service, its event, and ServiceEventInfo.
+    """Return the types from which ROS computes a service's hash: the service, its event, and ServiceEventInfo.
 
     Args:
         name: of the service, such as "std_srvs/srv/Trigger".

@@ -15,25 +15,26 @@ _HALF_ROOT = math.sqrt(0.5)
 
 
 def enu_of(ned: NumpyArray) -> NumpyArray:
-    """Convert vectors NED to ENU, or ENU to NED: the same swap."""
+    """Convert vectors (..., 3) from NED to ENU axes, or back, by the same swap of axes."""
     x, y, z = np.moveaxis(np.asarray(ned), -1, 0)
     return np.stack([y, x, -z], axis=-1)
 
 
 def flu_of(frd: NumpyArray) -> NumpyArray:
-    """Convert body vectors FRD to FLU, or FLU to FRD: the same change of signs."""
+    """Convert body vectors (..., 3) from FRD to FLU axes, or back, by the same change of signs."""
     x, y, z = np.moveaxis(np.asarray(frd), -1, 0)
     return np.stack([x, -y, -z], axis=-1)
 
 
 def quaternion_enu_flu(quaternion: NumpyArray) -> NumpyArray:
-    """Convert attitudes FRD to NED (w, x, y, z) into FLU to ENU (x, y, z, w)."""
+    """Convert attitude quaternions (..., 4) from FRD to NED (w, x, y, z) to FLU to ENU (x, y, z, w)."""
     w, x, y, z = np.moveaxis(np.asarray(quaternion), -1, 0)
     return _HALF_ROOT * np.stack([x + y, x - y, w - z, w + z], axis=-1)
 
 
 def angles_ned_frd(quaternion: NumpyArray) -> NumpyArray:
-    """Convert attitudes FLU to ENU (x, y, z, w) into roll, pitch, yaw [rad] FRD to NED."""
+    """Convert attitude quaternions (..., 4), FLU to ENU (x, y, z, w), to roll, pitch, yaw (..., 3) [rad], FRD to
+    NED."""
     i, j, k, s = np.moveaxis(np.asarray(quaternion, np.float64), -1, 0)
     w, x, y, z = s + k, i + j, i - j, s - k
     norm = w * w + x * x + y * y + z * z

@@ -59,7 +59,8 @@ class Messages:
         self.static = types.encode(static_transforms(types, world, self.namespaces, simulation.site))
 
     def due(self, modes: list[str]) -> Iterator[tuple[int, bytes]]:
-        """Yield (number of the topic, message) of everything published at the present tick.
+        """Yield (topic number, CDR message) of every topic due at the present tick; ``modes``: flight mode of each
+        vehicle.
 
         Args:
             modes: by what each vehicle flies.
@@ -82,7 +83,8 @@ class Messages:
                 yield self._heard[row], message
 
     def _state_messages(self, modes: list[str]) -> Iterator[tuple[int, bytes]]:
-        """Yield topic and message of each vehicle whose state is new, or was last sent STATE_EVERY_S ago."""
+        """Yield (topic number, message) of each vehicle whose flight state has changed, or was sent STATE_EVERY_S [s]
+        ago."""
         simulation = self._simulation
         # The whole numbers of the packed state contain the reason of each vehicle that has stopped, else 0.
         stopped = np.asarray(simulation.packed[1][1])[self._sight.codes] != 0
@@ -98,5 +100,5 @@ class Messages:
 
 
 def text_message(types: Types, text: str) -> bytes:
-    """Return a std_msgs/msg/String."""
+    """Return a text as an encoded std_msgs/msg/String."""
     return types.encode(types["std_msgs/msg/String"](text))

@@ -9,7 +9,7 @@ EARTH, MAP = "earth", "map"
 
 
 def namespaces(names: Sequence[str]) -> list[str]:
-    """Return a unique ROS namespace for each vehicle: its name, with _ for characters that ROS does not allow."""
+    """Return a unique ROS namespace for each vehicle name; characters that ROS does not allow become "_"."""
     found: list[str] = []
     for name in names:
         own = re.sub(r"__+", "_", re.sub(r"[^A-Za-z0-9_]", "_", name)) or "vehicle"
@@ -23,30 +23,30 @@ def namespaces(names: Sequence[str]) -> list[str]:
 
 
 def base_link(namespace: str) -> str:
-    """Return the name of the vehicle's body frame: forward, left, up."""
+    """Return the frame id of a vehicle's body frame (forward, left, up)."""
     return f"{namespace}/base_link"
 
 
 def gnss_link(namespace: str) -> str:
-    """Return the name of the frame of the vehicle's GNSS receiver."""
+    """Return the frame id of a vehicle's GNSS receiver."""
     return f"{namespace}/gnss"
 
 
 def range_link(namespace: str) -> str:
-    """Return the name of the frame of the vehicle's rangefinder, with the beam along x."""
+    """Return the frame id of a vehicle's rangefinder, whose beam is along x."""
     return f"{namespace}/range"
 
 
 def scan_link(namespace: str) -> str:
-    """Return the name of the frame of the vehicle's lidar, with the rays in the plane of x and y."""
+    """Return the frame id of a vehicle's lidar, whose rays are in the plane of x and y."""
     return f"{namespace}/scan"
 
 
 def neighbours_link(namespace: str) -> str:
-    """Return the name of the frame of the vehicle's neighbour sensor."""
+    """Return the frame id of a vehicle's neighbour sensor."""
     return f"{namespace}/neighbours"
 
 
 def beacon(number: int) -> str:
-    """Return the name of the frame of a beacon, by its number in the scenario."""
+    """Return the frame id of a ranging beacon, by its number in the scenario."""
     return f"beacon_{number}"

@@ -15,7 +15,7 @@ class Writer(Protocol):
     lost: int
 
     def write(self, cdr: bytes) -> None:
-        """Write a message in CDR; never waits."""
+        """Publish a message, encoded in CDR; never waits."""
 
 
 class Reader(Protocol):
@@ -31,26 +31,26 @@ class Service(Protocol):
     """Answers requests of a service."""
 
     def take(self) -> Sequence[tuple[object, Message]]:
-        """Return the requests that have arrived, oldest first: a handle for ``reply``, and the message."""
+        """Return the requests that have arrived, oldest first, each as (handle for ``reply``, message)."""
 
     def reply(self, request: Message, response: Message) -> None:
-        """Send the response to a request."""
+        """Send the response to a request that ``take`` returned."""
 
 
 class Node(Protocol):
     """A node; made by ``participant.Participant`` over DDS, and ``zenoh_node.ZenohNode`` over zenoh."""
 
     def writer(self, topic: Topic) -> Writer:
-        """Return a new writer of a topic."""
+        """Return a new publisher of a topic."""
 
     def reader(self, topic: Topic) -> Reader:
-        """Return a new reader of a topic."""
+        """Return a new subscriber of a topic."""
 
     def service(self, name: str, kind: str) -> Service:
-        """Return a new service of a type, such as "std_srvs/srv/Trigger"."""
+        """Return a new service with a name and a type, such as "std_srvs/srv/Trigger"."""
 
     def announce(self) -> None:
-        """Announce the topics of this node, once all are created."""
+        """Announce this node's topics to other nodes; call it once all are created."""
 
     def remarks(self) -> list[str]:
-        """Return a warning for each topic of this node that another node has begun to use incompatibly."""
+        """Return a warning for each topic that another node has begun to use with an incompatible type or QoS."""

@@ -36,7 +36,7 @@ _CORRECTED = 4.0
 
 
 def seen(values: NumpyArray) -> NumpyArray:
-    """Return the message values (n, WIDTH), in ENU and FLU, of estimates and readings (n, sight.WIDTH).
+    """Convert estimates and readings (n, sight.WIDTH) to the numbers of ROS messages (n, WIDTH), in ENU and FLU axes.
 
     Args:
         values: (n, sight.WIDTH), of ``shared.sight``; NaN where nobody knows them.
@@ -88,7 +88,8 @@ def seen(values: NumpyArray) -> NumpyArray:
 
 
 def asked(commands: NumpyArray, yaw: NumpyArray) -> NumpyArray:
-    """Return the message values (n, WIDTH) of commands (n, 4): pitch, roll [rad], throttle, yaw rate [rad/s].
+    """Convert commands (n, 4): pitch, roll [rad], throttle, yaw rate [rad/s], and headings (n,) [rad] to message
+    numbers (n, WIDTH).
 
     Args:
         commands: NaN where a vehicle has none.
@@ -104,14 +105,14 @@ def asked(commands: NumpyArray, yaw: NumpyArray) -> NumpyArray:
 
 
 def true(simulation: Simulation) -> NumpyArray:
-    """Return the message values (n, WIDTH) of the true motion and wind, with variances 0."""
+    """Return the true motion and wind of all vehicles as numbers of ROS messages (n, WIDTH), with variances 0."""
     truth = simulation.truth
     parts = truth.position_ned, truth.attitude, truth.velocity_ned, truth.rates_body, truth.wind_ned
     return of_motion(*(np.asarray(part, np.float64) for part in parts))
 
 
 def velocity_ned(attitude: NumpyArray, velocity_body: NumpyArray) -> NumpyArray:
-    """Rotate body velocities (R, 3) FRD to NED, by attitudes (R, 3): roll, pitch, yaw [rad]."""
+    """Rotate body velocities (R, 3), FRD, to NED by attitudes (R, 3): roll, pitch, yaw [rad]."""
     return enu_of(turned(quaternion_enu_flu(quaternion_of(attitude)), flu_of(velocity_body)))
 
 
@@ -122,7 +123,7 @@ def of_motion(
     rates_body: NumpyArray,
     wind_ned: NumpyArray,
 ) -> NumpyArray:
-    """Return the message values (R, WIDTH) of a known motion and wind, each (R, 3): [m], [rad], [m/s], [rad/s]."""
+    """Convert motion and wind, each (R, 3) [m], [rad], [m/s], [rad/s], to numbers of ROS messages (R, WIDTH)."""
     found = np.full((len(position_ned), WIDTH), np.nan)
     _put_motion(found, position_ned, quaternion_of(attitude), velocity_ned, rates_body)
     found[:, WIND : WIND + 3] = enu_of(wind_ned)
@@ -137,7 +138,8 @@ def _put_motion(
     velocity_ned: NumpyArray,
     rates_body: NumpyArray,
 ) -> None:
-    """Write position, attitude, velocity and rates, converted to ENU and FLU, into ``found`` (n, WIDTH) in place."""
+    """Write position, attitude, velocity and body rates, converted to ENU and FLU, into the columns of ``found`` (n,
+    WIDTH)."""
     orientation = quaternion_enu_flu(quaternion)
     velocity, rates = enu_of(velocity_ned), flu_of(rates_body)
     found[:, POSITION : POSITION + 3] = enu_of(position_ned)

@@ -77,7 +77,7 @@ class Participant:
         self._info: Writer | None = None
 
     def writer(self, topic: Topic) -> Writer:
-        """Return a new writer of a topic."""
+        """Return a new publisher of a topic, as a DDS data writer."""
         profile = PROFILES[topic.quality]
         if topic.quality == "sensor" and self._resend:
             profile = Profile(reliable=True, depth=profile.depth)
@@ -88,7 +88,7 @@ class Participant:
         return writer
 
     def reader(self, topic: Topic) -> Reader:
-        """Return a new reader of a topic."""
+        """Return a new subscriber of a topic, as a DDS data reader."""
         _, found = self._dds_topic(topic)
         profile = PROFILES[topic.quality]
         reader = Reader(
@@ -99,7 +99,7 @@ class Participant:
         return reader
 
     def service(self, name: str, kind: str) -> Service:
-        """Return a new service, for clients of rmw_fastrtps and rmw_cyclonedds."""
+        """Return a new service, in the form that clients of rmw_fastrtps and rmw_cyclonedds expect."""
         if self._rtps is None:
             with os_error_as(RunError, f"services do not start in domain {self._domain}"):
                 self._rtps = Services(self._domain)
@@ -110,7 +110,7 @@ class Participant:
         return Service(self._types, kind, self._rtps, raw)
 
     def announce(self) -> None:
-        """Publish which readers and writers belong to this node (ros_discovery_info)."""
+        """Publish which readers and writers belong to this node, on ros_discovery_info, so that ROS tools list them."""
         if self._info is None:
             kind = self._types.sample(_INFO)
             topic = DdsTopic(self._participant, _DISCOVERY, kind)
@@ -124,7 +124,7 @@ class Participant:
         self._info.write(self._types.encode(info))
 
     def remarks(self) -> list[str]:
-        """Return a warning for each topic of this node that another node has begun to use incompatibly.
+        """Return a warning for each topic that another node has begun to use with an incompatible type or QoS.
 
         The reason is another type, or a quality of service that does not match; the words are those of rclcpp.
         """
@@ -138,7 +138,8 @@ class Participant:
         return new
 
     def _publisher_remarks(self, other: DcpsEndpoint) -> list[str]:
-        """Return a line if another publisher's type or QoS does not match this node's readers."""
+        """Return a warning if another node's publisher has a type or QoS that this node's subscribers cannot
+        receive."""
         known, name = self._read.get(str(other.topic_name)), str(other.topic_name).removeprefix("rt")
         if known is None:
             return []
@@ -153,7 +154,7 @@ class Participant:
         return []
 
     def _subscriber_remarks(self, other: DcpsEndpoint) -> list[str]:
-        """Return a line if another subscriber's QoS does not match this node's writers."""
+        """Return a warning if another node's subscriber has a QoS that this node's publishers cannot serve."""
         profile = self._written.get(str(other.topic_name), {}).get(str(other.type_name))
         if profile is None:
             return []
@@ -170,35 +171,36 @@ class Participant:
         return [line] if policy else []
 
     def _dds_topic(self, topic: Topic) -> tuple[object, object]:
-        """Return the sample type and the DDS topic of a ROS topic."""
+        """Return the CDR sample class and the DDS topic for a ROS topic."""
         sample = self._types.sample(topic.type)
         return sample, DdsTopic(self._participant, f"rt{topic.name}", sample)
 
     def _endpoint_qos(self, profile: Profile, name: str) -> object:
-        """Return the QoS of an endpoint, with the hash of its type in the user data."""
+        """Return the DDS QoS of a topic's reader or writer, with the hash of type ``name`` in its user data."""
         known = self._types.hash(name)
         return _dds_qos(profile, *((Policy.Userdata(f"typehash={known};".encode()),) if known else ()))
 
     def _gid_message(self, guid: bytes) -> object:
-        """Return a GUID as a message of rmw_dds_common/Gid."""
+        """Convert a DDS GUID to a message of rmw_dds_common/Gid."""
         kind = "rmw_dds_common/msg/Gid"
         size = self._types.fields(kind)[0][1][1][1]
         return self._types[kind](np.frombuffer(guid.ljust(size, b"\0"), np.uint8))
 
 
 def _is_best_effort(qos: Qos) -> bool:
-    """Return whether a QoS is best effort, which is the default of a reader."""
+    """Return whether a DDS QoS is best effort, the default of a reader, and not reliable."""
     # Of a reader it is the default.
     return Policy.Reliability not in qos or qos[Policy.Reliability] == Policy.Reliability.BestEffort
 
 
 def _is_latched(qos: Qos) -> bool:
-    """Return whether a QoS keeps samples for late subscribers."""
+    """Return whether a DDS QoS keeps samples for late subscribers (durability transient local)."""
     return Policy.Durability in qos and qos[Policy.Durability] != Policy.Durability.Volatile
 
 
 def _dds_qos(profile: Profile, *more: object) -> object:
-    """Return the QoS of a profile: XCDR1, as ROS uses it, and no waiting for slow readers."""
+    """Convert a QoS profile to a DDS QoS: XCDR1, as ROS uses, and no waiting for slow readers; ``more``: further
+    policies."""
     latched = (
         Policy.Durability.TransientLocal,
         Policy.DurabilityService(0, Policy.History.KeepLast(profile.depth), -1, -1, -1),
@@ -226,7 +228,7 @@ class Writer:
         self.lost = 0
 
     def write(self, cdr: bytes) -> None:
-        """Write a message in CDR; never waits."""
+        """Publish a message, encoded in CDR; never waits."""
         self._sample.cdr = cdr
         try:
             self.entity.write(self._sample)
@@ -246,7 +248,8 @@ class Reader:
         self._types, self.topic, self.entity = types, topic, entity
 
     def take(self) -> list[Message]:
-        """Return the messages that have arrived, oldest first; a writer that leaves is an ``InvalidSample``."""
+        """Return the messages that have arrived, oldest first, without those that only report that a writer has
+        left."""
         samples = self.entity.take(_MOST_AT_ONCE)
         return self._types.heard((each.cdr for each in samples if not isinstance(each, InvalidSample)), self.topic.type)
 
@@ -265,7 +268,7 @@ class Service:
         self._types, self._kind, self._rtps, self._raw = types, kind, rtps, raw
 
     def take(self) -> list[tuple[Request, Message]]:
-        """Return the requests that have arrived, oldest first."""
+        """Return the requests that have arrived, oldest first, each as (handle for ``reply``, message)."""
         self._rtps.spin()
         found = []
         while self._raw.waiting:
@@ -274,5 +277,5 @@ class Service:
         return found
 
     def reply(self, request: Request, response: Message) -> None:
-        """Send the response to a request."""
+        """Send the response to a request that ``take`` returned."""
         self._rtps.reply(self._raw, request, self._types.encode(response))

@@ -50,7 +50,8 @@ class Perceived:
             first += fleet.size
 
     def new(self) -> Iterator[tuple[int, bytes]]:
-        """Yield (topic number, message) of the readings that were delivered at the present tick."""
+        """Yield (topic number, CDR message) for each lidar scan, range and neighbour list delivered at the present
+        tick."""
         for fleet, number, part in self._parts:
             fresh, times = delivery(self._simulation, fleet, number)
             if any(fresh):
@@ -70,20 +71,22 @@ class _Part:
         self.begin()
 
     def begin(self) -> None:
-        """Add the topics of a fleet; does nothing unless a subclass overrides it."""
+        """Add the sensor's topics for each vehicle of the fleet; nothing here, subclasses override it."""
 
     def messages(self, reading: object, row: int, time: float) -> Iterator[tuple[int, bytes]]:
-        """Yield (topic number, message) of a vehicle's reading, selected by its row in the fleet."""
+        """Yield (topic number, CDR message) of the sensor's reading of the vehicle at ``row`` of the fleet; ``time``
+        [s]."""
         raise NotImplementedError
 
 
 class _Scans(_Part):
     def begin(self) -> None:
-        """Add a scan topic for each vehicle."""
+        """Add a LaserScan topic for each vehicle."""
         self._topics = [self.add(Topic(f"/{space}/scan", SCAN, "sensor")) for space in self.spaces]
 
     def messages(self, reading: Any, row: int, time: float) -> Iterator[tuple[int, bytes]]:
-        """Yield (topic number, LaserScan), from right to left; infinite where nothing was hit (REP-117)."""
+        """Yield (topic number, LaserScan) of the vehicle at ``row``, rays from right to left; infinity where nothing is
+        hit (REP-117)."""
         sensor, message = self.sensor, stamped(self.types, SCAN, time, scan_link(self.spaces[row]))
         angles = ray_angles(sensor.rays, sensor.field_of_view_rad)
         message.angle_min, message.angle_max = -float(angles[-1]), -float(angles[0])
@@ -99,7 +102,7 @@ class _Scans(_Part):
 
 class _Ranges(_Part):
     def begin(self) -> None:
-        """Add a topic for each vehicle and each beacon or vehicle to which it measures a range."""
+        """Add a Range topic for each pair of a vehicle and a beacon or other vehicle to which it measures the range."""
         sensor = self.sensor
         beacons = 0 if sensor.beacon_ned is None else sensor.beacon_ned.x.shape[0]
         others = {"none": [], "fleet": self.spaces, "all": list(self.everybody)}[sensor.vehicles]
@@ -114,7 +117,7 @@ class _Ranges(_Part):
             )
 
     def messages(self, reading: Any, row: int, time: float) -> Iterator[tuple[int, bytes]]:
-        """Yield the topic and message of each range that the vehicle has measured."""
+        """Yield (topic number, Range message) for each range that the vehicle at ``row`` has measured."""
         parts = [part for part in (reading.beacon_range, reading.vehicle_range) if part is not None]
         ranges = np.concatenate([np.asarray(part, np.float64)[row] for part in parts])
         message = stamped(self.types, RANGE, time, base_link(self.spaces[row]))
@@ -129,11 +132,12 @@ class _Ranges(_Part):
 
 class _Neighbours(_Part):
     def begin(self) -> None:
-        """Add a topic of neighbours for each vehicle."""
+        """Add a topic of neighbours' positions for each vehicle."""
         self._topics = [self.add(Topic(f"/{space}/neighbours", POSES, "sensor")) for space in self.spaces]
 
     def messages(self, reading: Any, row: int, time: float) -> Iterator[tuple[int, bytes]]:
-        """Yield (topic number, message) with the positions of the visible neighbours, the nearest first."""
+        """Yield (topic number, PoseArray) with the positions of the neighbours that the vehicle at ``row`` sees,
+        nearest first."""
         places = flu_of(np.asarray(reading.position, np.float64)[row])
         message = stamped(self.types, POSES, time, neighbours_link(self.spaces[row]))
         point, turn, pose = (self.types[f"geometry_msgs/msg/{name}"] for name in ("Point", "Quaternion", "Pose"))

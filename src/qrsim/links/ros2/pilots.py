@@ -64,7 +64,7 @@ class Pilots:
         self.restart()
 
     def restart(self) -> None:
-        """Start an episode: all vehicles fly by their scenario's guidance."""
+        """Start an episode: all vehicles fly by their scenario's guidance until they receive commands."""
         self._pilots = [Pilot() for _ in self._names]
         self._home = np.asarray(self._simulation.truth.position_ned, np.float64).copy()
         for name in self._names:
@@ -76,7 +76,7 @@ class Pilots:
         return [pilot.mode for pilot in self._pilots]
 
     def ask(self, row: int, wish: Wish) -> None:
-        """Store a requested command for a vehicle; a position takes effect at once."""
+        """Store the command that a ROS node requests for the vehicle at ``row``; a position takes effect at once."""
         pilot = self._pilots[row]
         pilot.tick, pilot.at = self._simulation.tick, time.monotonic()
         if isinstance(wish, Thrust):
@@ -92,11 +92,11 @@ class Pilots:
         pilot.wish = wish
 
     def refuse(self, row: int, why: str) -> None:
-        """Make a vehicle hold its position after a command that it cannot fly, and report that once."""
+        """Let the vehicle at ``row`` hold its position after an invalid command, and report the reason ``why`` once."""
         self._hold_position(row, why)
 
     def actions(self) -> object:
-        """Return the action of the next tick for ``Simulation.advance``."""
+        """Return the action of each fleet in the next tick, for ``Simulation.advance``."""
         flown = [row for row, pilot in enumerate(self._pilots) if pilot.wish is not None]
         if flown:
             self._update_orders(flown)
@@ -104,20 +104,21 @@ class Pilots:
 
     @property
     def waited_for(self) -> bool:
-        """Return whether a vehicle flown by motions or attitudes still lacks its command for the present tick."""
+        """Return whether a vehicle that is flown by velocities or attitudes lacks its command for the present tick."""
         tick = self._simulation.tick
         return any(
             pilot.wish is not None and pilot.tick < tick and not self._is_silent(pilot) for pilot in self._pilots
         )
 
     def _is_silent(self, pilot: Pilot) -> bool:
-        """Return whether the last command of a vehicle is older than the timeout."""
+        """Return whether the vehicle's last command is older than the timeout."""
         if self._wall is not None:
             return time.monotonic() - pilot.at >= self._wall
         return self._simulation.tick - pilot.tick >= self._limit
 
     def _update_orders(self, rows: Sequence[int]) -> None:
-        """Turn the latest commands of vehicles into orders, and hold those that are silent."""
+        """Convert the last commands of the vehicles at ``rows`` to orders; vehicles without recent commands hold their
+        position."""
         believed = believed_of(self._simulation)
         for row in rows:
             pilot = self._pilots[row]
@@ -131,7 +132,8 @@ class Pilots:
                 self._fly_order(row, Order(self._names[row], "attitude", numbers), "attitude")
 
     def _fly_motion(self, row: int, pilot: Pilot, wish: Motion, heading: float) -> None:
-        """Give a vehicle a velocity order from a Motion, integrating its yaw rate."""
+        """Give the vehicle at ``row`` a velocity order from a Motion, with its yaw rate integrated to a yaw near the
+        present ``heading`` [rad]."""
         yaw = heading if pilot.yaw is None else pilot.yaw
         # The heading that is asked for runs ahead of the vehicle by no more than a quarter turn.
         step = wish.yaw_rate * self._simulation.world.time_step
@@ -145,7 +147,7 @@ class Pilots:
         self._fly_order(row, Order(self._names[row], "velocity", (north, east, down, yaw)), "velocity")
 
     def _fly_order(self, row: int, order: Order, mode: str) -> None:
-        """Give a vehicle an order, or hold its position if the order is invalid."""
+        """Give the vehicle at ``row`` an order, or let it hold its position if the order is invalid."""
         try:
             self.latches.put(self.latches.checked(order))
         except UsageError as error:
@@ -155,7 +157,7 @@ class Pilots:
         pilot.mode, pilot.told = mode, ""
 
     def _hold_position(self, row: int, why: str) -> None:
-        """Make a vehicle hold its position, and report the reason once."""
+        """Let the vehicle at ``row`` hold its position, and report the reason ``why`` once."""
         pilot, name = self._pilots[row], self._names[row]
         pilot.wish, pilot.throttle = None, None
         if pilot.mode != "hold":
@@ -171,5 +173,5 @@ class Pilots:
             self._say(f"t = {self._simulation.time:.10g} s, '{name}': {why}; it {what}")
 
     def _estimated_heading(self, row: int) -> float:
-        """Return the estimated heading of a vehicle [rad]."""
+        """Return the estimated heading [rad] of the vehicle at ``row``."""
         return float(believed_of(self._simulation)[row, 3])

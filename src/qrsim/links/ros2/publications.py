@@ -64,7 +64,7 @@ class Publications:
         for number, fleet in enumerate(world.fleets):
 
             def sensors(column: int, number: int = number) -> Any:
-                """Return the sensor of a kind (by its column of the log) of this fleet; None without one."""
+                """Return this fleet's sensor that fills a column of the readings; None without one."""
                 return sensor(number, column)
 
             for vehicle in range(fleet.size):
@@ -86,14 +86,15 @@ class Publications:
         self.columns = sorted({own.sensor for each in self._vehicles for _, own in each if own.sensor is not None})
 
     def add(self, topic: t.Topic) -> int:
-        """Add a topic, and return its number."""
+        """Add a topic to those published, and return its number."""
         self.topics.append(topic)
         return len(self.topics) - 1
 
     def _added(
         self, kinds: Sequence[t.Kind], row: int, sensors: Sensors, vehicle: int
     ) -> list[tuple[int, Publication]]:
-        """Add the topics of a vehicle, and return them with their numbers."""
+        """Add the topics of the vehicle at ``row``, and return each with its number; ``vehicle``: its number in the
+        fleet."""
         made = [Publication(self._types, kind, self.namespaces[row], sensors, vehicle) for kind in kinds]
         return [(self.add(own.topic), own) for own in made]
 
@@ -105,7 +106,8 @@ class Publications:
         news: Mapping[int, News],
         true: NumpyArray | None,
     ) -> Iterator[tuple[int, bytes]]:
-        """Yield (topic number, message) of everything published at a tick.
+        """Yield (topic number, CDR message) of every topic due at a tick, from the vehicles' values and new readings
+        (``news``).
 
         Args:
             tick: its number.
@@ -149,7 +151,8 @@ class Publications:
         stamp: tuple[int, int],
         news: Mapping[int, News],
     ) -> bytes | None:
-        """Return the message of one vehicle's topic; None if it is not sent at this tick.
+        """Return the CDR message of one vehicle's topic, with its time ``stamp`` (s, ns); None if it is not due at this
+        tick.
 
         Args:
             publication: the topic's kind of message and its sensor, if it has one.
@@ -166,7 +169,8 @@ class Publications:
         return publication.message(numbers, *stamp) if due and self._is_due(tick, publication.kind.every) else None
 
     def _filled_numbers(self, values: NumpyArray) -> NumpyArray:
-        """Return the message values (n, WIDTH), with the variances of sensors filled in."""
+        """Convert estimates and readings to numbers of ROS messages (n, WIDTH), with the sensors' variances filled
+        in."""
         numbers = n.seen(values)
         still, growth, turn = self._noise
         measured = np.where(np.isfinite(numbers[:, n.RANGE]), numbers[:, n.RANGE], 0.0)
@@ -177,12 +181,12 @@ class Publications:
         return numbers
 
     def _is_due(self, tick: int, every: float) -> bool:
-        """Return whether a message with a period [s] is due at a tick."""
+        """Return whether a message with the period ``every`` [s] is due at a tick."""
         # Of ticks at which something is published.
         return not every or tick // self._each % max(1, round(every / (self._dt * self._each))) == 0
 
     def _true_messages(self, true: NumpyArray, stamp: tuple[int, int]) -> Iterator[tuple[int, bytes]]:
-        """Yield (topic number, message) of the true states."""
+        """Yield (topic number, CDR message) of the vehicles' true states (n, WIDTH) at a time ``stamp`` (s, ns)."""
         for own, row in zip(self._true, true.tolist(), strict=True):
             for topic, publication in own:
                 message = publication.message(row, *stamp)

@@ -17,12 +17,12 @@ ARRAY, DIMENSION = "std_msgs/msg/Float64MultiArray", "std_msgs/msg/MultiArrayDim
 
 
 def heard_topic(namespace: str) -> Topic:
-    """Return the topic of the radio messages that a vehicle receives."""
+    """Return the topic on which the radio messages received by a vehicle are published."""
     return Topic(f"/{namespace}/radio/rx", ARRAY, "reliable")
 
 
 def said_topic(namespace: str) -> Topic:
-    """Return the topic of the radio messages that a vehicle is to send."""
+    """Return the topic from which a vehicle takes radio messages to send."""
     return Topic(f"/{namespace}/radio/tx", ARRAY, "reliable")
 
 
@@ -43,7 +43,7 @@ class Inboxes:
         self._time = simulation.time
 
     def new(self) -> Iterator[tuple[int, bytes]]:
-        """Yield (row of the vehicle, message) of what was received since the last call."""
+        """Yield (row of the vehicle, CDR message) for each radio message received since the last call."""
         if self._simulation.time < self._time:
             # Another episode.
             self._last = [{} for _ in self._last]
@@ -63,7 +63,8 @@ class Inboxes:
 
 
 def hand_over(simulation: Simulation, namespaces: Sequence[str], said: Sequence[tuple[int, Message]]) -> list[Checked]:
-    """Pass messages to the vehicles' radios, and return them: sender, numbers (D,), receiver or -1.
+    """Queue radio messages from ROS (``said``: row, message) at the radios, all or none; return them as (sender,
+    numbers (D,), receiver or -1).
 
     Args:
         simulation: with a radio.

@@ -73,12 +73,13 @@ class Recorded:
             first += fleet.size
 
     def sensor(self, fleet: int, column: int) -> Any:
-        """Return the sensor that fills a column of ``shared.sight``, by a fleet's number; None without one."""
+        """Return the sensor of fleet number ``fleet`` that fills a column of ``shared.sight``; None without one."""
         number = self._sensors[fleet].get(column)
         return None if number is None else self.world.fleets[fleet].sensors[number]
 
     def _find_columns(self, fleet: Fleet, rows: slice) -> dict[int, int]:
-        """Store the run's columns of each number of a fleet; return the sensors that fill them."""
+        """Find the run's columns for each number of a fleet, store them, and return column -> number of the sensor that
+        fills it."""
         found: dict[int, int] = {}
         commands = self._stream_columns("commands")
         for prefix, column, axes in (
@@ -112,13 +113,14 @@ class Recorded:
         return found
 
     def _stream_columns(self, stream: str) -> Sequence[str]:
-        """Return the names of the columns of a stream, empty if the run has no such stream."""
+        """Return the column names of a recorded stream; empty if the run has no such stream."""
         return self._streams[stream].columns() if stream in self._streams else ()
 
     def ticks(
         self, columns: Sequence[int]
     ) -> Iterator[tuple[int, float, NumpyArray, dict[int, News], NumpyArray | None, NumpyArray]]:
-        """Yield for each tick its number, time [s], known values, new readings, truth and commands.
+        """Yield for each tick: number, time [s], values (n, WIDTH), new readings of ``columns``, truth or None,
+        commands.
 
         Commands are numbers (n, WIDTH) of ``numbers.asked``, of the step that ends with the tick.
 
@@ -135,16 +137,16 @@ class Recorded:
                 yield tick, tick * self._dt, values[i], news, None if true is None else true[i], asked[i]
 
     def _column(self, stream: str, column: str, ticks: NumpyArray) -> NumpyArray:
-        """Return a column (T, n) at ticks."""
+        """Return a recorded column of a stream (T, n) at the given ticks."""
         found = self._streams[stream]
         return np.asarray(found[column][np.searchsorted(found.tick, ticks)], np.float64)
 
     def _vector(self, stream: str, name: str, axes: Sequence[str], ticks: NumpyArray) -> NumpyArray:
-        """Return a vector (T, n, 3) at ticks."""
+        """Return a recorded vector of a stream (T, n, 3) at the given ticks."""
         return np.stack([self._column(stream, f"{name}.{axis}", ticks) for axis in axes], axis=-1)
 
     def _fill_truth(self, values: NumpyArray, ticks: NumpyArray) -> None:
-        """Write the true values for vehicles whose feed is the truth."""
+        """Write the true values into ``values`` for the vehicles whose controller is fed with the truth."""
         position, body = (self._vector("truth", name, "xyz", ticks) for name in ("position_ned", "velocity_body"))
         attitude = self._vector("truth", "attitude", _ANGLES, ticks)
         velocity = n.velocity_ned(attitude.reshape(-1, 3), body.reshape(-1, 3)).reshape(body.shape)
@@ -153,7 +155,8 @@ class Recorded:
                 values[:, rows, column : column + 3] = vector[:, rows]
 
     def _values(self, ticks: NumpyArray) -> NumpyArray:
-        """Return the known values (T, n, WIDTH) at ticks, derived columns included."""
+        """Return the recorded estimates and readings (T, n, WIDTH) at ticks, with columns that are computed from
+        others."""
         values = np.full((len(ticks), len(self.names), s.WIDTH), np.nan)
         for rows, column, stream, name in self._sources:
             values[:, rows, column] = self._column(stream, name, ticks)[:, rows]
@@ -165,7 +168,7 @@ class Recorded:
         return values
 
     def _command_numbers(self, ticks: NumpyArray, yaw: NumpyArray) -> NumpyArray:
-        """Return the message values (T, n, WIDTH) of quadrotors' commands; NaN for other vehicles."""
+        """Return the quadrotors' commands as numbers of ROS messages (T, n, WIDTH); NaN for other vehicles."""
         names, shape = ("pitch", "roll", "throttle", "yaw_rate"), (len(ticks), len(self.names))
         found = np.full((*shape, len(names)), np.nan)
         if set(names) <= set(self._stream_columns("commands")):
@@ -173,12 +176,13 @@ class Recorded:
         return n.asked(found.reshape(-1, len(names)), yaw.reshape(-1)).reshape(*shape, n.WIDTH)
 
     def _true_numbers(self, ticks: NumpyArray) -> NumpyArray | None:
-        """Return the message values (T, n, WIDTH) of true motion and wind; None if the run lacks them."""
+        """Return the true motion and wind as numbers of ROS messages (T, n, WIDTH); None if the run did not record
+        them."""
         if not self.has_truth:
             return None
 
         def vector(stream: str, name: str, axes: Sequence[str] = "xyz") -> NumpyArray:
-            """Return a vector (T n, 3) of a stream at the ticks."""
+            """Return a true vector (T n, 3) of a stream at the ticks."""
             return self._vector(stream, name, axes, ticks).reshape(-1, 3)
 
         winds = "wind" in self._streams
@@ -194,7 +198,8 @@ class Recorded:
         return numbers.reshape(len(ticks), len(self.names), n.WIDTH)
 
     def _news(self, column: int, tick: int, values: NumpyArray, before: dict[tuple[int, int], object]) -> News:
-        """Return, for each vehicle, whether a column's sensor has a new reading in this tick, and its time [s]."""
+        """Return whether each vehicle's sensor of ``column`` has a new reading, unlike ``before``, and the readings'
+        times [s]."""
         fresh: list[bool] = []
         times: list[float] = []
         first = 0

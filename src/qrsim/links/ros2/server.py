@@ -117,23 +117,23 @@ class Server:
         self._pacer = self._new_metronome()
 
     def _subscribe(self) -> None:
-        """Create the subscriptions to the commands of vehicles."""
+        """Subscribe to the vehicles' command topics."""
         for row, (name, space) in enumerate(zip(self.simulation.vehicle_names, self.messages.namespaces, strict=True)):
             for own, topic in topics_of(space, self._pilots.latches.kinds(name)):
                 self._readers.append((row, own, self._participant.reader(topic)))
 
     def _compile(self) -> None:
-        """Compile the programs of this flight by running them once."""
+        """Compile all programs that the flight needs, by running them once."""
         self.simulation.advance(self._pilots.actions())
         self.simulation.reset()
         self._pilots.restart()
 
     def _new_metronome(self) -> Metronome:
-        """Return a new metronome (pace keeper) that starts at the present time."""
+        """Return a new Metronome, which paces the ticks from the present time on."""
         return Metronome(self._options.factor, self.simulation.time, self.simulation.world.time_step)
 
     def serve(self, until: float = math.inf) -> None:
-        """Fly and publish ticks until interrupted, or up to a simulated time ``until`` [s]."""
+        """Fly and publish tick by tick until interrupted, or until the simulated time ``until`` [s]."""
         self._pacer = self._new_metronome()
         self.publish()
         while self.simulation.time < until:
@@ -152,7 +152,7 @@ class Server:
             self.tick()
 
     def tick(self) -> None:
-        """Advance by one tick, and publish its messages."""
+        """Advance the simulation by one tick, and publish its messages."""
         self._send_by_radio()
         if self._flown is None:
             self.simulation.advance(self._pilots.actions())
@@ -168,7 +168,7 @@ class Server:
             self._told_status = -math.inf
 
     def publish(self) -> None:
-        """Publish the messages of this tick."""
+        """Publish all messages that are due at the present tick."""
         writers = self._writers
         flown, off = self._flown, self._off_prefixes()
         for topic, message in self.messages.due(self._pilots.modes if flown is None else flown.modes):
@@ -180,7 +180,7 @@ class Server:
         self._publish_status()
 
     def _off_prefixes(self) -> tuple[str, ...]:
-        """Return the topic prefixes, such as "/uav1/", of the vehicles whose link has failed."""
+        """Return the topic prefixes, such as "/uav1/", of the vehicles whose link is off by an injected fault."""
         unlinked = self.simulation.unlinked
         if not unlinked:
             return ()
@@ -188,7 +188,7 @@ class Server:
         return tuple(f"/{space}/" for name, space in names if name in unlinked)
 
     def listen(self) -> None:
-        """Apply the requests of other nodes; those for a vehicle whose link is off are lost."""
+        """Execute the requests that other nodes have sent; those for a vehicle whose link is off are dropped."""
         for message in self._control.take():
             self._obey_control(message.data)
         unlinked = self.simulation.unlinked
@@ -217,7 +217,7 @@ class Server:
             self._say(line)
 
     def _send_by_radio(self) -> None:
-        """Pass received messages to the radios of vehicles."""
+        """Queue the messages received from ROS at the vehicles' radios."""
         for said in self._saying.items():
             try:
                 checked = hand_over(self.simulation, self.messages.namespaces, [said])
@@ -231,7 +231,7 @@ class Server:
         self._saying = {}
 
     def _obey_control(self, text: str) -> None:
-        """Apply a message of /qrsim/control, and report an invalid one."""
+        """Execute a text of /qrsim/control, and report an invalid one."""
         try:
             self._control_world(text.split())
         except UsageError as error:
@@ -239,7 +239,8 @@ class Server:
         self._told_status = -math.inf
 
     def _control_world(self, words: list[str]) -> None:
-        """Apply a request of /qrsim/control: reset, step, pause, resume or an injection; raises UsageError."""
+        """Execute a request of /qrsim/control: reset, step, pause, resume or an injection; raises UsageError for
+        others."""
         what, rest = (words[0], words[1:]) if words else ("", [])
         if what not in CONTROLS:
             raise UsageError(
@@ -259,7 +260,8 @@ class Server:
             self._pacer = self._new_metronome()
 
     def _inject(self, words: list[str]) -> None:
-        """Inject a fault or change the wind; vehicles are given by name or namespace."""
+        """Inject a fault or change the wind, as a text of /qrsim/control asks, split into words; vehicles by name or
+        namespace."""
         names = dict(zip(self.messages.namespaces, self.simulation.vehicle_names, strict=True))
         try:
             request = parsed(" ".join(words))
@@ -269,7 +271,7 @@ class Server:
             raise UsageError(f"/qrsim/control {words[0]}: {error}") from None
 
     def _reset_world(self, seed: int) -> None:
-        """Start another episode with a seed, and publish its first messages."""
+        """Start an episode with a seed, and publish its first messages."""
         if self._flown is None:
             if self.recording is not None:
                 self.recording.end()
@@ -284,7 +286,7 @@ class Server:
         self.publish()
 
     def _publish_status(self) -> None:
-        """Publish time, pace and modes as JSON, at most once per STATUS_EVERY_S."""
+        """Publish time, pace, seed and injected faults as JSON text, at most every STATUS_EVERY_S [s]."""
         now = time.monotonic()
         if now - self._told_status < STATUS_EVERY_S:
             return
@@ -309,7 +311,8 @@ class Server:
 
 
 def _integer_argument(what: str, words: list[str], default: int, low: int, high: int) -> int:
-    """Return the integer argument of a control request, or its default; raises UsageError."""
+    """Return a control request's integer argument, or its default; raises UsageError, naming ``what``, outside ``low``
+    to ``high``."""
     if not words:
         return default
     if len(words) == 1 and words[0].isdecimal() and low <= int(words[0]) <= high:

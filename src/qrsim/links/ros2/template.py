@@ -51,7 +51,8 @@ class Template:
         self._scan_message("", message.__msgtype__, message, 0)
 
     def putter(self, *paths: str) -> Put:
-        """Return a function that writes numbers into the message at paths, in the order of its arguments.
+        """Return a function that writes its arguments into the encoded message at field paths such as "pose.x", in that
+        order.
 
         Args:
             paths: such as "pose.covariance", or "pose.covariance[7]" for one element.
@@ -72,7 +73,8 @@ class Template:
         return _putter(self.cdr, runs)
 
     def slot(self, path: str) -> tuple[int, str, int]:
-        """Return offset, struct code and count of a path, such as "pose.x" or "covariance[4]"; raises KeyError."""
+        """Return (byte offset, struct code, count) of a field path, such as "pose.x" or "covariance[4]"; raises
+        KeyError."""
         if path in self.places:
             return self.places[path]
         array, _, rest = path.partition("[")
@@ -83,13 +85,14 @@ class Template:
         return offset + number * struct.calcsize(f"<{code}"), code, 1
 
     def _scan_message(self, prefix: str, name: str, message: object, at: int) -> int:
-        """Store the offsets of a message that begins at an offset of the body, and return its end."""
+        """Store the byte offsets of all numbers of a nested message that begins at ``at``, and return its end;
+        ``prefix``: its path."""
         for field, description in self._types.fields(name):
             at = self._scan_field(f"{prefix}{field}", description, getattr(message, field), at)
         return at
 
     def _scan_field(self, path: str, description: Any, value: Any, at: int) -> int:
-        """Store the offsets of a field that begins at an offset of the body, and return its end."""
+        """Store the byte offsets of the numbers of a field that begins at ``at``, and return its end."""
         kind, content = description
         if kind == Nodetype.NAME:
             return self._scan_message(f"{path}.", content, value, at)
@@ -108,7 +111,8 @@ class Template:
         return at
 
     def _scan_numbers(self, path: str, base: str, count: int, at: int) -> int:
-        """Store the offset of ``count`` numbers, aligned to their size, and return their end."""
+        """Store the byte offset of ``count`` numbers of a type (``base``), aligned to their size, and return their
+        end."""
         code = _CODES[base]
         size = struct.calcsize(f"<{code}")
         at = self._aligned(at, size)
@@ -116,14 +120,15 @@ class Template:
         return at + size * count
 
     def _aligned(self, at: int, size: int) -> int:
-        """Return the next offset that is a multiple of a size."""
+        """Return the next offset from ``at`` on that is a multiple of ``size``."""
         at += -at % size
         self._taken.add(HEADER + at)
         return at
 
 
 def _putter(cdr: bytearray, runs: Sequence[tuple[int, str]]) -> Put:
-    """Return a function that packs its arguments into the runs (offset, struct format) of an encoded message."""
+    """Return a function that packs its arguments into the encoded message ``cdr`` at runs of (byte offset, struct
+    format)."""
     parts, first = [], 0
     for offset, form in runs:
         packer = struct.Struct(form)
@@ -134,13 +139,13 @@ def _putter(cdr: bytearray, runs: Sequence[tuple[int, str]]) -> Put:
         pack_into, offset, _ = parts[0]
 
         def put_once(*values: float) -> None:
-            """Pack all numbers at the only run."""
+            """Pack all numbers at the only stored byte offset."""
             pack_into(cdr, offset, *values)
 
         return put_once
 
     def put(*values: float) -> None:
-        """Pack the numbers at the runs; raises ValueError for another count."""
+        """Pack the numbers at the stored byte offsets, in order; raises ValueError for a wrong count."""
         if len(values) != first:
             raise ValueError(f"{len(values)} numbers; expected {first}")
         for pack_into, offset, own in parts:

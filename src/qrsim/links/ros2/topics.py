@@ -45,22 +45,23 @@ class Kind:
 
 
 def _three_columns(first: int) -> tuple[int, ...]:
-    """Return ``first`` and the next two column numbers."""
+    """Return three consecutive column numbers, ``first`` and the next two."""
     return first, first + 1, first + 2
 
 
 def _vector_fields(path: str, first: int) -> tuple[tuple[str, tuple[int, ...]], ...]:
-    """Return (path, column number) of x, y, z of a vector, from the column ``first`` on."""
+    """Return (field path, column numbers) of x, y and z of a vector, which are in columns ``first`` to ``first +
+    2``."""
     return tuple((f"{path}.{axis}", (column,)) for axis, column in zip("xyz", _three_columns(first), strict=True))
 
 
 def _quaternion_fields(path: str, first: int) -> tuple[tuple[str, tuple[int, ...]], ...]:
-    """Return (path, column number) of x, y, z, w of a quaternion, from the column ``first`` on."""
+    """Return (field path, column numbers) of x, y, z and w of a quaternion, in columns ``first`` to ``first + 3``."""
     return (*_vector_fields(path, first), (f"{path}.w", (first + 3,)))
 
 
 def _diagonal_fields(path: str, size: int, columns: tuple[int, ...]) -> tuple[tuple[str, tuple[int, ...]], ...]:
-    """Return (path, column number) of the diagonal of a covariance (size, size)."""
+    """Return (field path, (column,)) for each diagonal element of a covariance (size, size), from the given columns."""
     return tuple((f"{path}[{i * (size + 1)}]", (column,)) for i, column in enumerate(columns))
 
 
@@ -235,7 +236,7 @@ STATE, STATE_TYPE = "state", "std_msgs/msg/String"
 
 
 def frame_of(kind: Kind, namespace: str) -> str:
-    """Return the frame_id of a vehicle's message of a kind."""
+    """Return the frame_id of a vehicle's messages on a kind of topic."""
     if kind.frame == "map":
         return MAP
     return {"base_link": base_link, "gnss": gnss_link, "range": range_link}[kind.frame](namespace)

@@ -61,7 +61,7 @@ class Transforms:
         self._templates: dict[bytes, tuple[Template, list[Put]]] = {}
 
     def message(self, numbers: NumpyArray, stamps: Sequence[tuple[int, int]]) -> bytes:
-        """Return the encoded /tf message for message values (n, WIDTH), with the stamps of the n vehicles."""
+        """Return the encoded /tf message from numbers (n, WIDTH), with the stamp (s, ns) of each vehicle."""
         poses = numbers[:, _COLUMNS]
         known = np.isfinite(poses).all(axis=1)
         key = known.tobytes()
@@ -74,7 +74,8 @@ class Transforms:
         return bytes(template.cdr)
 
     def _transforms_template(self, rows: list[int]) -> tuple[Template, list[Put]]:
-        """Return the template of /tf for some vehicles, and a function for each that writes its transform."""
+        """Return an encoded /tf message of the vehicles at ``rows``, and for each a function that writes its transform
+        into it."""
         parts = [transform(self._types, MAP, base_link(self._namespaces[row])) for row in rows]
         template = Template(self._types, self._types[TYPE](parts))
         return template, [template.putter(*(f"transforms.{i}.{path}" for path in _PATHS)) for i in range(len(rows))]
@@ -83,7 +84,7 @@ class Transforms:
 def transform(
     types: Types, parent: str, child: str, place: Sequence[float] = (0.0, 0.0, 0.0), turn: Sequence[float] = _LEVEL
 ) -> Message:
-    """Return a transform of a child frame in its parent: translation [m] and rotation (x, y, z, w)."""
+    """Return a transform message of a child frame in its parent: translation [m] and rotation (x, y, z, w)."""
     found = empty(types, ONE)
     found.header.frame_id, found.child_frame_id = parent, child
     found.transform.translation = types["geometry_msgs/msg/Vector3"](*map(float, place))
@@ -92,7 +93,7 @@ def transform(
 
 
 def static_transforms(types: Types, world: World, namespaces: Sequence[str], site: Site) -> Message:
-    """Return the message of /tf_static: the map on the Earth (REP-105), beacons, and some sensors of vehicles."""
+    """Return the message of /tf_static: map on the Earth (REP-105), beacons, and sensors that are fixed to vehicles."""
     found, rest = [on_earth(types, site), *_beacons(types, world)], iter(namespaces)
     for fleet in world.fleets:
         for _ in range(fleet.size):
@@ -101,7 +102,7 @@ def static_transforms(types: Types, world: World, namespaces: Sequence[str], sit
 
 
 def on_earth(types: Types, site: Site) -> object:
-    """Return the transform of the map, east, north, up, in the frame of the Earth: ECEF of WGS-84."""
+    """Return the transform of the map (east, north, up) in the Earth-centred frame (ECEF of WGS-84)."""
     latitude, longitude = site.latitude_rad, site.longitude_rad
     # About z by the longitude and a quarter turn, which brings x to the east, then about x by the colatitude.
     about, tilt = 0.5 * (longitude + 0.5 * math.pi), 0.5 * (0.5 * math.pi - latitude)
@@ -115,7 +116,7 @@ def on_earth(types: Types, site: Site) -> object:
 
 
 def _beacons(types: Types, world: World) -> list[object]:
-    """Return the transforms from the map to beacons that a sensor ranges to."""
+    """Return the transforms from the map to each beacon to which a sensor measures ranges."""
     found: dict[str, object] = {}
     for sensor in (each for fleet in world.fleets for each in fleet.sensors):
         if isinstance(sensor, RANGINGS) and sensor.beacon_ned is not None:
@@ -126,7 +127,7 @@ def _beacons(types: Types, world: World) -> list[object]:
 
 
 def _vehicle_transforms(types: Types, fleet: Fleet, name: str) -> list[object]:
-    """Return the static transforms from a vehicle to the frames of its sensors."""
+    """Return the static transforms from a vehicle's body frame to the frames of its sensors."""
     transforms: dict[str, object] = {}
     for number, sensor in enumerate(fleet.sensors):
         turn: Sequence[float] = _LEVEL

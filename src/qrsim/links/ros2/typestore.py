@@ -66,14 +66,14 @@ class Types:
         return self.store.types[name]
 
     def hash(self, name: str) -> str:
-        """Return the RIHS01 hash of a type; "" for a distribution without hashes."""
+        """Return the RIHS01 hash of a message type; "" for a ROS distribution without hashes."""
         if self.distro in _WITHOUT_HASHES:
             return ""
         found: str = self.store.hash_rihs01(name)
         return found
 
     def service_hash(self, name: str) -> str:
-        """Return the RIHS01 hash of a service; "" for a distribution without hashes."""
+        """Return the RIHS01 hash of a service type; "" for a ROS distribution without hashes."""
         if self.distro in _WITHOUT_HASHES:
             return ""
         # A copy of the store, for types of events are of no other use.
@@ -83,15 +83,15 @@ class Types:
         return found
 
     def encode(self, message: Message) -> bytes:
-        """Encode a message as CDR bytes."""
+        """Encode a ROS message as CDR bytes."""
         return bytes(self.store.serialize_cdr(message, message.__msgtype__))
 
     def decode(self, cdr: bytes, name: str) -> object:
-        """Decode CDR bytes to a message of a type."""
+        """Decode CDR bytes to a ROS message of the type ``name``."""
         return self.store.deserialize_cdr(cdr, name)
 
     def heard(self, samples: Iterable[bytes], name: str) -> list[Message]:
-        """Return the decoded messages that another node has sent as CDR, without invalid ones."""
+        """Decode messages that other nodes have sent in CDR; invalid ones are left out."""
         found = []
         for cdr in samples:
             # One node that sends garbage must not end the flights of all.
@@ -100,11 +100,11 @@ class Types:
         return found
 
     def fields(self, name: str) -> Fields:
-        """Return the fields of a type with their descriptions, in order."""
+        """Return (field name, description) of each field of a message type, in order."""
         return self.store.fielddefs[name][1]
 
     def sample(self, name: str) -> Any:
-        """Return the DDS type of a message: a class whose instances have ``cdr``, XCDR1 bytes.
+        """Return the DDS class for a message type; its instances hold CDR bytes in ``cdr``, which qrsim encodes.
 
         The library would turn a message into an object of its own field by field; qrsim hands it bytes.
         """
@@ -116,7 +116,8 @@ class Types:
         return self._samples[name]
 
     def _struct(self, name: str, alone: bool = False) -> Any:
-        """Return the DDS struct type of a message type as rmw_cyclonedds describes it; ``alone``: a fresh one."""
+        """Return the DDS struct class for a message type, as rmw_cyclonedds describes it; ``alone``: a new one, not
+        shared."""
         if name in self._structs and not alone:
             return self._structs[name]
         fields = {field: self._dds_type(description) for field, description in self.fields(name)}
@@ -126,7 +127,7 @@ class Types:
         return struct
 
     def _dds_type(self, description: Any) -> object:
-        """Return the DDS type of a field from its description."""
+        """Return the DDS type of a message field from rosbags' description."""
         kind, content = description
         if kind == Nodetype.NAME:
             return self._struct(content)
@@ -142,25 +143,25 @@ class Types:
 
 
 def _serialized(sample: Message, *args: object, **options: object) -> bytes:
-    """Return the CDR bytes of a sample; replaces the library's serialisation."""
+    """Return the CDR bytes that a DDS sample holds; in place of cyclonedds' serialisation."""
     cdr: bytes = sample.cdr
     return cdr
 
 
 def packed(kind: Any, cdr: bytes, *args: Any, **options: Any) -> Any:
-    """Return a sample of a DDS type (``Types.sample``), as the library builds it from received bytes."""
+    """Return a sample of a DDS class that holds the received bytes; in place of cyclonedds' deserialisation."""
     sample = object.__new__(kind)
     sample.cdr = cdr
     return sample
 
 
 def dds_name(name: str) -> str:
-    """Return DDS's name of a type: "sensor_msgs/msg/Imu" is "sensor_msgs::msg::dds_::Imu_"."""
+    """Return the DDS name of a ROS type: "sensor_msgs/msg/Imu" is "sensor_msgs::msg::dds_::Imu_"."""
     package, _, own = name.rpartition("/")
     return f"{package.replace('/', '::')}::dds_::{own}_"
 
 
 def other_type(topic: str, kind: str) -> str:
-    """Return the warning about a topic that another node writes with an unexpected type, named as in DDS."""
+    """Return the warning that another node writes a topic with an unexpected type; ``kind``: its DDS name."""
     name = kind.replace("::dds_::", "::").replace("::", "/").rstrip("_")
     return f"{topic}: another node writes it as {name}, which is not read"

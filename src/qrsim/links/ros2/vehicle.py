@@ -77,7 +77,7 @@ class Publication:
         self.status = template.places.get("status.status")
 
     def message(self, row: Sequence[float], sec: int, nanosec: int) -> bytes | None:
-        """Return the message of a row of numbers at a time; None where a number that it needs is unknown."""
+        """Return the CDR message for a row of numbers at a time (s, ns); None if a number that it needs is unknown."""
         for column in self.needs:
             if row[column] != row[column]:
                 return None
@@ -91,13 +91,14 @@ class Publication:
 
     @property
     def form(self) -> tuple[object, ...]:
-        """Equal where messages differ in bytes, but not in the places and columns of their numbers."""
+        """Key that is equal for messages which differ only in constants, so that they can be written together."""
         puts = tuple((slot, tuple(columns)) for slot, columns in self.puts)
         return self.kind.topic, len(self.cdr), tuple(self.stamp), puts, self.status, tuple(self.needs), self.sensor
 
 
 def kinds_of(sensors: Sensors, drains: bool, windy: bool) -> list[Kind]:
-    """Return the kinds of messages that a vehicle with these sensors publishes.
+    """Return the kinds of messages that a vehicle with these sensors publishes; ``drains``: it has a battery,
+    ``windy``: it estimates the wind.
 
     Args:
         sensors: of the vehicle.
@@ -109,7 +110,7 @@ def kinds_of(sensors: Sensors, drains: bool, windy: bool) -> list[Kind]:
 
 
 def _of_imu(sensors: Sensors) -> tuple[tuple[int, ...], int, tuple[str, ...]]:
-    """Return an Imu message's columns, the column whose time paces it, and its fields without a sensor."""
+    """Return an Imu message's column groups, the column whose sensor times it, and the fields that no sensor fills."""
     gyroscope, accelerometer = sensors(s.RATES) is not None, sensors(s.FORCE) is not None
     if gyroscope and accelerometer:
         return (n.RATES, n.FORCE), s.RATES, ()
@@ -119,11 +120,11 @@ def _of_imu(sensors: Sensors) -> tuple[tuple[int, ...], int, tuple[str, ...]]:
 
 
 def _no_constants(message: object, sensors: Sensors, number: int) -> None:
-    """Do nothing: the message has no constants."""
+    """Do nothing, for messages that have no constant fields."""
 
 
 def _set_fix(message: Message, sensors: Sensors, number: int) -> None:
-    """Set the constants of a NavSatFix: the receiver's systems and the type of covariance."""
+    """Set the constant fields of a NavSatFix message: satellite systems and covariance type."""
     receiver = sensors(s.FIX_POSITION)
     message.status.service = _SERVICES["G"]
     if isinstance(receiver, Gnss):
@@ -132,7 +133,7 @@ def _set_fix(message: Message, sensors: Sensors, number: int) -> None:
 
 
 def _set_inertial(message: Message, sensors: Sensors, number: int) -> None:
-    """Set the covariances of an Imu from the noise of the sensors; -1 where a sensor is missing."""
+    """Set an Imu message's covariances from the noise of vehicle ``number``'s sensors; -1 where a sensor is missing."""
     for covariance, column, variance in (
         (message.angular_velocity_covariance, s.RATES, variances.of_rates),
         (message.linear_acceleration_covariance, s.FORCE, variances.of_force),
@@ -145,17 +146,17 @@ def _set_inertial(message: Message, sensors: Sensors, number: int) -> None:
 
 
 def _set_field(message: Message, sensors: Sensors, number: int) -> None:
-    """Set the covariance of a MagneticField."""
+    """Set a MagneticField message's covariance from the noise of vehicle ``number``'s magnetometer."""
     message.magnetic_field_covariance[[0, 4, 8]] = variances.of_field(sensors(s.FIELD), number)
 
 
 def _set_pressure(message: Message, sensors: Sensors, number: int) -> None:
-    """Set the variance of a FluidPressure."""
+    """Set a FluidPressure message's variance from the noise of vehicle ``number``'s barometer."""
     message.variance = variances.of_pressure(sensors(s.PRESSURE), number)
 
 
 def _set_range(message: Message, sensors: Sensors, number: int) -> None:
-    """Set the limits and the radiation type of a Range."""
+    """Set a Range message's limits and radiation type from vehicle ``number``'s rangefinder."""
     sensor = sensors(s.RANGE)
     message.radiation_type = _INFRARED
     message.min_range, message.max_range = 0.0, FARTHEST
@@ -165,7 +166,7 @@ def _set_range(message: Message, sensors: Sensors, number: int) -> None:
 
 
 def _set_battery(message: Message, sensors: Sensors, number: int) -> None:
-    """Set the constants of a BatteryState; quantities that are not measured are NaN."""
+    """Set the constant fields of a BatteryState message; quantities that are not measured are NaN."""
     # What is not measured is NaN (sensor_msgs/BatteryState).
     message.temperature = message.current = message.charge = message.capacity = message.design_capacity = NAN
     message.power_supply_status, message.power_supply_health = _DISCHARGING, _GOOD

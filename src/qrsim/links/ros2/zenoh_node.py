@@ -81,7 +81,7 @@ class ZenohNode:
         return True
 
     def writer(self, topic: Topic) -> ZenohWriter:
-        """Return a new writer of a topic."""
+        """Return a new publisher of a topic."""
         profile = PROFILES[topic.quality]
         if topic.quality == "sensor" and self._resend:
             profile = Profile(reliable=True, depth=profile.depth)
@@ -98,7 +98,7 @@ class ZenohNode:
         return ZenohWriter(made, hashlib.blake2b(token.encode(), digest_size=16).digest())
 
     def reader(self, topic: Topic) -> ZenohReader:
-        """Return a new reader of a topic."""
+        """Return a new subscriber of a topic."""
         self._declare("MS", self._token_fields(topic, PROFILES[topic.quality]))
         self._read.setdefault(topic.name, set()).add(dds_name(topic.type))
         channel = zenoh.handlers.RingChannel(_MOST_AT_ONCE)
@@ -115,7 +115,7 @@ class ZenohNode:
         return ZenohReader(self._types, topic, made)
 
     def service(self, name: str, kind: str) -> ZenohService:
-        """Return a new service, as rmw_zenoh has them: a queryable, whose replies carry the attachment of the query."""
+        """Return a new service: a zenoh queryable, as in rmw_zenoh, whose replies carry the query's attachment."""
         own = self._types.service_hash(kind) or _NO_HASH
         told = f"/{_mangled(name)}/{dds_name(kind)}/{own}/{_qualities(PROFILES['service'])}"
         self._declare("SS", told)
@@ -126,10 +126,10 @@ class ZenohNode:
         return ZenohService(self._types, kind, key, made)
 
     def announce(self) -> None:
-        """Do nothing: liveliness tokens have announced every topic."""
+        """Do nothing, since zenoh's liveliness tokens have already announced every topic."""
 
     def remarks(self) -> list[str]:
-        """Return a warning for each topic that this node reads and another node writes with another type.
+        """Return a warning for each subscribed topic that another node publishes with another type.
 
         Qualities of service need not match: rmw_zenoh delivers whatever they are.
         """
@@ -146,23 +146,24 @@ class ZenohNode:
         return found
 
     def close(self) -> None:
-        """Undeclare everything and close the session."""
+        """Undeclare all publishers, subscribers and tokens, and close the zenoh session."""
         self._session.close()
 
     def _key_expression(self, topic: Topic) -> str:
-        """Return the key expression of a topic: domain, name, type and hash."""
+        """Return the zenoh key expression of a topic: ROS domain, name, type and type hash."""
         return f"{self._domain}/{topic.name.strip('/')}/{dds_name(topic.type)}/{self._type_hash(topic.type)}"
 
     def _type_hash(self, name: str) -> str:
-        """Return the hash of a type, or rmw_zenoh's text for a missing one."""
+        """Return the hash of a message type, or the text that rmw_zenoh uses for a missing hash."""
         return self._types.hash(name) or _NO_HASH
 
     def _token_fields(self, topic: Topic, profile: Profile) -> str:
-        """Return name, type, hash and QoS of the topic that a token announces."""
+        """Return the part of a liveliness token that describes a topic: name, type, hash and QoS."""
         return f"/{_mangled(topic.name)}/{dds_name(topic.type)}/{self._type_hash(topic.type)}/{_qualities(profile)}"
 
     def _declare(self, what: str, told: str) -> str:
-        """Declare a liveliness token of this node (NN), a publisher (MP) or a subscriber (MS); return the token."""
+        """Declare a liveliness token (``what``: NN node, MP publisher, MS subscriber, SS service) with content
+        ``told``; return it."""
         token = f"@ros2_lv/{self._domain}/{self._zid}/0/{self._entities}/{what}/%/%/{self._node}{told}"
         self._entities += 1
         self._kept.append(self._session.liveliness().declare_token(token))
@@ -170,7 +171,8 @@ class ZenohNode:
 
 
 def _config(router: str, listen: str) -> object:
-    """Return the zenoh session settings of rmw_zenoh's nodes, but a missing router is no error."""
+    """Return rmw_zenoh's session settings for the addresses ``router`` and ``listen``, except that a missing router is
+    no error."""
     config = zenoh.Config()
     for path, value in (
         ("mode", "peer"),
@@ -186,14 +188,14 @@ def _config(router: str, listen: str) -> object:
 
 
 def _qualities(profile: Profile) -> str:
-    """Return a QoS profile as text in the form of liveliness tokens."""
+    """Encode a QoS profile as text for a liveliness token."""
     reliability = "" if profile.reliable else _BEST_EFFORT
     durability = _TRANSIENT_LOCAL if profile.latched else ""
     return f"{reliability}:{durability}:,{profile.depth}:,:,:,,"
 
 
 def _mangled(name: str) -> str:
-    """Return a name with "/" replaced by "%", as in tokens."""
+    """Return a topic or node name with "/" replaced by "%", as in liveliness tokens."""
     return name.replace("/", "%")
 
 
@@ -209,7 +211,7 @@ class ZenohWriter:
         self._number, self.lost = 0, 0
 
     def write(self, cdr: bytes) -> None:
-        """Write a message in CDR; never waits."""
+        """Publish a message, encoded in CDR; never waits."""
         self._number += 1
         self._publisher.put(cdr, attachment=attachment(self._number, time.time_ns()) + self._gid)
 
@@ -243,7 +245,7 @@ class ZenohService:
         self._types, self._kind, self._key_expression, self._queryable = types, kind, key, queryable
 
     def take(self) -> list[tuple[zenoh.Query, Message]]:
-        """Return the requests that have arrived, oldest first: the query, and the message."""
+        """Return the requests that have arrived, oldest first, each as (zenoh query, message)."""
         found = []
         for _ in range(_MOST_AT_ONCE):
             query = self._queryable.try_recv()
@@ -255,7 +257,7 @@ class ZenohService:
         return found
 
     def reply(self, request: Message, response: Message) -> None:
-        """Send the response to a request."""
+        """Send the response to a request that ``take`` returned."""
         own = request.attachment
         request.reply(
             self._key_expression, self._types.encode(response), attachment=None if own is None else own.to_bytes()
@@ -264,7 +266,7 @@ class ZenohService:
 
 
 def _length_prefixed(name: str) -> bytes:
-    """Return a name as bytes with its length in front."""
+    """Encode a name as bytes with its length in front, as zenoh does."""
     return bytes([len(name)]) + name.encode()
 
 
@@ -272,5 +274,5 @@ _SEQUENCE, _TIME = _length_prefixed("sequence_number"), _length_prefixed("source
 
 
 def attachment(number: int, nanoseconds: int) -> bytes:
-    """Return the first two parts of an attachment, in the serialisation of zenoh: sequence number and time."""
+    """Return the first two parts of a zenoh attachment: sequence number and time [ns]."""
     return _SEQUENCE + struct.pack("<q", number) + _TIME + struct.pack("<q", nanoseconds)

@@ -19,7 +19,7 @@ SCANS, RANGINGS, NEIGHBOURS = (Scan, IdealScan), (Ranging, IdealRanging), (Neigh
 
 
 def first_of(fleet: Fleet, kinds: tuple[type, ...]) -> int | None:
-    """Return the index of a fleet's first sensor of one of some types; None without one."""
+    """Return the index of a fleet's first sensor that is an instance of one of ``kinds``; None without one."""
     return next((i for i, sensor in enumerate(fleet.sensors) if isinstance(sensor, kinds)), None)
 
 
@@ -57,18 +57,19 @@ class Around:
             self._rows += [(fleet, i, scan, neighbours, period) for i in range(fleet.size)]
 
     def _reading(self, fleet: Fleet, sensor: int) -> Any:
-        """Return the present reading of a fleet's sensor, selected by its number in the fleet."""
+        """Return the present reading of a fleet's sensor, given by its index."""
         return getattr(self._simulation.reading[fleet.name], fleet.sensor_names[sensor])
 
     def scan(self, row: int) -> tuple[Any, int, NumpyArray] | None:
-        """Return the lidar of a vehicle, its number in the fleet, and its ranges (R,), from left to right; or None."""
+        """Return a vehicle's lidar, its number in the fleet, and its measured ranges (R,) [m], left to right; None
+        without a lidar."""
         fleet, own, sensor, _, _ = self._rows[row]
         if sensor is None:
             return None
         return fleet.sensors[sensor], own, np.asarray(self._reading(fleet, sensor).range, np.float64)[own]
 
     def neighbours(self, row: int) -> Neighbours | None:
-        """Return the neighbours that a vehicle senses, the nearest first; None without such a sensor."""
+        """Return the neighbours that the vehicle at ``row`` senses, nearest first; None without such a sensor."""
         fleet, own, _, sensor, _ = self._rows[row]
         if sensor is None:
             return None
@@ -83,5 +84,6 @@ class Around:
         return Neighbours(position[there], velocity[there], vehicle[there])
 
     def flow_period(self, row: int) -> float:
-        """Return the interval between readings of a vehicle's optical flow [s]; 0 without one."""
+        """Return the interval [s] between the optical-flow readings of the vehicle at ``row``; 0 without such a
+        sensor."""
         return self._rows[row][4]

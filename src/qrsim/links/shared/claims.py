@@ -20,20 +20,21 @@ class Claims:
         self._holders: dict[str, int] = {}
 
     def holder(self, vehicle: str) -> int:
-        """Return the number of the controller that has claimed a vehicle, 0 for a free vehicle."""
+        """Return the number of the client that has claimed a vehicle, 0 for a free vehicle."""
         return self._holders.get(vehicle, 0)
 
     def of(self, holder: int) -> tuple[str, ...]:
-        """Return the names of the vehicles that a controller has claimed, in their order in the world."""
+        """Return the names of the vehicles that client number ``holder`` has claimed, in their order in the world."""
         return tuple(name for name in self._names if self._holders.get(name) == holder)
 
     @property
     def holders(self) -> list[int]:
-        """Return the numbers of all controllers that have claimed a vehicle, sorted."""
+        """Return the numbers of all clients that have claimed a vehicle, sorted."""
         return sorted(set(self._holders.values()))
 
     def take(self, holder: int, wanted: Sequence[str]) -> tuple[str, ...]:
-        """Claim vehicles, all of them or none (without names: all free ones); return the newly claimed names.
+        """Claim vehicles for client number ``holder``, all or none (no names: all free ones); return the newly claimed
+        names.
 
         Raises:
             UsageError: no vehicle is called so, takes orders, or is free; another one has it, who is named.
@@ -52,7 +53,7 @@ class Claims:
         return found
 
     def give_back(self, holder: int, names: Sequence[str] = ()) -> tuple[str, ...]:
-        """Release vehicles of a controller, by default all of them, and return their names.
+        """Release vehicles of client number ``holder`` (no names: all of its vehicles), and return their names.
 
         Raises:
             UsageError: one of them is not his.
@@ -65,7 +66,8 @@ class Claims:
         return found
 
     def check_own(self, holder: int, name: str, what: str) -> None:
-        """Raise UsageError unless the controller ``holder`` has claimed the vehicle ``name``."""
+        """Raise UsageError, beginning with ``what``, unless client number ``holder`` has claimed the vehicle
+        ``name``."""
         other = self.holder(name)
         if other == holder:
             return
@@ -76,18 +78,18 @@ class Claims:
         raise UsageError(f"{what}: '{name}' is not claimed; CLAIM it first")
 
     def _check_claimable(self, name: str) -> None:
-        """Check that a vehicle exists and takes orders; raises UsageError."""
+        """Raise UsageError unless a vehicle exists and can take orders."""
         if name not in self._names:
             raise self._unknown_vehicle(name, "CLAIM")
         if name in self._deaf:
             raise UsageError(f"CLAIM: '{name}' takes no orders: its scenario sets its motion")
 
     def _unknown_vehicle(self, name: str, what: str) -> UsageError:
-        """Return the error for a name that no vehicle has."""
+        """Return the error, beginning with ``what``, for a name that no vehicle has."""
         return UsageError(f"{what}: no vehicle is called '{name[:60]}'{did_you_mean(name[:60], self._names)}")
 
     def _describe_holders(self) -> str:
-        """Return a text with up to five claimed vehicles and the clients that fly them."""
+        """Return a text with up to five claimed vehicles and the clients that have claimed them."""
         held = [f"'{name}' is flown by client {holder}" for name, holder in self._holders.items()]
         shown = "; ".join(held[:5])
         return f"{shown}; and {len(held) - 5} more" if len(held) > 5 else shown or "none of them takes orders"

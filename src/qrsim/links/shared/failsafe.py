@@ -15,7 +15,8 @@ from qrsim.world.sensing import estimate_of
 def failsafe(
     does: OnSilence, vehicle: str, believed: NumpyArray, home_ned: NumpyArray, kinds: Collection[str]
 ) -> Order | None:
-    """Return the failsafe order of a silent vehicle (stop, hold or return); None: its guidance flies on.
+    """Return a silent vehicle's order to hold, return or stop (``does``), from its estimate (x, y, z, heading); None:
+    its guidance flies.
 
     Args:
         does: what is wanted of it.
@@ -34,7 +35,7 @@ def failsafe(
 
 
 def believed_of(simulation: Simulation) -> NumpyArray:
-    """Return the estimated positions NED [m] and headings [rad] (n, 4) of all vehicles.
+    """Return the estimated position NED [m] and heading [rad] of all vehicles, (n, 4).
 
     Where the sensors say nothing now, it is what was believed last, and before that the truth.
     """

@@ -12,7 +12,7 @@ from qrsim.world.state import World
 
 
 def put_down(content: Content, world: World, fleets: Collection[str]) -> None:
-    """Move the starts of the fleets' vehicles to the ground below, standing on it; changes ``content`` in place.
+    """Move the vehicles' starts in a scenario's content, in place, onto the ground below them, for these fleets.
 
     Args:
         content: of a scenario, which is changed.
@@ -31,7 +31,7 @@ def put_down(content: Content, world: World, fleets: Collection[str]) -> None:
 
 
 def standing(fleet: Content, has_ground: bool) -> None:
-    """Remove route, legs and initial speed of a fleet's content in place, so that its vehicles stay at the start.
+    """Remove routes and initial speeds from a fleet's content in place, so that its vehicles stay where they start.
 
     Args:
         fleet: content, which is changed.

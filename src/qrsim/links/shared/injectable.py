@@ -23,7 +23,7 @@ DELAY_MAX = 0.5
 
 
 def may_fail(content: Content, names: Sequence[str]) -> None:
-    """Declare sensors and parts of all fleets as injectable; changes a scenario's content in place.
+    """Declare sensors and parts (``names``) as open to injected faults in all fleets of a scenario's content, in place.
 
     Args:
         content: of the scenario.
@@ -58,7 +58,7 @@ def may_fail(content: Content, names: Sequence[str]) -> None:
 
 
 def _has_part(content: Content, fleet: Content, part: str) -> bool:
-    """Return whether a fleet of a scenario's content has a part, such as a battery, that is no sensor."""
+    """Return whether a fleet in a scenario's content has a part, such as a battery, other than its sensors."""
     if part == "rotors":
         return issubclass(VEHICLES[fleet["vehicle"]["type"]], Multirotor)
     if part == "battery":
@@ -69,7 +69,7 @@ def _has_part(content: Content, fleet: Content, part: str) -> bool:
 
 
 def with_injectable(scenario: Scenario, names: Sequence[str]) -> Scenario:
-    """Return a scenario in which clients may inject faults into the named parts; without names, the scenario itself.
+    """Return a scenario in which clients may inject faults into the named sensors and parts; itself without names.
 
     Raises:
         UsageError: see ``may_fail``.
@@ -82,7 +82,7 @@ def with_injectable(scenario: Scenario, names: Sequence[str]) -> Scenario:
 
 
 def of_those(scenario: Scenario, names: Sequence[str]) -> list[str]:
-    """Return the names that are sensors or parts of a vehicle in the scenario; drop the others."""
+    """Return those of ``names`` that are sensors or parts of some vehicle in the scenario."""
     content = scenario.spec.model_dump(mode="json")
     fleets = content["fleets"].values()
     return [

@@ -69,7 +69,7 @@ class Field:
 
 
 def kinds_of(fleet: Fleet) -> dict[str, tuple[Field, ...]]:
-    """Return order kind -> its number fields for the orders that a fleet's vehicles take; empty if none."""
+    """Return the kinds of orders that a fleet's vehicles take, each with its number fields; {} if they take none."""
     command = fleet.vehicle.command_type
     limits = limits_of(command)
     if not limits:
@@ -84,12 +84,12 @@ def kinds_of(fleet: Fleet) -> dict[str, tuple[Field, ...]]:
 
 
 def _units_by_field(command: type) -> dict[str, str]:
-    """Return field -> unit of a command; "1" for numbers without a unit."""
+    """Return field -> unit of a command class; "1" for numbers without a unit."""
     return {field.name: field_info(field).unit or "1" for field in dataclasses.fields(command)}
 
 
 def record_of(kind: str, columns: NumpyArray, command: type) -> object:
-    """Return the set-point or command of n vehicles as a record of an order kind.
+    """Return the set-points or commands of n vehicles as one record, from numbers (V, n) of an order kind.
 
     Args:
         kind: one of NAMES.
@@ -109,7 +109,8 @@ def record_of(kind: str, columns: NumpyArray, command: type) -> object:
 
 
 def checked(order: Order, kinds: Mapping[str, tuple[Field, ...]], dtype: DType) -> Order:
-    """Return an order unchanged; raises UsageError if the vehicle does not take its kind or a number is invalid.
+    """Return an order unchanged; raises UsageError if the vehicle does not take its kind (a key of ``kinds``) or a
+    number is invalid.
 
     Raises:
         UsageError: its kind is not one that the vehicle takes, or a number is missing, not finite or out of its range.

@@ -50,13 +50,14 @@ class Latches:
             first += fleet.size
 
     def row(self, vehicle: str) -> int:
-        """Return the index of a vehicle in the world; raises UsageError for an unknown name."""
+        """Return the index of a vehicle among all vehicles of the world; raises UsageError for an unknown name."""
         if vehicle not in self._rows:
             raise UsageError(f"no vehicle is called '{vehicle[:60]}'{did_you_mean(vehicle[:60], self.names)}")
         return self._rows[vehicle]
 
     def kinds(self, vehicle: str) -> Mapping[str, tuple[Field, ...]]:
-        """Return the kinds of orders that a vehicle takes; raises UsageError for an unknown name."""
+        """Return the kinds of orders that a vehicle takes, each with its number fields; raises UsageError for an
+        unknown name."""
         return self._kinds[self.names[self.row(vehicle)]]
 
     def checked(self, order: Order) -> Order:
@@ -64,19 +65,20 @@ class Latches:
         return checked(order, self.kinds(order.vehicle), self._dtype)
 
     def put(self, order: Order) -> None:
-        """Store a checked order as the one that its vehicle flies until the next."""
+        """Store a checked order, which its vehicle then flies until the next order."""
         row, numbers = self.row(order.vehicle), order.numbers
         self.codes[row] = _CODES[order.kind]
         self.numbers[row] = (*numbers, *self._none[len(numbers) :])
 
     def clear(self, vehicle: str) -> None:
-        """Return a vehicle to the guidance of its scenario."""
+        """Return a vehicle to its scenario's guidance."""
         row = self.row(vehicle)
         self.codes[row] = 0
         self.numbers[row] = np.nan
 
     def actions(self) -> dict[str, Some]:
-        """Return the action of each fleet for ``Simulation.step``; the next call overwrites its arrays."""
+        """Return the action of each fleet, made of the stored orders, for ``Simulation.step``; the next call overwrites
+        its arrays."""
         return {fleet.name: fleet.filled(self.codes, self.numbers) for fleet in self._fleets}
 
 
@@ -97,7 +99,8 @@ class _FleetParts:
         self._some = Some(tuple(parts))
 
     def filled(self, codes: NumpyArray, numbers: NumpyArray) -> Some:
-        """Return the fleet's action from the codes (n,) and numbers (n, V) of all vehicles' orders."""
+        """Return the fleet's action from the kind codes (n,) and numbers (n, V) of the orders of all vehicles in the
+        world."""
         codes, numbers = codes[self._own], numbers[self._own]
         for code, which, columns in self._parts:
             np.equal(codes, code, out=which)

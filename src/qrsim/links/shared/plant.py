@@ -94,11 +94,11 @@ class Plant:
         self.restart()
 
     def keep_pace(self, factor: float) -> None:
-        """Set the real-time factor by which silence is measured; 0: unknown."""
+        """Set the real-time factor by which a client's silence is converted to simulated time; 0: unknown."""
         self._stretch = max(1.0, factor)
 
     def restart(self) -> None:
-        """Reset for a new episode: all vehicles fly by their guidance, and claims stay."""
+        """Reset for a new episode: all vehicles fly by their scenario's guidance, and clients keep their claims."""
         before = self.controlled
         self.controlled = {name: Controlled() for name in self.latches.names}
         for name, now in self.controlled.items():
@@ -116,7 +116,7 @@ class Plant:
     # ---- what controllers ask ----
 
     def claim(self, holder: int, names: Sequence[str] = (), silence: Silence | None = None) -> tuple[str, ...]:
-        """Claim vehicles for a controller, by default all free ones; return the newly claimed names.
+        """Claim vehicles for client number ``holder`` (no names: all free ones); return the newly claimed names.
 
         Args:
             holder: number of the controller.
@@ -138,7 +138,8 @@ class Plant:
         return found
 
     def release(self, holder: int, names: Sequence[str] = ()) -> tuple[str, ...]:
-        """Return vehicles to their scenario's guidance; return their names; raises UsageError."""
+        """Return vehicles of client number ``holder`` to their scenario's guidance; return their names; raises
+        UsageError."""
         found = self.claims.give_back(holder, names)
         for name in found:
             self.controlled[name] = Controlled()
@@ -146,7 +147,8 @@ class Plant:
         return found
 
     def lose(self, holder: int) -> tuple[str, ...]:
-        """Free the vehicles of a controller that has left; return their names; they follow their silence behaviour."""
+        """Free the vehicles of client number ``holder``, which has left; they do what is set for silence. Return their
+        names."""
         found = self.claims.give_back(holder)
         for name in found:
             now = self.controlled[name]
@@ -154,7 +156,7 @@ class Plant:
         return found
 
     def check(self, holder: int, orders: Sequence[Order]) -> None:
-        """Raise UsageError if a controller may not give these orders.
+        """Raise UsageError if client number ``holder`` may not give one of these orders.
 
         Raises:
             UsageError: one is for a vehicle that it has not claimed, or cannot be flown.
@@ -164,14 +166,15 @@ class Plant:
             self.latches.checked(order)
 
     def order(self, orders: Sequence[Order], source_tick: int | None = None) -> None:
-        """Queue checked orders; the next ``begin`` applies them."""
+        """Queue checked orders, which take effect at the next ``begin``; ``source_tick``: tick of the readings they are
+        based on."""
         for order in orders:
             now = self.controlled[order.vehicle]
             now.waiting, now.source_tick, now.arrival_tick = order, source_tick, self.now
             now.heard = max(now.heard, self.now)
 
     def say(self, holder: int, words: Sequence[Words]) -> None:
-        """Queue radio messages of a controller's vehicles, all or none; the next ``begin`` transmits them.
+        """Queue radio messages of vehicles of client number ``holder``, all or none; the next ``begin`` sends them.
 
         Raises:
             UsageError: one is of a vehicle that it has not claimed, or cannot be said.
@@ -186,19 +189,21 @@ class Plant:
             self.spoken.waiting[sender] = numbers, receiver
 
     def heard_until(self, holder: int, tick: int) -> None:
-        """Note that a controller is not silent before a tick, because it sends nothing until then."""
+        """Do not count client number ``holder`` as silent before a tick, since it waits for that tick at the
+        barrier."""
         for name in self.claims.of(holder):
             self.controlled[name].heard = max(self.controlled[name].heard, tick)
 
     def missed(self, holder: int) -> None:
-        """Count a tick that was flown without waiting for a controller."""
+        """Count a tick that was flown without waiting for client number ``holder``."""
         for name in self.claims.of(holder):
             self.controlled[name].misses += 1
 
     # ---- ticks ----
 
     def begin(self) -> dict[str, Some]:
-        """Apply the orders that have arrived and the failsafes, and return the actions for the next ticks."""
+        """Apply queued orders and failsafes of silent vehicles, and return the action of each fleet for the next
+        ticks."""
         self.now, self._believed = self.simulation.tick, None
         if self.spoken is not None:
             self.spoken.hand_over(self.simulation)
@@ -211,7 +216,7 @@ class Plant:
         return self.latches.actions()
 
     def _store_flown(self) -> None:
-        """Store in ``flown`` each vehicle's present order, its source and its controller, for the recording."""
+        """Store each vehicle's present order, its source tick and its client in ``flown``, for the recording."""
         controlled, latches = self.controlled.values(), self.latches
         self.flown = {
             "kind": latches.codes.copy(),
@@ -225,7 +230,7 @@ class Plant:
             self.flown |= self.spoken.columns()
 
     def _apply_order(self, name: str, now: Controlled, order: Order) -> None:
-        """Make an order the one that its vehicle flies by, and end the vehicle's silence."""
+        """Let a vehicle (``now``: its state of control) fly a queued order, and end its silence."""
         self.latches.put(order)
         now.flies, now.waiting = "command", None
         if now.silent_since is not None:
@@ -234,7 +239,8 @@ class Plant:
             now.silent_since = None
 
     def _check_silence(self, name: str, now: Controlled) -> None:
-        """Start the silence behaviour of a vehicle whose controller has been silent for too long."""
+        """Start a vehicle's silence behaviour (hold, return, stop) if its client has been silent too long; ``now``: its
+        state of control."""
         lost, now.lost = now.lost, False
         silent, after = self.simulation.tick - now.heard, now.silence.after
         limit = math.ceil((after or SAID_AFTER_S) * self._stretch / self._dt - 1e-9)
@@ -261,17 +267,18 @@ class Plant:
 
     @property
     def _dt(self) -> float:
-        """Return the time step of the world [s]."""
+        """Return the simulation's time step [s]."""
         return self.simulation.world.time_step
 
     def age(self, vehicle: str) -> float | None:
-        """Return the age [s] of the last order of a vehicle, None without one."""
+        """Return the age [s] of a vehicle's last order, None if it has none."""
         arrived = self.controlled[vehicle].arrival_tick
         return None if arrived is None else (self.simulation.tick - arrived) * self._dt
 
 
 def checked_silence(does: str, after: float, what: str) -> Silence:
-    """Check what a vehicle does in silence and after how long [s]; raises UsageError."""
+    """Return what a vehicle does (``does``) after how many seconds of silence (``after``); raises UsageError for bad
+    values."""
     if does not in ON_SILENCE:
         hint = did_you_mean(does[:60], ON_SILENCE)
         raise UsageError(f"{what} '{does[:60]}': expected {' or '.join(ON_SILENCE)}{hint}")

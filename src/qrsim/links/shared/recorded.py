@@ -21,7 +21,7 @@ RESTARTED = Column("restarted_tick", "", "at which the vehicle was last put back
 
 
 def basic_columns(width: int) -> list[Column]:
-    """Return the columns of every recording of orders: the kind and ``width`` numbers of each vehicle's order."""
+    """Return the columns of recorded orders: each vehicle's kind of order and its ``width`` numbers."""
     return [
         Column("kind", "", f"kind of the order that this tick was flown by: 0 guidance, {_KINDS}", "int32"),
         *(Column(f"number_{i}", "", f"number {i} of the order", "float64") for i in range(width)),
@@ -29,7 +29,7 @@ def basic_columns(width: int) -> list[Column]:
 
 
 def order_columns(plant: Plant) -> list[Column]:
-    """Return the columns of the stream of orders in a world that several clients share."""
+    """Return the columns of recorded orders in a world that several clients share: kind, numbers, client and others."""
     return [
         *basic_columns(plant.latches.numbers.shape[1]),
         Column("flies", "", f"by what the vehicle flew: {_FLIES}", "int32"),
@@ -41,7 +41,7 @@ def order_columns(plant: Plant) -> list[Column]:
 
 
 def stacked(columns: Sequence[Column], flown: Sequence[dict[str, NumpyArray]]) -> dict[str, NumpyArray]:
-    """Return column -> values (T, n), stacked from the orders of T ticks."""
+    """Stack the orders of T ticks, {column: (n,)} each, to {column: (T, n)}."""
     found = {name: np.stack([tick[name] for tick in flown]) for name in flown[0]}
     numbers = found.pop("numbers")
     found |= {f"number_{i}": numbers[..., i] for i in range(numbers.shape[-1])}

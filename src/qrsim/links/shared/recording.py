@@ -56,7 +56,8 @@ class Recording:
         self.begin()
 
     def begin(self) -> None:
-        """Begin the run folder of an episode, at its tick 0, after ``end``; raises RunError."""
+        """Begin the run folder of an episode at its tick 0, after ``end`` of the last one; raises RunError if it cannot
+        be written."""
         simulation, scenario = self._simulation, self._scenario
         self._ticks: list[tuple[int, list[NumpyArray], Flown]] = []
         self._world, self._requests = simulation.world, 0
@@ -78,18 +79,19 @@ class Recording:
         self._keeping.submit(self._write_ticks, self._world, beginning, [self._flown()])
 
     def restarted(self, row: int) -> None:
-        """Note that the vehicle with an index was reset at the present tick, before its requests."""
+        """Record that the vehicle at ``row`` was put back to its start at the present tick, before the tick's
+        requests."""
         self._restarted[row] = self._simulation.tick
 
     def said(self, messages: Sequence[tuple[int, list[float], int]]) -> None:
-        """Note messages that were passed to radios at the present tick: sender, numbers (D,), receiver or -1."""
+        """Record radio messages queued at the present tick, each (sender, numbers (D,), receiver or -1 for all)."""
         assert self._spoken is not None
         for sender, numbers, receiver in messages:
             self._spoken.tick[sender], self._spoken.to[sender] = self._simulation.tick, receiver
             self._spoken.numbers[sender] = numbers
 
     def keep(self) -> None:
-        """Store the present tick with its orders."""
+        """Store the present state and orders, to be written later by another thread."""
         simulation = self._simulation
         requests = len(simulation.requests)
         if requests != self._requests:
@@ -103,18 +105,18 @@ class Recording:
             self._submit_ticks()
 
     def end(self) -> None:
-        """End the run folder of an episode, before the simulation is reset."""
+        """Finish the run folder of an episode; call it before the simulation is reset."""
         self._submit_ticks()
         self._keeping.submit(self._write_requests)
         self._keeping.submit(self._close_writer).result()
 
     def close(self) -> None:
-        """End the recording; call nothing after it."""
+        """End the recording; no other method may be called afterwards."""
         self.end()
         self._keeping.shutdown()
 
     def _flown(self) -> Flown:
-        """Return column -> values (n,) of the orders that the present tick was flown by."""
+        """Return column -> values (n,) of the orders by which the present tick was flown."""
         latches = self._latches
         columns = {
             "kind": latches.codes.copy(),
@@ -124,7 +126,7 @@ class Recording:
         return columns if self._spoken is None else columns | self._spoken.columns()
 
     def _submit_ticks(self) -> None:
-        """Submit the stored ticks to the writing thread."""
+        """Pass the stored ticks to the thread that writes them."""
         if self._ticks:
             layout, _ = self._simulation.packed
             numbers, states, flown = zip(*self._ticks, strict=True)
@@ -136,7 +138,7 @@ class Recording:
     # ---- in the thread that writes ----
 
     def _write_ticks(self, world: World, history: History, flown: list[Flown]) -> None:
-        """Write a stretch of ticks, their orders and their events; runs in the writing thread."""
+        """Write some ticks, their orders and their events to the run folder, in the writing thread."""
         if self._writer is None:
             return
         try:
@@ -152,7 +154,7 @@ class Recording:
             self._stop_recording(error)
 
     def _write_requests(self) -> None:
-        """Write the requests that were made since the last call."""
+        """Write the injection requests made since the last call, in the writing thread."""
         if self._writer is None:
             return
         try:
@@ -161,7 +163,7 @@ class Recording:
             self._stop_recording(error)
 
     def _close_writer(self) -> None:
-        """Close the run folder as finished."""
+        """Mark the run folder as finished and close it."""
         try:
             if self._writer is not None:
                 self._writer.close("finished")
@@ -170,7 +172,7 @@ class Recording:
         self._writer = None
 
     def _stop_recording(self, error: Exception) -> None:
-        """Warn the user of an error, and record nothing more."""
+        """Warn the user of an error in the writing thread, and record nothing more."""
         why = f"{error}" if isinstance(error, RunError) else f"{type(error).__name__}: {error}"
         warn_user(f"nothing more is recorded: {why}")
         self._writer = None

@@ -28,7 +28,7 @@ MOST_AT_ONCE = 50
 
 
 def replay(run: Run, out: Path) -> Path:
-    """Fly the orders of a recorded run again, record that as another run, and return its folder.
+    """Fly the recorded orders of a run again, record that as another run in ``out``, and return its folder.
 
     Args:
         run: of a server of a shared world, of MAVLink or of ROS 2.
@@ -72,7 +72,7 @@ def replay(run: Run, out: Path) -> Path:
 
 
 def put_back(simulation: Simulation, begins: NumpyArray, row: int) -> None:
-    """Reset a vehicle to its start, with a new battery.
+    """Put the vehicle at ``row`` back to its start state, a row of ``begins`` (n, 13), with a new battery.
 
     Args:
         simulation: in flight.
@@ -90,7 +90,7 @@ def put_back(simulation: Simulation, begins: NumpyArray, row: int) -> None:
 def _flights(
     run: Run, simulation: Simulation, beginning: History, schedule: Schedule
 ) -> Iterator[tuple[History, Values]]:
-    """Fly the recorded orders again; yield (history, orders) of each part of the flight."""
+    """Fly a run's recorded orders again; yield (states, recorded orders) of each part of the flight."""
     latches, begins = Latches(simulation.world.fleets, simulation.dtype), np.array(simulation.truth.state)
     # Recordings of versions without radio lack these columns.
     spoken = Spoken(simulation) if simulation.world.radio is not None and TICK in run[STREAM].columns() else None
@@ -126,7 +126,7 @@ def _flights(
 
 
 def _same_orders(arrays: Mapping[str, NumpyArray], first: int, count: int) -> Iterator[tuple[int, int]]:
-    """Yield begin and end of runs of ticks with equal orders, so that each run is flown by one call.
+    """Yield (begin, end) of stretches of ticks with equal orders, so that one call flies each stretch.
 
     Radio messages are sent and vehicles are put back ahead of the first tick of a run only.
 

@@ -102,17 +102,17 @@ class Sight:
         self.look()
 
     def has(self, column: int, row: int) -> bool:
-        """Return whether a column can hold a value for a vehicle, because it has the sensor or estimate."""
+        """Return whether the vehicle at ``row`` has the sensor or estimate that fills a column of ``values``."""
         return bool(self._available(column)[row])
 
     def _available(self, column: int) -> NumpyArray:
-        """Return for which vehicles (n,) bool a column has a value."""
+        """Return which vehicles, (n,) bool, have the sensor or estimate that fills a column of ``values``."""
         found = np.zeros(len(self.values), bool)
         found[self._targets[self._targets % WIDTH == column] // WIDTH] = True
         return found
 
     def look(self) -> None:
-        """Read all columns from the present state."""
+        """Read the present estimates and readings of all vehicles into ``values`` (n, WIDTH)."""
         simulation, values = self._simulation, self.values
         floats, _ = (np.asarray(part) for part in simulation.packed[1])
         values.reshape(-1)[self._targets] = floats[self._sources]
@@ -123,7 +123,7 @@ class Sight:
             self._measure_voltage()
 
     def _update_fixes(self) -> None:
-        """Update which vehicles have received a GNSS fix at this tick, and the times of these fixes."""
+        """Note which vehicles have received a GNSS fix at this tick, and the times of these fixes."""
         self.fresh: list[bool] = []
         self.fix_time: list[float] = []
         for fleet, number in zip(self._simulation.world.fleets, self._receivers, strict=True):
@@ -132,7 +132,8 @@ class Sight:
             self.fix_time += times
 
     def news(self, column: int) -> tuple[list[bool], list[float]]:
-        """Return for each vehicle whether a column's sensor delivered at this tick, and the time [s] of its reading."""
+        """Return, for each vehicle, whether the sensor that fills a column of ``values`` delivered at this tick, and
+        its reading's time [s]."""
         fresh: list[bool] = []
         times: list[float] = []
         for fleet, own in zip(self._simulation.world.fleets, self._sensors, strict=True):
@@ -142,12 +143,12 @@ class Sight:
         return fresh, times
 
     def sensor(self, fleet: int, column: int) -> Any:
-        """Return the sensor of a fleet that fills a column, the sensor being selected by number; None without one."""
+        """Return the sensor of fleet number ``fleet`` that fills a column of ``values``; None without one."""
         number = self._sensors[fleet].get(column)
         return None if number is None else self._simulation.world.fleets[fleet].sensors[number]
 
     def _measure_voltage(self) -> None:
-        """Write the present battery voltages [V] of fleets with draining batteries into their column."""
+        """Write the present battery voltages [V] into their column, for fleets whose batteries drain."""
         first = 0
         for fleet, state in zip(self._simulation.world.fleets, self._simulation.state.fleets, strict=True):
             if fleet.battery.drains:
@@ -159,7 +160,8 @@ class Sight:
 
 
 def complete(values: NumpyArray, site: Site, plain: NumpyArray) -> None:
-    """Fill the derived columns of rows in place: geodetic positions, quaternions, GNSS fix types.
+    """Fill the columns computed from others, in place: geodetic position, quaternion, fix type; ``plain``: rows whose
+    fix has no type.
 
     Args:
         values: (R, WIDTH) rows.
@@ -183,7 +185,8 @@ def complete(values: NumpyArray, site: Site, plain: NumpyArray) -> None:
 
 
 def delivery(simulation: Simulation, fleet: Fleet, number: int | None) -> tuple[list[bool], list[float]]:
-    """Return for a fleet's vehicles whether a sensor delivers now, and the time of its reading [s]."""
+    """Return, for a fleet's vehicles, whether sensor ``number`` delivers at this tick, and when its reading was taken
+    [s]."""
     if number is None:
         return [False] * fleet.size, [0.0] * fleet.size
     fitting = fleet.fitting(number)
@@ -197,7 +200,8 @@ def delivery(simulation: Simulation, fleet: Fleet, number: int | None) -> tuple[
 
 
 def leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any, int | None]]:
-    """Yield (column, leaf of the state, sensor index or None) for all estimates and readings of a fleet's vehicles."""
+    """Yield (column of ``Sight.values``, array (n,), sensor number or None) for all estimates and readings in a fleet's
+    state."""
     for column, leaf in _unsensed_leaves(fleet, state):
         yield column, leaf, None
     taken: set[int] = set()
@@ -209,12 +213,13 @@ def leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, Any, int | None]]:
 
 
 def _has_estimator(fleet: Fleet, state: Any) -> bool:
-    """Return whether the controllers of a fleet use the estimate of a filter."""
+    """Return whether a fleet's state has the estimate of a filter that its controllers use."""
     return state.belief is not None and fleet.controller.feed != "truth"
 
 
 def _unsensed_leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, object]]:
-    """Yield (column, leaf) of the quantities that no sensor measures."""
+    """Yield (column of ``Sight.values``, array (n,)) of a fleet's quantities that no single sensor measures, such as
+    the estimate."""
     own = _has_estimator(fleet, state)
     estimate = state.belief.estimate if own else state.estimate
     yield from _axes(POSITION, estimate.position_ned)
@@ -232,7 +237,7 @@ def _unsensed_leaves(fleet: Fleet, state: Any) -> Iterator[tuple[int, object]]:
 
 
 def _reading_leaves(reading: object) -> Iterator[tuple[int, object]]:
-    """Yield for each field of a sensor's reading its column in the table of vehicles, and its array (n,)."""
+    """Yield (column of ``Sight.values``, array (n,)) for each field of a sensor's reading."""
     fix = isinstance(reading, GnssReading)
     vectors, scalars = (FIX_VECTORS, FIX_SCALARS) if fix else (VECTORS, SCALARS)
     for name, value in vars(reading).items():
@@ -249,12 +254,12 @@ def _reading_leaves(reading: object) -> Iterator[tuple[int, object]]:
 
 
 def _axes(column: int, vector: Any) -> Iterator[tuple[int, Any]]:
-    """Yield (column, leaf) of the three components of a vector, in columns that follow each other."""
+    """Yield (column, array) of a vector's x, y and z, for three columns of ``Sight.values`` from ``column`` on."""
     return zip(range(column, column + 3), (vector.x, vector.y, vector.z), strict=True)
 
 
 def _angles(column: int, angles: Any) -> Iterator[tuple[int, object]]:
-    """Yield (column, leaf) of roll, pitch and yaw, in columns that follow each other."""
+    """Yield (column, array) of roll, pitch and yaw, for three columns of ``Sight.values`` from ``column`` on."""
     return zip(range(column, column + 3), (angles.roll, angles.pitch, angles.yaw), strict=True)
 
 

@@ -30,29 +30,29 @@ class Spoken:
         self.numbers = np.zeros((simulation.size, simulation.world.radio.size))
 
     def hand_over(self, simulation: Simulation) -> None:
-        """Pass the waiting messages to the vehicles' radios."""
+        """Queue the stored messages at the vehicles' radios."""
         for vehicle, (numbers, to) in self.waiting.items():
             self.tick[vehicle], self.to[vehicle], self.numbers[vehicle] = simulation.tick, to, numbers
         self.waiting = {}
         self.say_again(simulation)
 
     def say_again(self, simulation: Simulation) -> None:
-        """Pass the loaded messages of the present tick to the vehicles' radios."""
+        """Queue the messages of the present tick, stored here or loaded by ``read``, at the vehicles' radios."""
         now = np.flatnonzero(self.tick == simulation.tick).tolist()
         if now:
             simulation.send_all(list(zip(now, self.numbers[now], self.to[now].tolist(), strict=True)))
 
     def columns(self) -> dict[str, NumpyArray]:
-        """Return column -> values (n,) of the messages sent at this tick, for the recording."""
+        """Return column -> values (n,) of the radio messages queued at this tick, for the recording."""
         numbers = {name: column.copy() for name, column in zip(self.names(), self.numbers.T, strict=True)}
         return {TICK: self.tick.copy(), TO: self.to.copy()} | numbers
 
     def names(self) -> list[str]:
-        """Return the names of the columns of a message."""
+        """Return the names of the recording's columns for a radio message."""
         return [f"said_{i}" for i in range(self.numbers.shape[1])]
 
     def described(self) -> list[Column]:
-        """Return the descriptions of the columns of messages in a recording."""
+        """Return the descriptions of the recording's columns for radio messages."""
         return [
             Column(TICK, "", "at which its controller's last message was handed to its radio; -1: none", "int64"),
             Column(TO, "", "number of the vehicle that alone was to hear it; -1: all", "int32"),
@@ -60,7 +60,7 @@ class Spoken:
         ]
 
     def read(self, arrays: Mapping[str, NumpyArray], row: int) -> None:
-        """Load the recorded radio messages of a row of a recording."""
+        """Load the radio messages in one row (a tick) of a recording's columns."""
         self.tick[...], self.to[...] = arrays[TICK][row], arrays[TO][row]
         for i, name in enumerate(self.names()):
             self.numbers[:, i] = arrays[name][row]

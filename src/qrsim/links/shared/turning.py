@@ -8,7 +8,7 @@ from qrsim.core.arrays import NumpyArray
 
 
 def turned(quaternion: NumpyArray, vector: NumpyArray) -> NumpyArray:
-    """Rotate body-frame vectors to the reference frame of an attitude quaternion (x, y, z, w)."""
+    """Rotate body-frame vectors (..., 3) to the reference frame, by attitude quaternions (x, y, z, w)."""
     axis, w = np.asarray(quaternion)[..., :3], np.asarray(quaternion)[..., 3:]
     across = 2.0 * _cross(axis, np.asarray(vector))
     return np.asarray(vector + w * across + _cross(axis, across))
@@ -21,5 +21,5 @@ def _cross(first: NumpyArray, second: NumpyArray) -> NumpyArray:
 
 
 def turned_back(quaternion: NumpyArray, vector: NumpyArray) -> NumpyArray:
-    """Rotate vectors from the reference frame of an attitude quaternion (x, y, z, w) to the body frame."""
+    """Rotate reference-frame vectors (..., 3) to the body frame, by attitude quaternions (x, y, z, w)."""
     return turned(np.asarray(quaternion) * (-1.0, -1.0, -1.0, 1.0), vector)

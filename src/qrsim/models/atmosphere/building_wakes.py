@@ -44,7 +44,7 @@ class BuildingWakes(Updraft):
     reads: ClassVar[tuple[str, ...]] = ("wind",)
 
     def built(self, bounds: Bounds | None, solids: Sequence[Footprint]) -> BuildingWakes:
-        """Return the component with the wakes of all solids of at least ``least_height``.
+        """Return the component with a wake for each obstacle at least ``least_height`` [m] high.
 
         Raises:
             UsageError: no obstacle is high enough, or there are too many.
@@ -86,7 +86,7 @@ class BuildingWakes(Updraft):
         wind: Wind,
         **reads: object,
     ) -> Vec3:
-        """Return the change of the wind NED (n,) [m/s] by the wakes; of several wakes the largest change counts.
+        """Return the change of the wind (n,) [m/s] NED in wakes of buildings; where these overlap, the largest counts.
 
         Args:
             position_ned, height_agl: (n,) [m].
@@ -124,14 +124,14 @@ class BuildingWakes(Updraft):
 
 
 def cavity_length(width: Array, deep: Array, tall: Array) -> Array:
-    """Return the length [m] of the cavity behind blocks of a width across the wind, a depth along it and a height."""
+    """Return the length [m] of the reversed flow behind blocks, by width across the wind, depth and height [m]."""
     slender = jnp.clip(deep / tall, FLATTEST, DEEPEST)
     wide = jnp.minimum(width / tall, WIDEST)
     return 1.8 * tall * wide / (power(slender, 0.3) * (1.0 + 0.24 * wide))
 
 
 def _along_wake(behind: Array, zone: Array, beside: Array, along: Array, speed: Array) -> Array:
-    """Return the velocity along the wind [m/s], reversed in cavities of length ``zone`` [m] and reduced after them."""
+    """Return the velocity along the wind [m/s] behind a block: reversed within ``zone`` [m], then recovering."""
     safe = jnp.maximum(zone, 1e-9)
     inside = 1.0 - behind / safe
     reversed_flow = -speed * inside * inside * root(jnp.maximum(1.0 - jnp.abs(beside), 0.0))
@@ -140,12 +140,12 @@ def _along_wake(behind: Array, zone: Array, beside: Array, along: Array, speed: 
 
 
 def _area(solid: Footprint) -> float:
-    """Return the area [m^2] of a footprint."""
+    """Return the plan area [m^2] of a footprint polygon, or of a round one."""
     return 0.5 * abs(float(np.sum(_turns(solid.corners)))) + math.pi * solid.radius**2
 
 
 def _centroid(corners: Floats) -> Floats:
-    """Return the centroid (2,) of a polygon of corners (V, 2), or the one corner."""
+    """Return the centroid (2,) [m] of a polygon with corners (V, 2), or its one corner."""
     turns = _turns(corners)[:, None]
     if not np.sum(turns):
         return corners.mean(axis=0)
@@ -153,6 +153,6 @@ def _centroid(corners: Floats) -> Floats:
 
 
 def _turns(corners: Floats) -> Floats:
-    """Return the cross products (V,) of each corner with the next."""
+    """Return the cross product (V,) of each corner of a polygon with the next, for areas."""
     x, y = corners.T
     return x * np.roll(y, -1) - y * np.roll(x, -1)

@@ -43,7 +43,7 @@ class Wind(Protocol):
     reads: ClassVar[tuple[str, ...]] = ()
 
     def at(self, duration: float) -> Wind:
-        """Return the wind for a run of a duration [s]: itself, or the content of its file.
+        """Return the wind model for a run of ``duration`` [s]: itself, or the content of the file that it names.
 
         Raises:
             UsageError: it does not last that long.
@@ -51,7 +51,7 @@ class Wind(Protocol):
         return self
 
     def within(self, bounds: Bounds | None, top: float | None) -> Wind:
-        """Return the wind cut to an area: itself, or the part of its data that the area needs.
+        """Return the wind model cut to the data that an area and a height ``top`` [m] need; by default itself.
 
         Args:
             bounds: of the area, None where it has none.
@@ -63,15 +63,15 @@ class Wind(Protocol):
         return self
 
     def beyond(self, bounds: Bounds | None, top: float | None) -> list[str]:
-        """Return a sentence for each side where the area extends beyond the wind data; arguments as in ``within``."""
+        """Return a sentence for each side on which the area extends beyond the wind's data; arguments as ``within``."""
         return []
 
     @abstractmethod
     def velocity_ned(self, height_agl: Array, seconds: Array, fraction: Array, *args: Any, **reads: Any) -> Vec3:
-        """Return the air's velocity (n,) [m/s] at heights (n,) [m] above ground."""
+        """Return the mean wind velocity (n,) [m/s] NED at heights (n,) [m] above ground and a time."""
 
     def mean_velocity_ned(self, height_agl: Array) -> Vec3:
-        """Return the mean over time and place of the air's velocity (n,) [m/s] at heights (n,) [m].
+        """Return the wind velocity (n,) [m/s] NED at heights (n,) [m] above ground, averaged over time and place.
 
         By default that of time 0 at the origin.
         """
@@ -81,7 +81,7 @@ class Wind(Protocol):
 
 
 def horizontal_mean(wind: Wind, height_agl: Array) -> Vec3:
-    """Return the horizontal mean velocity () [m/s] of a wind at a height () [m]."""
+    """Return the horizontal wind () [m/s] NED at a height () [m] above ground, averaged over time and place."""
     mean = wind.mean_velocity_ned(jnp.reshape(height_agl, (1,))).map(lambda axis: axis[0])
     return Vec3(mean.x, mean.y, jnp.zeros_like(mean.z))
 
@@ -106,7 +106,7 @@ class Turbulence(Protocol):
     sees_wind: ClassVar[bool] = False
 
     def draw_field(self, draw: Draw, wind: object = None) -> object:
-        """Return the random gust field that all vehicles of an episode share, None without one.
+        """Return the random gust field of an episode, shared by all vehicles; None for a turbulence without one.
 
         Args:
             draw: for ``field_ids`` ids.
@@ -115,25 +115,25 @@ class Turbulence(Protocol):
         return None
 
     def convection_velocity_ned(self, wind: Wind) -> Vec3:
-        """Return the horizontal velocity () [m/s] that carries gusts over the ground, in a mean wind."""
+        """Return the horizontal velocity () [m/s] NED at which the mean wind carries gusts over the ground."""
         return horizontal_mean(wind, jnp.asarray(CONVECTION_HEIGHT))
 
     @abstractmethod
     def init(self, draw: Noise) -> object:
-        """Return stationary first states of the vehicles (n,)."""
+        """Return the random initial gust states of vehicles (n,), in the statistical steady state."""
 
     @abstractmethod
     def step(
         self, state: Any, draw: Noise, height_agl: Array, velocity_ned: Vec3, mean_wind_ned: Vec3, dt: float
     ) -> object:
-        """Return the state dt [s] later at heights (n,) [m] and ground velocities velocity_ned (n,) [m/s]."""
+        """Return the gust state dt [s] later, for heights (n,) [m] and ground velocities (n,) [m/s]."""
 
     @abstractmethod
     def gust_ned(self, state: Any, height_agl: Array, *args: Any, **reads: Any) -> Vec3:
-        """Return the gust (n,) [m/s] at heights (n,) [m] above ground."""
+        """Return the gust velocity (n,) [m/s] NED at heights (n,) [m] above ground, added to the mean wind."""
 
     def gust_rates_ned(self, state: Any, height_agl: Array, *args: Any, **reads: Any) -> Vec3:
-        """Return the rotation of the air (n,) [rad/s] at heights (n,) [m] above ground, where ``rates`` says so."""
+        """Return the air's rotation (n,) [rad/s] NED at heights (n,) [m]; only for turbulence with ``rates`` true."""
         return Vec3.zeros(height_agl.shape, height_agl.dtype)
 
 
@@ -150,7 +150,7 @@ class Gust(Protocol):
 
     @abstractmethod
     def velocity_ned(self, position_ned: Vec3, seconds: Array, fraction: Array, *args: Any, **reads: Any) -> Vec3:
-        """Return the velocity (n,) [m/s] that the gust adds to the wind at positions (n,) [m]."""
+        """Return the velocity (n,) [m/s] NED that a discrete gust adds to the wind at positions (n,) [m]."""
 
 
 class Footprint(NamedTuple):
@@ -182,7 +182,7 @@ class Updraft(Protocol):
     drawn_ids: int = 0
 
     def built(self, bounds: Bounds | None, solids: Sequence[Footprint]) -> Updraft:
-        """Return the updraft of a world, before the run; by default itself.
+        """Return the updraft fitted to an area and its obstacles, before the run; by default itself.
 
         Args:
             bounds: of the area, None where it has none.
@@ -208,7 +208,7 @@ class Updraft(Protocol):
         *args: Any,
         **reads: Any,
     ) -> Vec3:
-        """Return the velocity (n,) [m/s] to be added to the mean wind.
+        """Return the velocity (n,) [m/s] NED that the updraft adds to the mean wind.
 
         Args:
             position_ned: places (n,) [m].

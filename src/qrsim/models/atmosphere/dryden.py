@@ -69,7 +69,7 @@ _THIRD_SERIES_BELOW = {4: (1.0, 2.0), 8: (0.25, 0.25)}
 
 
 def severity_sigma(height_agl: Array, severity: int) -> Array:
-    """Return sigma [m/s] of MIL-F-8785C figure 7 at heights (n,) [m], linear between the table's heights.
+    """Return the gust std (n,) [m/s] of MIL-F-8785C figure 7 at heights (n,) [m], linear between the table's heights.
 
     Args:
         height_agl: (n,) [m]; beyond the table's ends its end values hold.
@@ -90,7 +90,7 @@ def dryden_scales(
     high_length_ft: float = HIGH_LENGTH_FT,
     near_ground: NearGround = "constant",
 ) -> tuple[Vec3, Vec3]:
-    """Return length scales [m] and standard deviations [m/s] of the gusts along, across and down the wind.
+    """Return length scales [m] and stds [m/s] of gusts along, across and down the wind, at heights (n,) [m].
 
     Below 1000 ft those of the low-altitude model, above 2000 ft L = 1750 ft and sigma by severity, between them
     (1 - f) low + f high with f = (h - 1000 ft)/1000 ft, the low part held at its value at 1000 ft (as JSBSim does).
@@ -125,7 +125,7 @@ class Decay(NamedTuple):
 
 
 def exponential_decay(x: Array) -> Decay:
-    """Return the exponential terms of one filter step of x = V T/L, any shape: exp(-x), 1 - exp(-2 x) and others."""
+    """Return the exponential factors, exp(-x) and others, of a filter step x = V T/L (airspeed, time, length scale)."""
     small = jnp.minimum(x, _SERIES_BELOW)
     square = small * small
     series = jnp.full_like(square, _SINH_TERMS[-1])
@@ -150,7 +150,7 @@ class SecondOrder(NamedTuple):
 
 
 def second_order(x: Array, of: Decay) -> SecondOrder:
-    """Return transition Phi and Cholesky factor of the noise covariance I - Phi Phi^T of a double pole at x, any shape.
+    """Return transition matrix and noise Cholesky factor of a double-pole filter for one step x = V T/L, any shape.
 
     Phi = a [[1, 0], [-2 x, 1]], a = exp(-x). l11^2 = 1 - a^2, l21 = 2 x a^2/l11, and
     l22^2 = 1 - a^2 - 4 x^2 a^2/(1 - a^2) = 2 a (sinh x - x) (sinh x + x)/sinh x, which is 2/3 x^3 for small x.
@@ -175,7 +175,7 @@ class ThirdRow(NamedTuple):
 
 
 def third_row(x: Array, ratio: Array, of: Decay, of_lag: Decay, two: SecondOrder) -> ThirdRow:
-    """Return the third row of transition and Cholesky factor, that of the span's lag, any shape.
+    """Return row 3 of transition matrix and noise Cholesky factor: the filter's lag by the wing span, any shape.
 
     With d0 = (a - a_r)/(r - 1), d1 = (x a - d0)/(r - 1) and a_r = exp(-r x): f2 = -2 sqrt(r) d0,
     f1 = -2 sqrt(r) (d0 - 2 d1). The pole r may coincide with the other two.
@@ -209,7 +209,7 @@ def third_row(x: Array, ratio: Array, of: Decay, of_lag: Decay, two: SecondOrder
 
 
 def _third_variance(x: Array, y: Array, lag_decay: Array, subtracted: Array) -> Array:
-    """Return l33^2, the variance of z3's noise given that of z1 and z2, for x and y = r x of any shape.
+    """Return the variance of noise 3 given noises 1 and 2 of the gust filter, for steps x and y = ratio x, any shape.
 
     It is a fraction y^5/360 of the variance for small y, which subtraction cannot find in single precision. It is
     2 r (1 + r)^4/(r - 1)^4 times the squared distance of exp(-r s) from the span of exp(-s) and s exp(-s) on [0, x],
@@ -230,7 +230,7 @@ def _third_variance(x: Array, y: Array, lag_decay: Array, subtracted: Array) -> 
 
 
 def rate_weights(ratio: Array) -> tuple[Array, Array, Array]:
-    """Return the weights of z1, z2, z3 in gust/sigma minus its lagged value, s/(s + r) H, any shape."""
+    """Return the weights of the three filter states in the gust minus its span-lagged value, per standard deviation."""
     inverse = 1.0 / (1.0 + ratio)
     square = inverse * inverse
     half = 1.0 / (2.0 * math.sqrt(2.0))
@@ -250,7 +250,7 @@ class FilterState:
     third: Array = quantity(unit="1", doc="z3, of the angular gust")
 
     def advance(self, x: Array, of: Decay, ratio: Array, of_lag: Decay, normals: tuple[Array, ...]) -> FilterState:
-        """Return the filters (n,) one step T later; x = V T/L (airspeed V, scale length L); three ``normals`` (n,)."""
+        """Return the gust filters (n,) one step later, for x = V T/L, driven by three standard ``normals`` (n,)."""
         n1, n2, n3 = normals
         two = second_order(x, of)
         row = third_row(x, ratio, of, of_lag, two)
@@ -268,11 +268,11 @@ class FilterState:
         )
 
     def gust(self) -> Array:
-        """Return the gust (n,) in units of its standard deviation."""
+        """Return the gust (n,) in units of its standard deviation, from the filter's states."""
         return _COS_15 * self.first + _SIN_15 * self.second
 
     def gust_less_lagged(self, ratio: Array) -> Array:
-        """Return the gust minus its lagged value, (n,), in units of the gust's standard deviation."""
+        """Return the gust minus its lagged value (n,), for angular gusts, in units of the gust's standard deviation."""
         w1, w2, w3 = rate_weights(ratio)
         return w1 * self.first + w2 * self.second + w3 * self.third
 
@@ -304,14 +304,14 @@ class Dryden(Turbulence):
     rates: ClassVar[bool] = True
 
     def init(self, draw: Noise) -> DrydenState:
-        """Return a random stationary first state of the filters."""
+        """Return the filters' random initial state (n,), in the statistical steady state."""
         u, v1, v2, w1, w2, p, v3, w3 = draw.normals(8)
         return DrydenState(u, FilterState(v1, v2, v3), FilterState(w1, w2, w3), p)
 
     def step(
         self, state: DrydenState, draw: Noise, height_agl: Array, velocity_ned: Vec3, mean_wind_ned: Vec3, dt: float
     ) -> DrydenState:
-        """Return the state dt [s] later, at heights (n,) [m] and ground velocities (n,) [m/s], L and V held."""
+        """Return the filters' state dt [s] later; heights [m] and ground velocities [m/s] (n,) are held in the step."""
         u, v1, v2, w1, w2, p, v3, w3 = draw.normals(8)
         lengths, _ = self._scales(height_agl)
         way = dt * carrying_speed(self.airspeed, velocity_ned, mean_wind_ned)
@@ -328,14 +328,14 @@ class Dryden(Turbulence):
         )
 
     def gust_ned(self, state: DrydenState, height_agl: Array) -> Vec3:
-        """Return the gust [m/s], the air's velocity in addition to the mean wind, in NED for each of (n,) vehicles."""
+        """Return the gust velocity (n,) [m/s] NED, which adds to the mean wind, at heights (n,) [m] above ground."""
         _, sigma = self._scales(height_agl)
         return wind_to_ned(
             sigma.x * state.along, sigma.y * state.across.gust(), sigma.z * state.down.gust(), self.wind_from_rad
         )
 
     def gust_rates_ned(self, state: DrydenState, height_agl: Array) -> Vec3:
-        """Return the angular gust [rad/s], the rotation of the air around each of (n,) vehicles, in NED.
+        """Return the air's rotation (n,) [rad/s] NED by gusts, at heights (n,) [m] above ground.
 
         It is to the vehicle's rates what the wind is to its velocity: aerodynamic rates are the vehicle's minus these.
         About the wind axes, right-handed, it is p = the roll gust, q = H_q/H_w w and r = -H_r/H_v v of MIL-F-8785C
@@ -353,13 +353,13 @@ class Dryden(Turbulence):
         )
 
     def _scales(self, height_agl: Array) -> tuple[Vec3, Vec3]:
-        """Return length scales and standard deviations of the gusts at heights over the ground [m]."""
+        """Return length scales [m] and standard deviations [m/s] of the gusts at heights (n,) [m] above ground."""
         return dryden_scales(height_agl, self.speed_20ft, self.severity, near_ground=self.near_ground)
 
     def _pitch_length(self) -> Array:
-        """Return V times the lag of p and q [m]."""
+        """Return the lag length [m] of the roll and pitch rates of the air, proportional to the wing span."""
         return _PITCH_SPANS * self.span
 
     def _yaw_length(self) -> Array:
-        """Return V times the lag of r [m]."""
+        """Return the lag length [m] of the yaw rate of the air, proportional to the wing span."""
         return _YAW_SPANS * self.span

@@ -130,22 +130,22 @@ class DrydenField(Turbulence):
 
     @computed
     def normals(self) -> int:
-        """Number of standard normals of a vehicle in a tick, for the residual."""
+        """Number of standard normals per vehicle and tick, for the part of the gusts that the field leaves out."""
         return 3 if self.residual == "filter" else 0
 
     @computed
     def field_ids(self) -> int:
-        """Number of random ids of an episode, one for each chain."""
+        """Number of random ids that an episode draws for the field, one for each chain of waves."""
         return SEGMENTS * self.chains
 
     def convection_velocity_ned(self, wind: Wind) -> Vec3:
-        """Return the velocity () [m/s] that carries the field."""
+        """Return the horizontal velocity () [m/s] NED that carries the gust field: as given, or the mean wind's."""
         if self.convection_ned is not None:
             return Vec3(self.convection_ned[0], self.convection_ned[1], jnp.zeros_like(self.convection_ned[0]))
         return horizontal_mean(wind, jnp.asarray(self.convection_height))
 
     def draw_field(self, draw: Draw, wind: Any = None) -> FieldWaves:
-        """Return the random orientation of the waves of a world, with each chain's phase and frequency.
+        """Return an episode's random gust field: its waves' orientation, phases and frequencies.
 
         Every product is rounded on its own, so that the frequencies are the same in every program.
         """
@@ -166,7 +166,7 @@ class DrydenField(Turbulence):
         return FieldWaves(words, whole_turns(frequency), frequency, turned, handedness, dilation, ages)
 
     def init(self, draw: Noise) -> StillState | ResidualState:
-        """Return a random stationary first state of the residual, the empty state if there is no residual."""
+        """Return the random initial residual in the steady state: vehicles' own gusts beyond the field; else empty."""
         return ResidualState(Vec3(*draw.normals(3))) if self.residual == "filter" else StillState()
 
     def step(
@@ -178,7 +178,7 @@ class DrydenField(Turbulence):
         mean_wind_ned: Vec3,
         dt: float,
     ) -> StillState | ResidualState:
-        """Return the residual gusts dt [s] later, correlated along the horizontal path through the air and across."""
+        """Return the residual gusts (n,) dt [s] later, correlated along the level path through the air and across."""
         if isinstance(state, StillState):
             return state
         normals = Vec3(*draw.normals(3))
@@ -200,7 +200,7 @@ class DrydenField(Turbulence):
         fraction: Array,
         field: FieldWaves,
     ) -> Vec3:
-        """Return the gust [m/s] in NED at positions (n,) [m] and heights (n,) [m] above ground.
+        """Return the gust velocity (n,) [m/s] NED at positions (n,) [m], heights (n,) [m] above ground and a time.
 
         Args:
             state: of the residual.
@@ -229,7 +229,7 @@ class DrydenField(Turbulence):
         fraction: Array,
         field: FieldWaves,
     ) -> Vec3:
-        """Return the rotation of the air [rad/s], half the curl of the field, in NED; arguments as ``gust_ned``.
+        """Return the air's rotation (n,) [rad/s] NED, half the curl of the gust field; arguments as ``gust_ned``.
 
         The change of the weights with height is left out of the curl.
         """
@@ -244,35 +244,35 @@ class DrydenField(Turbulence):
         )
 
     def _modes(self) -> Modes:
-        """Return the set of waves for the settings ``chains`` and ``octaves``."""
+        """Return the fixed set of waves that the settings ``chains`` and ``octaves`` give."""
         return modes(self.chains, self.octaves)
 
     def _scales(self, height_agl: Array) -> tuple[Vec3, Vec3]:
-        """Return length scales and standard deviations of the gusts at heights over the ground [m]."""
+        """Return length scales [m] and standard deviations [m/s] of the gusts at heights (n,) [m] above ground."""
         high = HIGH_LENGTH_FT if self.spectrum == "dryden" else VON_KARMAN_HIGH_LENGTH_FT
         return dryden_scales(height_agl, self.speed_20ft, self.severity, high, self.near_ground)
 
     def _size(self, lengths: Vec3, sigma: Vec3, field: FieldWaves) -> Vec3:
-        """Return the amplitude factor [m/s] of each gust axis that all waves share, each (n,)."""
+        """Return the amplitude factor (n,) [m/s] of each gust axis, common to all waves, from scales and stds."""
         energy, scale = DRYDEN_ENERGY, field.dilation
         if self.spectrum == "von_karman":
             energy, scale = VON_KARMAN_ENERGY, VON_KARMAN_SCALE * field.dilation
         amplitude = math.sqrt(2.0 * energy * math.log(2.0) / self.chains)
 
         def size(std: Array, length: Array) -> Array:
-            """Return the amplitude factor [m/s] of one axis from its standard deviation and length scale."""
+            """Return one axis' amplitude factor (n,) [m/s] for its standard deviation [m/s] and length scale [m]."""
             scaled = length * scale
             return (amplitude * std) * (scaled * scaled) * jnp.sqrt(scaled)
 
         return Vec3(size(sigma.x, lengths.x), size(sigma.y, lengths.y), size(sigma.z, lengths.z))
 
     def _weight(self, square: Array) -> Array:
-        """Return the amplitude factor, any shape, that depends on the wavenumber kappa, from L^2 + 1/kappa^2 [m^2]."""
+        """Return the factor of a wave's amplitude that depends on its wavenumber kappa, for L^2 + 1/kappa^2 [m^2]."""
         root = reciprocal_root(square)
         return (root * root) * (root if self.spectrum == "dryden" else power(root, 5.0 / 6.0))
 
     def _sums(self, lengths: Vec3, position_ned: Vec3, seconds: Array, fraction: Array, field: FieldWaves) -> Sums:
-        """Return velocity and rotation, summed over all waves at positions (n,), each group weighted by lengths (n,).
+        """Return the gust field's velocity and rotation at positions (n,), summed over all waves, for scales [m].
 
         With x = kappa l the amplitude of a wave of the Dryden form goes with x^(5/2)/(1 + x^2)^(3/2), which is
         l^(5/2)/(l^2 + 1/kappa^2)^(3/2) over the root of kappa. The last is in the tables of the waves, the first in
@@ -305,7 +305,7 @@ class DrydenField(Turbulence):
 
 
 def _group_values(of: Modes, own: Floats, turns: Array, amplitude: Array | None, place: Vec3) -> Iterator[Vec3]:
-    """Yield, octave by octave, the sums (B, n) of each group's waves in wave axes, weighted by ``own`` only.
+    """Yield, for each octave, velocity sums (B, n) of B groups of waves, in the waves' axes, weighted by ``own`` only.
 
     Args:
         of: the set of waves, B groups of C chains.
@@ -334,29 +334,29 @@ def _group_values(of: Modes, own: Floats, turns: Array, amplitude: Array | None,
 
 
 def _numbers(table: Floats, like: Array) -> Array:
-    """Return a table as an array of the type of ``like``."""
+    """Return a NumPy table as an array with the dtype of ``like``."""
     return jnp.asarray(table.astype(like.dtype))
 
 
 def _rotation(normals: Array, word: Array) -> tuple[tuple[Vec3, Vec3, Vec3], Array]:
-    """Return the rows of a random rotation, negated where bit 31 of ``word`` is set, and its determinant, 1 or -1."""
+    """Return the rows of a random rotation, negated if bit 31 of ``word`` is set, and its determinant, 1 or -1."""
     w, x, y, z = normals
     sign = jnp.where(word >> 31 == 1, -1.0, 1.0).astype(normals.dtype)
 
     def product(a: Array, b: Array) -> Array:
-        """Return a b, rounded."""
+        """Return the product a b, rounded before any sum, so that all programs give the same bits."""
         return rounded(a * b)
 
     squares = [product(a, a) for a in (w, x, y, z)]
     scale = sign / ((squares[0] + squares[1]) + (squares[2] + squares[3]))
 
     def diagonal(mine: int) -> Array:
-        """Return the diagonal entry for quaternion component number ``mine``, 1 to 3."""
+        """Return the rotation's diagonal entry for quaternion component ``mine``, 1 to 3."""
         first, second = (i for i in (1, 2, 3) if i != mine)
         return product((squares[0] + squares[mine]) - (squares[first] + squares[second]), scale)
 
     def beside(a: Array, b: Array, c: Array) -> Array:
-        """Return an off-diagonal entry, 2 (a b + w c) over the squared norm."""
+        """Return an off-diagonal entry of the rotation, 2 (a b + w c) over the quaternion's squared norm."""
         return product(2.0 * (product(a, b) + product(w, c)), scale)
 
     rows = (
@@ -368,17 +368,17 @@ def _rotation(normals: Array, word: Array) -> tuple[tuple[Vec3, Vec3, Vec3], Arr
 
 
 def _times(rows: tuple[Vec3, Vec3, Vec3], vector: Vec3) -> Vec3:
-    """Return the product of a matrix, by its rows, and a vector."""
+    """Return the product of a 3 x 3 matrix, given by its rows, and a vector."""
     return Vec3(rows[0].dot(vector), rows[1].dot(vector), rows[2].dot(vector))
 
 
 def _back(rows: tuple[Vec3, Vec3, Vec3], vector: Vec3) -> Vec3:
-    """Return the product of the transposed matrix and a vector."""
+    """Return the product of a transposed 3 x 3 matrix, given by its rows, and a vector."""
     return rows[0] * vector.x + rows[1] * vector.y + rows[2] * vector.z
 
 
 def _heading(velocity_ned: Vec3) -> tuple[Array, Array]:
-    """Return cosine and sine of the bearing of horizontal velocities (n,); north for a zero velocity."""
+    """Return cosine and sine (n,) of the bearing of horizontal velocities; north for a zero velocity."""
     square = velocity_ned.x * velocity_ned.x + velocity_ned.y * velocity_ned.y
     moves = square > 1e-6
     speed = jnp.sqrt(jnp.where(moves, square, 1.0))

@@ -49,18 +49,18 @@ class Modes:
 
     @property
     def octaves(self) -> int:
-        """Number J of waves in a chain, an octave apart."""
+        """Number of waves in each chain; their wavenumbers double from one to the next."""
         return len(self.centre)
 
     @property
     def turns_per_metre(self) -> Floats:
-        """Wave vectors of the first waves over 2 pi, (B, K, 1, 3)."""
+        """First wave vectors over 2 pi (B, K, 1, 3) [1/m], of B groups of K chains."""
         return np.asarray(self.directions * self.first[:, :, None] / (2.0 * np.pi))[:, :, None]
 
 
 @cache
 def modes(chains: int, octaves: int) -> Modes:
-    """Return the fixed set of waves: ``chains`` in each segment, a multiple of 2 GROUPS, and ``octaves`` in all."""
+    """Return the gust field's fixed waves: ``chains`` (a multiple of 2 GROUPS) per segment, ``octaves`` in all."""
     numbers = _Numbers(_SEED)
     most = (octaves + 1) // SEGMENTS
     each = chains // GROUPS
@@ -103,25 +103,25 @@ class _Numbers:
         self._words = np.random.PCG64(seed)
 
     def uniform(self, count: int) -> Floats:
-        """Return numbers (count,) in [0, 1)."""
+        """Return uniform pseudo-random numbers (count,) in [0, 1)."""
         return np.asarray((self._words.random_raw(count) >> np.uint64(11)) * 2.0**-53)
 
     def rotation(self) -> Floats:
-        """Return a rotation (3, 3), uniform on all rotations (Shoemake 1992)."""
+        """Return a pseudo-random rotation matrix (3, 3), uniform over all rotations (Shoemake 1992)."""
         u, a, b = self.uniform(3) * np.array([1.0, 2.0 * np.pi, 2.0 * np.pi])
         low, high = np.sqrt(1.0 - u), np.sqrt(u)
         return rotation_of(np.array([low * np.sin(a), low * np.cos(a), high * np.sin(b), high * np.cos(b)]))
 
 
 def rotation_of(quaternion: Floats) -> Floats:
-    """Return the rotation (3, 3) of a unit quaternion (4,), scalar part first."""
+    """Return the rotation matrix (3, 3) of a unit quaternion (4,), scalar part first."""
     w, v = quaternion[0], quaternion[1:]
     cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
     return np.asarray((w * w - v @ v) * np.eye(3) + 2.0 * np.outer(v, v) + 2.0 * w * cross)
 
 
 def _directions(numbers: _Numbers, chains: int) -> Floats:
-    """Return random unit vectors (C, 3), ordered so that neighbouring chains together are nearly isotropic.
+    """Return pseudo-random unit vectors (C, 3), ordered so that neighbours together are nearly isotropic.
 
     A Fibonacci hemisphere, turned, dealt to the chains and given signs at random; of many tries the one in which the
     second moments of windows of a quarter, a half and all of the chains, taken as a ring, are closest to I/3.

@@ -54,7 +54,7 @@ class FieldWaves:
 
 
 def whole_turns(frequency: Array) -> Array:
-    """Return the fraction of a turn in frequencies [1/s], any shape, as uint32 in units of 2^-32 turns per second."""
+    """Return frequencies [1/s], any shape, less whole turns, as uint32 in units of 2^-32 turns per second."""
     # To take the nearest whole number off is exact, and so is the product.
     part = jnp.round((frequency - jnp.round(frequency)) * TURN)
     signed = jnp.where(part >= 0.5 * TURN, part - TURN, part).astype(jnp.int32)
@@ -62,7 +62,7 @@ def whole_turns(frequency: Array) -> Array:
 
 
 def waves_at(field: FieldWaves, seconds: Array, fraction: Array) -> tuple[Array, Array | None]:
-    """Return the phases (K,) [turns] of all chains at the origin at a time, and their amplitudes (K,), None for 1.
+    """Return the phases (K,) [turns] of all K wave chains at the origin at a time, and amplitudes (K,), None for 1.
 
     Whole seconds are multiplied modulo 2^32, exactly; the fraction is multiplied by the whole frequency.
     """
@@ -75,7 +75,7 @@ def waves_at(field: FieldWaves, seconds: Array, fraction: Array) -> tuple[Array,
 
 
 def draw_ages(draw: Draw, index: int, lifetime: Array) -> Ages:
-    """Return random ages at time 0, from draw ``index`` of a world, for a lifetime () [s]."""
+    """Return the random ages at time 0 of waves with a lifetime () [s], from draw number ``index``."""
     rate = jnp.round(float(LIFETIME) / lifetime).astype(jnp.int32)
     return Ages(draw.stream.words(draw.tick, index)[0][0], lax.bitcast_convert_type(rate, jnp.uint32))
 
@@ -109,7 +109,7 @@ def lived(ages: Ages, phase: Array, like: Array, seconds: Array, fraction: Array
 
 
 def mixed(word: Array) -> Array:
-    """Return a hash of uint32 words of any shape: the last step of MurmurHash3 (A. Appleby), a bijection."""
+    """Return a hash of uint32 words of any shape, one to one: the last step of MurmurHash3 (A. Appleby)."""
     word = (word ^ (word >> np.uint32(16))) * np.uint32(0x85EBCA6B)
     word = (word ^ (word >> np.uint32(13))) * np.uint32(0xC2B2AE35)
     return word ^ (word >> np.uint32(16))

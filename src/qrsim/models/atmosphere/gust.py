@@ -20,7 +20,7 @@ class NoGust(Gust):
     """No discrete gust."""
 
     def velocity_ned(self, position_ned: Vec3, seconds: Array, fraction: Array) -> Vec3:
-        """Return zero [m/s] for each of (n,) vehicles."""
+        """Return zero [m/s] for each vehicle (n,): there is no discrete gust."""
         return Vec3.zeros(position_ned.x.shape, position_ned.x.dtype)
 
 
@@ -75,13 +75,13 @@ class DiscreteGust(Gust):
 
     @computed
     def reads(self) -> tuple[str, ...]:
-        """``("convection_ned",)`` if the gust takes speed or bearing from the velocity of the turbulence, else ()."""
+        """Names of extra inputs: ``("convection_ned",)`` if speed or bearing come from the turbulence, else ()."""
         return ("convection_ned",) if self.speed is None or self.wind_from_rad is None else ()
 
     def velocity_ned(
         self, position_ned: Vec3, seconds: Array, fraction: Array, convection_ned: Vec3 | None = None
     ) -> Vec3:
-        """Return the contribution of the gust to the air's velocity [m/s] in NED, for each of (n,) vehicles.
+        """Return the velocity (n,) [m/s] NED that the discrete gust adds to the wind at positions (n,) [m] and a time.
 
         Args:
             position_ned: (n,) [m].
@@ -103,7 +103,7 @@ class DiscreteGust(Gust):
         return turned_to_ned(self.along * share, self.across * share, self.down * share, sine, cosine)
 
     def _motion(self, convection_ned: Vec3 | None) -> tuple[Array, Array, Array]:
-        """Return the speed () [m/s], and sine and cosine () of the bearing that the gust comes from."""
+        """Return the gust's speed () [m/s] over ground, and sine and cosine () of the bearing from which it comes."""
         speed = sine = cosine = None
         if convection_ned is not None:
             square = convection_ned.x * convection_ned.x + convection_ned.y * convection_ned.y

@@ -41,7 +41,7 @@ class RidgeLift(Updraft):
         ground: Any,
         **reads: object,
     ) -> Vec3:
-        """Return the vertical velocity (n,) [m/s].
+        """Return the velocity (n,) [m/s] NED, vertical, of wind deflected by the slope of the ground.
 
         Args:
             position_ned, height_agl: (n,) [m].

@@ -30,22 +30,22 @@ class Air(NamedTuple):
 
 
 def temperature(height: float) -> float:
-    """Return the temperature [K] at a height [m]."""
+    """Return the standard atmosphere's temperature [K] at a height [m] above the sea."""
     return TEMPERATURE - LAPSE * height
 
 
 def pressure(height: float) -> float:
-    """Return the pressure [Pa] at a height [m] below 11 km."""
+    """Return the standard atmosphere's pressure [Pa] at a height [m] above the sea, below 11 km."""
     return PRESSURE * math.pow(temperature(height) / TEMPERATURE, EXPONENT)
 
 
 def density(height: float) -> float:
-    """Return the density [kg/m^3] at a height [m] below 11 km."""
+    """Return the standard atmosphere's density [kg/m^3] at a height [m] above the sea, below 11 km."""
     return pressure(height) / (GAS * temperature(height))
 
 
 def air_above(above: Array, base_temperature: Array, base_pressure: Array) -> Air:
-    """Return pressure [Pa], temperature [K] and density [kg/m^3] (n,) of the standard atmosphere above a base point.
+    """Return the standard atmosphere's pressure, temperature and density (n,) at heights ``above`` [m] a base point.
 
     Args:
         above: heights (n,) over it [m].
@@ -70,20 +70,20 @@ class SiteAir:
 
     @staticmethod
     def of(height: float, temperature_offset: float = 0.0) -> SiteAir:
-        """Return the air of a site at a height [m], warmer than the standard by an offset [K]."""
+        """Return the air of a site at a height [m] above the sea, warmer than the standard by an offset [K]."""
         return record_of(SiteAir, temperature(height) + temperature_offset, pressure(height))
 
     @property
     def site_density(self) -> Array:
-        """Density [kg/m^3] at the origin of the site."""
+        """Density [kg/m^3] of the air at the origin of the site."""
         return DENSITY * self._share
 
     def density(self, position_ned: Vec3) -> Array:
-        """Return the density [kg/m^3] at positions (n,) [m]; at sea level exactly 1.225."""
+        """Return the air density (n,) [kg/m^3] at positions (n,) [m]; exactly 1.225 at sea level."""
         above = 1.0 + position_ned.z * (LAPSE / self.temperature)
         return DENSITY * (self._share * exp((EXPONENT - 1.0) * log(jnp.maximum(above, 0.1))))
 
     @property
     def _share(self) -> Array:
-        """Air density at the site divided by that at sea level; exactly 1 for a site at sea level."""
+        """Air density at the site over that at sea level; exactly 1 for a site at sea level."""
         return (self.pressure / PRESSURE) * (TEMPERATURE / self.temperature)

@@ -69,11 +69,11 @@ class Thermals(Updraft):
 
     @computed
     def drawn_ids(self) -> int:
-        """Number of thermals with random places: all, or 0 if ``places_ned`` gives the places."""
+        """Number of thermals placed at random in each episode: all, or 0 if ``places_ned`` gives their places."""
         return 0 if np.size(self.places_ned) else self.number
 
     def built(self, bounds: Bounds | None, solids: Sequence[Footprint]) -> Thermals:
-        """Return the component fitted to an area, with the number of its thermals.
+        """Return the thermals fitted to an area; their number follows from its size unless it, or places, are given.
 
         Raises:
             UsageError: the area has no bounds, holds no thermal, or is too small for them.
@@ -104,7 +104,7 @@ class Thermals(Updraft):
         return replace(self, corner=(south, west), sides=sides, number=number)
 
     def draw(self, draw: Draw) -> Vec3:
-        """Return random places (K,) of an episode's thermals, uniform over the area."""
+        """Return random places (K,) [m] of K thermals for an episode, uniform over the area."""
         # Of variance 1, so within the root of three on either side.
         parts = (row[0] * (0.5 / math.sqrt(3.0)) + 0.5 for row in draw.uniform_pairs(jnp.zeros(1, jnp.uint32)))
         north, east = (low + side * part for low, side, part in zip(self.corner, self.sides, parts, strict=True))
@@ -122,7 +122,7 @@ class Thermals(Updraft):
         drawn: Vec3 | None,
         **reads: object,
     ) -> Vec3:
-        """Return the vertical velocity (n,) [m/s] of the nearest thermal, or of the sink around it.
+        """Return the velocity (n,) [m/s] NED, vertical, of the nearest thermal and of the sinking air between thermals.
 
         Args:
             position_ned, height_agl: (n,) [m].
@@ -147,7 +147,7 @@ class Thermals(Updraft):
         return Vec3(zero, zero, -up)
 
     def rise(self, distance: Array, height_agl: Array) -> Array:
-        """Return the upward velocity (n,) [m/s] at distances (n,) [m] from the nearest axis and heights (n,) [m]."""
+        """Return the upward velocity (n,) [m/s] at distances (n,) [m] from the nearest thermal's axis, and heights."""
         part = jnp.maximum(height_agl / self.z_i, 1e-9)
         radius = mean_radius(part, self.z_i)
         outer = jnp.maximum(radius, NARROWEST)
@@ -170,13 +170,13 @@ class Thermals(Updraft):
 
 
 def mean_radius(part: Any, depth: Any) -> Any:
-    """Return the mean outer radius r2 [m] of thermals at the height ``part`` z_i, with z_i = ``depth`` [m]."""
+    """Return the mean outer radius [m] of thermals at height ``part`` times the convective layer's ``depth`` [m]."""
     cubic = part ** (1.0 / 3.0) if isinstance(part, float) else power(part, 1.0 / 3.0)
     return 0.102 * cubic * (1.0 - 0.25 * part) * depth
 
 
 def _bell(x: Array, ratio: Array) -> Array:
-    """Return the relative velocity at x = r/r2, 1 at the axis, by published constants nearest to r1/r2 ``ratio``."""
+    """Return the updraft at x = r/r2 over that at the axis, with constants for the nearest tabulated ``ratio``."""
     constants: list[Any] = list(SHAPES[0])
     for low, high, shape in zip(RATIOS, RATIOS[1:], SHAPES[1:], strict=False):
         broad = ratio >= 0.5 * (low + high)

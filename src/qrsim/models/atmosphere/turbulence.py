@@ -26,13 +26,13 @@ NEAR_GROUND = (
 
 
 def driving_speed(where: str = "") -> Array:
-    """Return the declaration of the wind speed [m/s] that drives a turbulence; ``where`` ends its description."""
+    """Return the field declaration of the wind speed [m/s] that drives a turbulence; ``where`` ends its description."""
     doc = f"wind speed 20 ft above ground that drives the turbulence{where}"
     return parameter(default=None, unit="m/s", doc=doc, minimum=0.0, maximum=50.0, inherits="world.wind.speed_20ft")
 
 
 def own_axes() -> Array:
-    """Return the declaration of the bearing [rad] of a turbulence's axes."""
+    """Return the field declaration of the bearing [rad] of a turbulence's axes."""
     doc, turn = "bearing of the turbulence's own axes", 2 * math.pi
     return parameter(
         default=None, unit="rad", doc=doc, minimum=-turn, maximum=turn, inherits="world.wind.wind_from_rad"
@@ -40,13 +40,13 @@ def own_axes() -> Array:
 
 
 def crossing_speed() -> Literal["relative", "ground"]:
-    """Return the declaration of the speed at which a vehicle crosses the gusts; see ``carrying_speed``."""
+    """Return the field declaration of the option ``airspeed``: the speed that carries gusts past a vehicle."""
     doc = "speed at which the vehicle crosses the gusts: relative to the mean wind, or 'ground': 0.5 "
     return setting(default="relative", doc=doc + "m/s plus the speed over ground")
 
 
 def high_severity() -> int:
-    """Return the declaration of the severity above 1000 ft, a curve of figure 7 of MIL-F-8785C."""
+    """Return the field declaration of the turbulence severity above 1000 ft, a curve of MIL-F-8785C figure 7."""
     doc = "MIL-F-8785C figure 7, above 1000 ft: 1 light to 7 extreme"
     return setting(default=3, unit="1", doc=doc, minimum=1, maximum=7)
 
@@ -63,22 +63,22 @@ class Still(Turbulence):
     normals: ClassVar[int] = 0
 
     def init(self, draw: Noise) -> StillState:
-        """Return the empty state."""
+        """Return the empty gust state: air without turbulence."""
         return StillState()
 
     def step(
         self, state: StillState, draw: Noise, height_agl: Array, velocity_ned: Vec3, mean_wind_ned: Vec3, dt: float
     ) -> StillState:
-        """Return the empty state."""
+        """Return the empty gust state: air without turbulence."""
         return state
 
     def gust_ned(self, state: StillState, height_agl: Array) -> Vec3:
-        """Return zero [m/s] for each of (n,) vehicles."""
+        """Return zero gust velocity [m/s] for each vehicle (n,)."""
         return Vec3.zeros(height_agl.shape, height_agl.dtype)
 
 
 def low_altitude_scales(height_agl: Array) -> tuple[Vec3, Vec3]:
-    """Return length scales [m] and intensities as multiples of sigma_w (MIL-F-8785C, low altitude).
+    """Return gust length scales [m], and stds over sigma_w, at heights (n,) [m] (MIL-F-8785C, low altitude).
 
     Args:
         height_agl: (n,) [m], taken as at least 10 ft and at most 1000 ft.
@@ -91,7 +91,7 @@ def low_altitude_scales(height_agl: Array) -> tuple[Vec3, Vec3]:
 
 
 def blocked(height_agl: Array) -> Array:
-    """Return the factor (n,) of vertical gusts at heights (n,) [m] relative to those at 10 ft, 0 at the ground.
+    """Return the factor (n,) on vertical gusts at heights (n,) [m]: 0 at the ground, rising to 1 at 10 ft and above.
 
     No air goes through the ground. Waves longer than the height h have vertical gusts of k h there (J. C. R. Hunt and
     J. M. R. Graham, "Free-stream turbulence near plane boundaries", J. Fluid Mech. 84, 1978: 1 - exp(-k h)), and the
@@ -101,7 +101,7 @@ def blocked(height_agl: Array) -> Array:
 
 
 def carrying_speed(airspeed: Literal["relative", "ground"], velocity_ned: Vec3, mean_wind_ned: Vec3) -> Array:
-    """Return the speed [m/s] that carries the gusts past each of (n,) vehicles, for an ``airspeed`` option."""
+    """Return the speed (n,) [m/s] at which gusts pass each vehicle: airspeed or ground speed, by ``airspeed``."""
     # Roots of limited squares, because the root of zero has no gradient.
     if airspeed == "relative":
         through_air = velocity_ned - mean_wind_ned
@@ -130,19 +130,19 @@ class DrydenFirstOrder(Turbulence):
     normals: ClassVar[int] = 3
 
     def init(self, draw: Noise) -> GustState:
-        """Return random stationary first gusts (n,)."""
+        """Return random initial gusts (n,), in the statistical steady state."""
         return GustState(Vec3(*draw.normals(3)))
 
     def step(
         self, state: GustState, draw: Noise, height_agl: Array, velocity_ned: Vec3, mean_wind_ned: Vec3, dt: float
     ) -> GustState:
-        """Return the gusts dt [s] later at heights (n,) [m] and ground velocities velocity_ned (n,) [m/s]."""
+        """Return the gusts dt [s] later at heights (n,) [m], for ground velocities ``velocity_ned`` (n,) [m/s]."""
         speed = carrying_speed(self.airspeed, velocity_ned, mean_wind_ned)
         lengths, _ = low_altitude_scales(height_agl)
         normals = Vec3(*draw.normals(3))
 
         def advance(gust: Array, normal: Array, length: Array) -> Array:
-            """Return one axis' gust a step later."""
+            """Return one axis' gust (n,) a step later, for a standard normal and a length scale [m]."""
             time_constant = length / speed
             if self.discretisation == "exact":
                 decay, spread = ou_decay(dt, time_constant)
@@ -161,7 +161,7 @@ class DrydenFirstOrder(Turbulence):
         )
 
     def gust_ned(self, state: GustState, height_agl: Array) -> Vec3:
-        """Return the gust [m/s] in NED for each of (n,) vehicles; sigma_w = 0.1 u20."""
+        """Return the gust velocity (n,) [m/s] NED at heights (n,) [m]; sigma_w is 0.1 times the wind at 20 ft."""
         _, ratios = low_altitude_scales(height_agl)
         sigma = 0.1 * self.speed_20ft
         gust = state.gust

@@ -24,17 +24,17 @@ REFERENCE_FT = 20.0
 
 
 def wind_to_ned(along: Array, across: Array, down: Array, wind_from_rad: Array) -> Vec3:
-    """Return a vector given along, across and down the wind in NED (MIL-F-8785C, 3.7.1)."""
+    """Return a vector along, across and down the wind as NED, by the bearing it comes from (MIL-F-8785C, 3.7.1)."""
     return turned_to_ned(along, across, down, *sincos(jnp.asarray(wind_from_rad)))
 
 
 def turned_to_ned(along: Array, across: Array, down: Array, sine: Array, cosine: Array) -> Vec3:
-    """Return a vector given in wind axes in NED, by sine and cosine of the bearing from which the wind comes."""
+    """Return a vector along, across and down the wind as NED, by sine and cosine of the bearing it comes from."""
     return Vec3(sine * across - cosine * along, -sine * along - cosine * across, down)
 
 
 def mean_wind_at(wind: Wind, height_agl: Array, position_ned: Vec3, time: tuple[Array, Array]) -> Vec3:
-    """Return the mean wind (n,) [m/s] at heights (n,) [m] above ground and positions (n,) [m], at a time."""
+    """Return the mean wind (n,) [m/s] NED at positions (n,) [m], heights above ground (n,) [m] and a time."""
     inputs: dict[str, Any] = {"position_ned": position_ned} if "position_ned" in wind.reads else {}
     return wind.velocity_ned(height_agl, *time, **inputs)
 
@@ -44,7 +44,7 @@ class Calm(Wind):
     """No mean wind."""
 
     def velocity_ned(self, height_agl: Array, seconds: Array | None = None, fraction: Array | None = None) -> Vec3:
-        """Return zero [m/s] at every height (n,) and time."""
+        """Return zero wind [m/s] at every height (n,) and time."""
         return Vec3.zeros(height_agl.shape, height_agl.dtype)
 
 
@@ -65,7 +65,7 @@ class LogShear(Wind):
     )
 
     def velocity_ned(self, height_agl: Array, seconds: Array | None = None, fraction: Array | None = None) -> Vec3:
-        """Return the air's velocity [m/s] at heights (n,) [m] above ground; zero at and below the roughness height.
+        """Return the mean wind (n,) [m/s] NED at heights (n,) [m] by the log law; zero up to the roughness height.
 
         The same at any time (``seconds`` and ``fraction``, which other winds need).
         |w(h)| = u20 ln(h/z0)/ln(20/z0), h in feet, by default z0 = 0.15 ft (MIL-F-8785C, section 3.7.3.2).

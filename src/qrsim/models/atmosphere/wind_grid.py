@@ -44,7 +44,7 @@ class WindGrid(Wind):
     def velocity_ned(
         self, height_agl: Array, seconds: Array, fraction: Array, *, position_ned: Vec3, **reads: object
     ) -> Vec3:
-        """Return the air's velocity (n,) [m/s], linear in place and time.
+        """Return the wind velocity (n,) [m/s] NED at positions and a time, interpolated linearly in the grid.
 
         Args:
             height_agl: (n,) [m] above ground.
@@ -62,18 +62,18 @@ class WindGrid(Wind):
         return self.air_ned.map(lambda axis: _linear(jnp.asarray(axis), (before, level, rows, columns)))
 
     def mean_velocity_ned(self, height_agl: Array) -> Vec3:
-        """Return the mean over time and all places [m/s] at heights (n,) [m]."""
+        """Return the wind velocity (n,) [m/s] NED at heights (n,) [m], averaged over time and all places."""
         level, share = self._level(height_agl)
 
         def at(axis: Array) -> Array:
-            """Return one component of the velocity, interpolated between the two layers around the height."""
+            """Return one component of the mean wind (n,), interpolated linearly between grid levels."""
             axis = jnp.asarray(axis)
             return axis[level] + share * (axis[level + 1] - axis[level])
 
         return self.mean_ned.map(at)
 
     def averaged(self) -> WindGrid:
-        """Return the grid with its mean winds filled in, in double precision."""
+        """Return the grid with its mean winds over time and place computed, in float64."""
         times = np.asarray(self.seconds) + np.asarray(self.fraction, np.float64)
         # By trapezoids, as the velocity is linear between two times.
         weights = np.convolve(np.diff(times), [0.5, 0.5]) if len(times) > 1 else np.ones(1)
@@ -84,7 +84,7 @@ class WindGrid(Wind):
         return replace(self, mean_ned=means)
 
     def within(self, bounds: Bounds | None, top: float | None) -> WindGrid:
-        """Return the part of the grid that an area needs.
+        """Return the grid cut to the rows and columns that an area needs; all levels stay.
 
         Raises:
             UsageError: the grid lies entirely outside the area, or is too large there.
@@ -102,7 +102,7 @@ class WindGrid(Wind):
         return replace(self, air_ned=air, corner=begins).averaged()
 
     def beyond(self, bounds: Bounds | None, top: float | None) -> list[str]:
-        """Return a sentence for each side where the area extends beyond the grid; the edge's velocity applies there."""
+        """Return a sentence for each side on which the area extends beyond the grid, where the edge's wind applies."""
         levels, found = np.asarray(self.levels), []
         if top is not None and top > levels[-1] + 1e-6 * (levels[-1] - levels[0]):
             found.append(f"{self.file}: reaches up to {levels[-1]:.6g} m; world.area reaches up to {top:.6g} m")
@@ -119,12 +119,12 @@ class WindGrid(Wind):
         return found
 
     def largest_speed(self, height: NumpyArray) -> NumpyArray:
-        """Return the largest horizontal speed [m/s] over all places and times, at heights of any shape [m]."""
+        """Return the largest horizontal wind speed [m/s] over all places and times, at heights [m] of any shape."""
         speed = np.hypot(np.asarray(self.air_ned.x), np.asarray(self.air_ned.y))
         return np.interp(height, np.asarray(self.levels), speed.max(axis=(0, 2, 3)))
 
     def _needed(self, axis: int, limits: tuple[float, float] | None) -> slice:
-        """Return the slice of rows (axis 0) or columns (axis 1) that cover an area; raise UsageError if none does."""
+        """Return the slice of rows (axis 0) or columns (1) that covers an area; raise UsageError if none does."""
         count = self.air_ned.x.shape[2 + axis]
         if limits is None:
             return slice(0, count)
@@ -140,13 +140,13 @@ class WindGrid(Wind):
         return slice(begin, min(max(math.ceil(last) + 1, begin + 2), count))
 
     def _rows(self, axis: int, limits: tuple[float, ...]) -> tuple[float, float, int]:
-        """Return an area's range along an axis, in grid spacings from the first point, and the number of points."""
+        """Return an area's limits along an axis in grid steps from its first point, and the number of points."""
         low, step = float(self.corner[axis]), float(self.spacing[axis])
         # An edge of the area may be a rounding error beyond that of the grid.
         return (limits[0] - low) / step + 1e-6, (limits[1] - low) / step - 1e-6, self.air_ned.x.shape[2 + axis]
 
     def _level(self, height: Array) -> tuple[Array, Array]:
-        """Return the index (n,) of the level below heights (n,), and the share of the way to the next, 0 to 1."""
+        """Return the index (n,) of the grid level below heights (n,) [m], and the share (n,), 0 to 1, of the next."""
         levels = jnp.asarray(self.levels)
         held = jnp.clip(jnp.where(jnp.isfinite(height), height, levels[0]), levels[0], levels[-1])
         # Levels are few and not evenly spaced, so they are counted.
@@ -156,7 +156,7 @@ class WindGrid(Wind):
         return number, (held - low) / (levels[number + 1] - low)
 
     def _time(self, seconds: Array, fraction: Array) -> tuple[Array, Array] | None:
-        """Return the index () of the time before, and the share of the way to the next, 0 to 1; None in steady wind."""
+        """Return the index () of the grid's time before a time, and the share () of the next; None in steady wind."""
         if self.air_ned.x.shape[0] == 1:
             return None
         row, since, interval = interval_at(jnp.asarray(self.seconds), jnp.asarray(self.fraction), seconds, fraction)
@@ -164,14 +164,14 @@ class WindGrid(Wind):
 
 
 def _cell(place: Array, count: int) -> tuple[Array, Array]:
-    """Return the cell index (n,) of places (n,) along an axis of ``count`` points, and the position in it, 0 to 1."""
+    """Return the cell index (n,) of coordinates on an axis of ``count`` points, and the position in it, 0 to 1."""
     held = jnp.clip(jnp.where(jnp.isfinite(place), place, 0.0), 0.0, float(count - 1))
     number = jnp.clip(jnp.floor(held), 0.0, float(count - 2))
     return number.astype(jnp.int32), held - number
 
 
 def _linear(values: Array, cells: tuple[tuple[Array, Array] | None, ...]) -> Array:
-    """Interpolate values (T, Z, Y, X) within cells along each axis; an axis without one has a single point."""
+    """Return grid values (T, Z, Y, X) interpolated in the given cell of each axis, None for an axis of one point."""
     corners: list[tuple[Any, ...]] = [()]
     for cell in cells:
         steps = (0,) if cell is None else (0, 1)
@@ -210,7 +210,7 @@ class WindGridFile:
     )
 
     def at(self, duration: float) -> WindGrid:
-        """Read the file and return the wind of a run, in float64.
+        """Return the wind grid for a run of ``duration`` [s], read from the file, in float64.
 
         Args:
             duration: length of the run [s].
@@ -234,5 +234,5 @@ class WindGridFile:
 
 
 def _step(values: NumpyArray) -> float:
-    """Return the mean distance between neighbouring grid values."""
+    """Return the mean step between neighbouring grid coordinates."""
     return float(values[-1] - values[0]) / (len(values) - 1)

@@ -82,7 +82,7 @@ class GridFile:
 
 
 def read_grid(file: str, layout: Layout) -> GridFile:
-    """Return the wind grid of a NetCDF file, from a cache if the file has not changed.
+    """Return the wind grid in a NetCDF file, from a cache if the file has not changed.
 
     Raises:
         UsageError: no such file, or no such grid: it names the variable, what it has and what it should have.
@@ -94,7 +94,7 @@ def read_grid(file: str, layout: Layout) -> GridFile:
 
 @lru_cache(maxsize=2)
 def _read(file: str, layout: Layout, changed: int, size: int) -> GridFile:
-    """Return the wind grid of a NetCDF file; ``changed`` and ``size`` are the cache's key for its version."""
+    """Return the wind grid in a NetCDF file; ``changed`` and ``size`` identify its version for the cache."""
     xarray = extras.load("wind", "a wind from a NetCDF file", "xarray")
     path = os.path.expanduser(file)
     try:
@@ -133,7 +133,7 @@ def _read(file: str, layout: Layout, changed: int, size: int) -> GridFile:
 
 
 def _check_axes(file: str, path: str) -> None:
-    """Raise UsageError for axes that are too long, before xarray reads them whole."""
+    """Raise UsageError for a file with too many points on an axis, before xarray loads them."""
     with extras.load("wind", "a wind from a NetCDF file", "netCDF4").Dataset(path) as opened:
         for name, dimension in opened.dimensions.items():
             if name in opened.variables and len(dimension) > LONGEST_AXIS:
@@ -141,7 +141,7 @@ def _check_axes(file: str, path: str) -> None:
 
 
 def _variable(file: str, content: xarray.Dataset, name: str, which: int) -> xarray.DataArray:
-    """Return a velocity variable; raise UsageError if it is missing or has other units or another direction."""
+    """Return a velocity variable of the file; raise UsageError if it is missing or has wrong units or direction."""
     variables = [str(each) for each in content.data_vars]
     if name not in content.data_vars:
         raise UsageError(
@@ -162,12 +162,12 @@ def _variable(file: str, content: xarray.Dataset, name: str, which: int) -> xarr
 
 
 def _towards(which: int) -> str:
-    """Return the direction of a wind component (0, 1, 2) in words."""
+    """Return the direction of wind component 0, 1 or 2 in words, such as "upwards" for 2."""
     return "upwards" if which == 2 else f"to the {DIRECTIONS[which]}"
 
 
 def _check_units(file: str, name: str, attributes: Mapping[str, object], allowed: tuple[str, ...], best: str) -> None:
-    """Raise UsageError unless the attribute ``units`` is one of ``allowed``."""
+    """Raise UsageError unless the attribute ``units`` is one of ``allowed``; ``best`` is the unit to suggest."""
     units = attributes.get("units")
     if units is None:
         raise UsageError(f"{file}: '{name}' has no units; expected the attribute units: '{best}'")
@@ -176,7 +176,7 @@ def _check_units(file: str, name: str, attributes: Mapping[str, object], allowed
 
 
 def _axes(file: str, variable: xarray.DataArray, content: xarray.Dataset) -> dict[str, str]:
-    """Return the variable's dimension for each axis, by "x", "y", "z" and perhaps "t"; raise UsageError."""
+    """Return the variable's dimension by axis, "x", "y", "z", perhaps "t"; raise UsageError for others or too few."""
     found: dict[str, str] = {}
     for dimension in map(str, variable.dims):
         attributes = content[dimension].attrs if dimension in content.coords else {}
@@ -198,7 +198,7 @@ def _axes(file: str, variable: xarray.DataArray, content: xarray.Dataset) -> dic
 
 
 def _coordinate(file: str, content: xarray.Dataset, name: str, axis: str) -> Floats:
-    """Return the coordinate of an axis [m], z positive upwards; raise UsageError for other units."""
+    """Return an axis' coordinates [m], z positive upwards; raise UsageError for other units."""
     values = _numbers(file, content, name)
     attributes = content[name].attrs
     units = str(attributes.get("units", ""))
@@ -209,7 +209,7 @@ def _coordinate(file: str, content: xarray.Dataset, name: str, axis: str) -> Flo
 
 
 def _times(file: str, content: xarray.Dataset, name: str) -> Floats:
-    """Return times [s] since the first; raise UsageError for unknown units or times that do not increase."""
+    """Return the file's times [s] since the first; raise UsageError for unknown units or times that do not increase."""
     values = _numbers(file, content, name, least=1)
     units = content[name].attrs.get("units")
     expected = "'s' or 'seconds since ...', or the same with minutes, hours or days"
@@ -225,7 +225,7 @@ def _times(file: str, content: xarray.Dataset, name: str) -> Floats:
 
 
 def _numbers(file: str, content: xarray.Dataset, name: str, least: int = 2) -> Floats:
-    """Return a coordinate (k,) as float64; raise UsageError for fewer than ``least`` finite numbers."""
+    """Return a coordinate variable (k,) as float64; raise UsageError for fewer than ``least`` finite numbers."""
     if name not in content.coords:
         raise UsageError(f"{file}: '{name}' is a dimension without coordinates; expected a variable '{name}'({name})")
     variable = content[name]
@@ -235,7 +235,7 @@ def _numbers(file: str, content: xarray.Dataset, name: str, least: int = 2) -> F
 
 
 def _check_increasing(file: str, name: str, values: Floats, even: bool) -> None:
-    """Raise UsageError unless values increase, and evenly if ``even``."""
+    """Raise UsageError unless coordinates increase, and in equal steps if ``even``."""
     steps = np.diff(values)
     if not (steps > 0.0).all():
         raise UsageError(f"{file}: '{name}' is no row of numbers in order")
@@ -246,7 +246,7 @@ def _check_increasing(file: str, name: str, values: Floats, even: bool) -> None:
 
 
 def _filled(file: str, layout: Layout, arrays: list[Floats]) -> list[Floats]:
-    """Return velocities with 0 for missing points if the layout allows it; raise UsageError otherwise."""
+    """Return the velocities with missing points set to 0 if the layout allows it; else raise UsageError."""
     missing = ~np.isfinite(arrays[0]) | ~np.isfinite(arrays[1]) | ~np.isfinite(arrays[2])
     count = int(missing.sum())
     if count and not layout.calm:

@@ -36,7 +36,7 @@ class ProfileTable:
     slopes: tuple[Array, Array] = quantity(unit="1/s", doc="(T, Z - 1) its change with height in each layer")
 
     def at(self, height: Array, logarithm: Array, row: Array | int) -> tuple[Array, Array]:
-        """Return the velocities to north and east (n,) [m/s] at heights (n,) [m] in one row, a time of the table.
+        """Return north and east wind (n,) [m/s] at heights (n,) [m] in table row ``row``, one time.
 
         Args:
             height: (n,) above the ground [m].
@@ -48,14 +48,14 @@ class ProfileTable:
         return self._summed(height, logarithm, row, (north, east), steps)
 
     def between(self, height: Array, logarithm: Array, row: Array, share: Array) -> tuple[Array, Array]:
-        """Return velocities (n,) linear in time from one row to the next; ``share`` () is 0 to 1."""
+        """Return north and east wind (n,) [m/s] at heights, ``share`` 0 to 1 of the way from ``row`` to the next."""
         if self.heights.shape[0] > 1:
             ends = self.at(height, logarithm, row), self.at(height, logarithm, row + 1)
             north, east = (before + share * (after - before) for before, after in zip(*ends, strict=True))
             return north, east
 
         def at(axis: Array) -> Array:
-            """Return one component of the velocity, interpolated between the two heights of the table."""
+            """Return one wind component (n,), interpolated between rows ``row`` and ``row`` + 1."""
             axis = jnp.asarray(axis)
             return axis[row] + share * (axis[row + 1] - axis[row])
 
@@ -65,7 +65,7 @@ class ProfileTable:
     def _summed(
         self, height: Array, logarithm: Array, row: object, lowest: tuple[Array, Array], slopes: list[Array]
     ) -> tuple[Array, Array]:
-        """Return north and east wind [m/s] at heights: the lowest layer's wind plus the change in each layer above."""
+        """Return north and east wind (n,) [m/s]: the lowest layer's plus the change through each layer above."""
         own = row if self.heights.shape[0] > 1 else 0
         heights, share = jnp.asarray(self.heights)[own], jnp.asarray(self.log_share)[own]
         part = jnp.minimum(logarithm * share, 1.0)
@@ -88,7 +88,7 @@ class WindProfile(Wind):
     fraction: Array = quantity(unit="s", doc="(T,) the rest, in [0, 1)")
 
     def velocity_ned(self, height_agl: Array, seconds: Array, fraction: Array) -> Vec3:
-        """Return the air's velocity [m/s] at heights (n,) [m] above ground and a time, constant beyond the ends.
+        """Return the wind velocity (n,) [m/s] NED at heights (n,) [m] above ground and a time; ends extend unchanged.
 
         It is linear in time, and in height from the lowest to the highest level. Below, its speed is that of the lowest
         level h0 times ln(h/z0)/ln(h0/z0), zero below the roughness z0.
@@ -103,30 +103,30 @@ class WindProfile(Wind):
         return Vec3(north, east, jnp.zeros_like(north))
 
     def mean_velocity_ned(self, height_agl: Array) -> Vec3:
-        """Return the mean over the run [m/s] at heights (n,) [m]."""
+        """Return the wind velocity (n,) [m/s] NED at heights (n,) [m], averaged over the run."""
         north, east = self.mean.at(height_agl, self._logarithm(height_agl), 0)
         return Vec3(north, east, jnp.zeros_like(north))
 
     def _logarithm(self, height: Array) -> Array:
-        """Return ln(height/roughness) of heights [m], at least 0."""
+        """Return ln(height/roughness) of heights (n,) [m], at least 0."""
         return log(jnp.maximum(height / self.roughness, 1.0))
 
     def beyond(self, bounds: Bounds | None, top: float | None) -> list[str]:
-        """Return a sentence if the area extends far above the highest level, else none."""
+        """Return a sentence, in a list, if the area extends far above the highest level of the data."""
         highest = float(np.min(np.max(np.asarray(self.table.heights), axis=1)))
         if top is None or top <= FAR_ABOVE * highest:
             return []
         return [f"the highest level is {highest:.6g} m above the ground; world.area reaches {top:.6g} m"]
 
     def at_times(self, height: NumpyArray) -> tuple[Floats, Floats]:
-        """Return velocities to north and east (T, ...) [m/s], on the host, at heights (...) [m] at each time."""
+        """Return north and east wind (T, ...) [m/s] at heights (...) [m] at each time of the data, by NumPy."""
         height = np.asarray(height, np.float64)
         pairs = [_on_host(self.table, row, height, float(self.roughness)) for row in range(len(self.seconds))]
         return np.stack([north for north, _ in pairs]), np.stack([east for _, east in pairs])
 
 
 def _on_host(table: ProfileTable, row: int, height: Floats, roughness: float) -> tuple[Floats, Floats]:
-    """Return north and east wind [m/s] of row ``row`` at heights [m], computed by NumPy in float64."""
+    """Return north and east wind [m/s] at heights [m] in table row ``row``, by NumPy in float64."""
     own = row if len(table.heights) > 1 else 0
     heights, share = np.asarray(table.heights, np.float64)[own], float(table.log_share[own])
     part = np.minimum(np.log(np.maximum(height / roughness, 1.0)) * share, 1.0)
@@ -160,7 +160,7 @@ class ProfileRows:
     source: str = setting(default="", doc="where the rows are from, for messages")
 
     def at(self, duration: float) -> WindProfile:
-        """Return the wind of a run, in float64.
+        """Return the wind profile for a run of ``duration`` [s], in float64.
 
         Args:
             duration: length of the run [s].
@@ -195,7 +195,7 @@ class ProfileRows:
 
 
 def _profile(columns: dict[str, Floats], rows: NumpyArray, roughness: float) -> Floats:
-    """Return (3, Z) of one time, sorted by height: heights [m], velocities to north and to east [m/s].
+    """Return one time's profile (3, Z), sorted by height: heights [m], and wind to north and to east [m/s].
 
     Raises:
         UsageError: too many levels, two of one height, or one at the ground.
@@ -215,7 +215,7 @@ def _profile(columns: dict[str, Floats], rows: NumpyArray, roughness: float) -> 
 
 
 def _table(profiles: list[Floats], roughness: float) -> ProfileTable:
-    """Return profiles (3, Z), which may differ in their number of levels, as one table."""
+    """Return profiles (3, Z) of different times, perhaps with different Z, as one table."""
     most = max(profile.shape[1] for profile in profiles)
     padded = np.stack([np.pad(each, ((0, 0), (0, most - each.shape[1])), mode="edge") for each in profiles])
     heights, north, east = padded[:, 0], padded[:, 1], padded[:, 2]
@@ -231,7 +231,7 @@ def _table(profiles: list[Floats], roughness: float) -> ProfileTable:
 def _mean(
     table: ProfileTable, profiles: list[Floats], times: Floats, duration: float, roughness: float
 ) -> ProfileTable:
-    """Return the mean wind over a run as a table, exact at the levels of all times, up to ``MOST_LEVELS`` levels."""
+    """Return the wind averaged over the run as a table, exact at the levels of all times if these are not too many."""
     heights = np.unique(np.concatenate([profile[0] for profile in profiles]))
     if len(heights) > MOST_LEVELS:
         heights = heights[np.unique(np.linspace(0, len(heights) - 1, MOST_LEVELS).astype(int))]

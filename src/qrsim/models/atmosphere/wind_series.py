@@ -34,15 +34,15 @@ class WindSeries(Wind):
     mean_ned: Vec3 = quantity(default=None, unit="m/s", doc="() mean over the whole series")
 
     def mean_velocity_ned(self, height_agl: Array) -> Vec3:
-        """Return the mean over the whole series [m/s], the same at all heights (n,)."""
+        """Return the wind velocity (n,) [m/s] NED averaged over the series, the same at all heights (n,)."""
         return self.mean_ned.map(lambda axis: jnp.broadcast_to(jnp.asarray(axis), height_agl.shape))
 
     def largest_speed(self, height: NumpyArray) -> NumpyArray:
-        """Return the largest horizontal speed [m/s] at any time, the same at heights of any shape [m]."""
+        """Return the largest horizontal wind speed [m/s] at any time, for heights of any shape."""
         return np.full(np.shape(height), np.hypot(np.asarray(self.air_ned.x), np.asarray(self.air_ned.y)).max())
 
     def velocity_ned(self, height_agl: Array, seconds: Array, fraction: Array) -> Vec3:
-        """Return the air's velocity [m/s], the same at all heights (n,); beyond the series its end values.
+        """Return the wind velocity (n,) [m/s] NED at a time, the same at all heights (n,); ends extend unchanged.
 
         Args:
             height_agl: (n,) [m].
@@ -53,7 +53,7 @@ class WindSeries(Wind):
         share = jnp.clip(since / interval, 0.0, 1.0)
 
         def at(axis: Array) -> Array:
-            """Return one component of the velocity (n,), interpolated between two times of the series."""
+            """Return one wind component (n,), interpolated between two times of the series."""
             axis = jnp.asarray(axis)
             return jnp.broadcast_to(axis[before] + share * (axis[before + 1] - axis[before]), height_agl.shape)
 
@@ -74,7 +74,7 @@ class WindFile:
     )
 
     def at(self, duration: float) -> WindSeries:
-        """Read the file and return the wind of a run, in float64.
+        """Return the wind series for a run of ``duration`` [s], read from the file, in float64.
 
         Args:
             duration: length of the run [s], which the series must cover from 0 on.
@@ -90,7 +90,7 @@ class WindFile:
 
 
 def read_wind(path: Path, max_gap: float) -> tuple[NumpyArray, NumpyArray]:
-    """Return times (K,) [s] and the air's velocities (K, 3) [m/s, NED] of a CSV file, K at least 2.
+    """Return times (K,) [s] and wind velocities (K, 3) [m/s] NED from a CSV file, K at least 2.
 
     Its columns are ``north``, ``east`` and, if the air rises or sinks, ``down`` [m/s]; or those of an anemometer,
     ``speed`` [m/s] and ``wind_from`` [deg], the bearing the wind comes from, clockwise from north.
@@ -144,7 +144,7 @@ class VeeringShear(Wind):
     )
 
     def velocity_ned(self, height_agl: Array, seconds: Array, fraction: Array) -> Vec3:
-        """Return the air's velocity [m/s] at heights (n,) [m] above ground, constant in time.
+        """Return the wind velocity (n,) [m/s] NED at heights (n,) [m]: it turns with height and is constant in time.
 
         Logarithmic: u20 ln(h/z0)/ln(20/z0), h in feet, z0 = 0.15 ft, zero below z0 (MIL-F-8785C, section 3.7.3.2).
         Power law: u20 (h/20 ft)^exponent, zero at and below the ground.

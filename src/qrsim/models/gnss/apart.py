@@ -31,14 +31,14 @@ class Apart:
 
 
 def _normals(draw: Draw, slots: Slots) -> tuple[list[Drawn], list[Drawn]]:
-    """Return the standard normals of each satellite's own errors, and of the errors that all satellites share."""
+    """Return standard normals for each satellite's own error processes, and for those that all satellites share."""
     each = [Drawn(draw.normal_pairs(slots.ids + jnp.uint32(first))) for first in (_SIGNAL_PAIRS, _LOCAL_PAIRS)]
     rows = draw.normal_rows(8, first=_TOGETHER_PAIR)
     return each, [Drawn((rows[2 * i], rows[2 * i + 1])) for i in range(4)]
 
 
 def apart_init(budget: ErrorBudget, draw: Draw, slots: Slots) -> Apart:
-    """Return stationary random first states of the errors of each satellite."""
+    """Return random initial range errors of each satellite at each receiver, in the statistical steady state."""
     each, together = _normals(draw, slots)
     of_each, of_all = budget.processes()
     return Apart(
@@ -48,7 +48,7 @@ def apart_init(budget: ErrorBudget, draw: Draw, slots: Slots) -> Apart:
 
 
 def apart_step(budget: ErrorBudget, state: Apart, draw: Draw, slots: Slots, same: Array, dt: float) -> Apart:
-    """Return the errors dt [s] later; the errors of a satellite in a new slot are drawn again."""
+    """Return the range errors dt [s] later; those of a satellite that is new in its slot are drawn again."""
     each, together = _normals(draw, slots)
     of_each, of_all = budget.processes()
     found = []
@@ -61,7 +61,7 @@ def apart_step(budget: ErrorBudget, state: Apart, draw: Draw, slots: Slots, same
 
 
 def apart_at(budget: ErrorBudget, state: Apart, slots: Slots, column: int) -> tuple[Array, Array]:
-    """Return the errors (K, n) of code and carrier [m]; ``column``: 0 for one frequency, 1 for two."""
+    """Return range errors (K, n) [m] of code and of carrier phase; ``column`` 0: one frequency, 1: two."""
     sight, scales = slots.sight, slots.scales
     zenith = (scales.troposphere * state.troposphere.error)[None, :]
     signal = scales.signal[:, None] * state.signal.error + sight.troposphere[:, None] * zenith

@@ -71,7 +71,7 @@ class BaseStation:
     reach: Array = parameter(default=1.0e6, unit="m", doc="distance up to which corrections are received", minimum=0.0)
 
     def init(self, draw: Draw) -> BaseState:
-        """Return a stationary first state; ``draw`` is for the S satellites."""
+        """Return the base station's random initial errors, in the steady state; ``draw`` is for the S satellites."""
         code = draw.normal_rows(2, first=_CODE_PAIR)
         alone = draw.alone(BASE)
         first, survey = alone.normals(3), alone.normal_rows(3, first=_SURVEY_PAIR)
@@ -81,7 +81,7 @@ class BaseStation:
         return BaseState(started, tilts, Vec3(*first), Vec3(survey[0], survey[1], survey[2]))
 
     def step(self, state: BaseState, draw: Draw, dt: float) -> BaseState:
-        """Return the state dt [s] later, from one knot of the sky to the next, its carrier error unchanged."""
+        """Return the base station's errors dt [s] later, at the next update of the sky (knot); carrier unchanged."""
         code = draw.normal_rows(2, first=_CODE_PAIR)
         tilt = draw.alone(BASE).normal_rows(12, first=_TILT_PAIR)
         process = _unit(_TILT_TIMES, code)
@@ -92,11 +92,11 @@ class BaseStation:
         return replace(state, code=stepped, tilt=tilts)
 
     def carried(self, state: BaseState, draw: Draw, dt: float) -> BaseState:
-        """Return the state with its carrier error dt [s] later; dt is a period of the sky."""
+        """Return the base station's state with its carrier-phase error dt [s] later, one epoch."""
         return replace(state, carrier=carrier_step(state.carrier, draw.alone(BASE).normals(3), dt))
 
     def seen(self, now: BaseState, later: BaseState) -> BaseSeen:
-        """Return the base station's data that receivers use from a knot on, with multipath (S,) of all satellites."""
+        """Return the base station's data as receivers use them from one update of the sky (knot) to the next."""
         north, east, down = self.position_ned[0], self.position_ned[1], self.position_ned[2]
         tilt = [state.error for state in now.tilt]
         zero = jnp.zeros((), now.carrier.x.dtype)
@@ -115,7 +115,7 @@ class BaseStation:
         )
 
     def heard(self, seen: BaseSeen, carrier: Vec3, seconds: Array, fraction: Array) -> BaseSeen:
-        """Return ``seen`` updated to an epoch: carrier error, age of the corrections [s], and whether they are sent."""
+        """Return ``seen`` for an epoch: carrier error, age of the corrections [s], and whether they are transmitted."""
         passed = since(0.0, seconds, fraction)
         spans = jnp.reshape(jnp.asarray(self.silent, passed.dtype), (-1, 2))
         quiet = [is_on(spans[i, 0], spans[i, 1], seconds, fraction) for i in range(spans.shape[0])]
@@ -126,18 +126,18 @@ class BaseStation:
 
 
 def carrier_step(carrier: Vec3, normals: tuple[Array, ...], dt: float) -> Vec3:
-    """Return carrier-phase errors of unit variance dt [s] later."""
+    """Return carrier-phase errors of unit variance dt [s] later, driven by three standard normals."""
     axes = zip((carrier.x, carrier.y, carrier.z), normals, strict=True)
     one, time = jnp.ones((), carrier.x.dtype), jnp.asarray(CARRIER_TIME, carrier.x.dtype)
     return Vec3(*(ou_step(axis, normal, dt, one, time) for axis, normal in axes))
 
 
 def _unit(times: tuple[float, float], like: Array) -> GaussMarkov2:
-    """Return a Gauss-Markov process of unit variance with (time constant, drive time constant) [s]."""
+    """Return a Gauss-Markov process of unit variance with the ``times`` [s] (time constant, that of its drive)."""
     one, time, drive = (jnp.asarray(value, like.dtype) for value in (1.0, *times))
     return GaussMarkov2(one, time, drive)
 
 
 def distance(way: Vec3) -> Array:
-    """Return the length [m] of vectors, its gradient finite where the length is zero."""
+    """Return the length [m] of vectors; its gradient is finite at zero length."""
     return jnp.sqrt(way.x * way.x + way.y * way.y + way.z * way.z + math.ulp(1.0))

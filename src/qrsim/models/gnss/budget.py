@@ -32,12 +32,12 @@ class BudgetState:
 
 
 def _std(default: float, unit: str, doc: str) -> Array:
-    """Return the declaration of a parameter that is a standard deviation, from 0."""
+    """Return the field declaration of a parameter that is a standard deviation, at least 0."""
     return parameter(default=default, unit=unit, doc=doc, minimum=0.0)
 
 
 def _time(default: float, doc: str) -> Array:
-    """Return the declaration of a parameter that is a time constant [s], above 0."""
+    """Return the field declaration of a parameter that is a time constant [s], above 0."""
     return parameter(default=default, unit="s", doc=doc, above=0.0)
 
 
@@ -79,12 +79,12 @@ class ErrorBudget(RangeErrors):
     needs_sight: ClassVar[bool] = True
 
     def init(self, draw: Draw) -> BudgetState:
-        """Return a stationary first state of S satellites."""
+        """Return random initial range errors of S satellites, in the statistical steady state."""
         each, together = draw.normals(8), one_for_all(draw).normals(8)
         return BudgetState(*_started(self._per_satellite(), each), *_started(self._for_all(), together))
 
     def step(self, state: BudgetState, draw: Draw, dt: float) -> BudgetState:
-        """Return the state dt [s] later, by the exact transition."""
+        """Return the range errors' state dt [s] later, by the exact transition."""
         each, together = draw.normals(8), one_for_all(draw).normals(8)
         before = (state.signal, state.local, state.slope_north, state.slope_east)
         rest = (state.vertical, state.gradient_north, state.gradient_east, state.troposphere)
@@ -93,17 +93,17 @@ class ErrorBudget(RangeErrors):
         )
 
     def value(self, state: BudgetState) -> Array:
-        """Return the range errors (S,) [m] of GPS satellites at the zenith, received with one frequency."""
+        """Return the range errors (S,) [m] of a state, for GPS satellites at the zenith and one frequency."""
         above = self.ionosphere * state.vertical.error + self.local * state.local.error
         return self.gps * state.signal.error + above + self.troposphere * state.troposphere.error
 
     def seen(self, state: BudgetState, sight: Sight, system: Array) -> CommonErrors:
-        """Return the range errors [m] of satellites (S,) at the elevations of ``sight``; ``system``: their numbers."""
+        """Return the range errors [m], in parts, of S satellites at the elevations in ``sight``, by ``system`` (S,)."""
         std = self.scales(system).signal
         weather = self.troposphere * state.troposphere.error * sight.troposphere
 
         def delay(vertical: Array, gradient: Array, local: Array) -> Array:
-            """Return the ionospheric delay [m] of each satellite: vertical, gradient and local part."""
+            """Return the ionospheric delay (S,) [m] for stds [m] of its vertical, gradient and local parts."""
             plane = state.gradient_north.error * sight.pierce_north + state.gradient_east.error * sight.pierce_east
             return sight.ionosphere * (vertical * state.vertical.error + gradient * plane + local * state.local.error)
 
@@ -117,7 +117,7 @@ class ErrorBudget(RangeErrors):
         )
 
     def scales(self, system: Array) -> Scales:
-        """Return the standard deviations [m] of the error terms, for satellites of systems (S,) by number."""
+        """Return the standard deviations [m] of the error terms of satellites, by system numbers ``system`` (S,)."""
         number = jnp.asarray(system)
         last = jnp.where(number == 2, self.glonass, self.beidou)
         return Scales(
@@ -130,39 +130,39 @@ class ErrorBudget(RangeErrors):
         )
 
     def processes(self) -> tuple[tuple[GaussMarkov2, ...], tuple[GaussMarkov2, ...]]:
-        """Return the unit-variance processes with a state for each satellite, and those with one for all."""
+        """Return the unit-variance error processes that each satellite has, and those that all satellites share."""
         return self._per_satellite(), self._for_all()
 
     def _per_satellite(self) -> tuple[GaussMarkov2, ...]:
-        """Return the unit-variance processes with a state for each satellite."""
+        """Return the unit-variance error processes that each satellite has by itself."""
         local = _unit(self.local_time, self.local_drive_time)
         return (_unit(self.signal_time, self.signal_drive_time), local, local, local)
 
     def _for_all(self) -> tuple[GaussMarkov2, ...]:
-        """Return the unit-variance processes with one state for all satellites."""
+        """Return the unit-variance error processes that all satellites share."""
         gradient = _unit(self.gradient_time, self.gradient_drive_time)
         vertical = _unit(self.ionosphere_time, self.ionosphere_drive_time)
         return (vertical, gradient, gradient, _unit(self.troposphere_time, self.troposphere_drive_time))
 
 
 def _unit(time: Array, drive_time: Array) -> GaussMarkov2:
-    """Return a Gauss-Markov process of unit variance with these time constants [s]."""
+    """Return a Gauss-Markov process of unit variance with this time constant [s], and that of its drive [s]."""
     return GaussMarkov2(jnp.ones_like(jnp.asarray(time)), time, drive_time)
 
 
 def _started(processes: tuple[GaussMarkov2, ...], normals: tuple[Array, ...]) -> list[GaussMarkov2State]:
-    """Return stationary first states, with two normals for each process."""
+    """Return random initial states of error processes, from two standard normals for each process."""
     return [process.init(Drawn(normals[2 * i : 2 * i + 2])) for i, process in enumerate(processes)]
 
 
 def _stepped(
     processes: tuple[GaussMarkov2, ...], states: tuple[GaussMarkov2State, ...], normals: tuple[Array, ...], dt: float
 ) -> list[GaussMarkov2State]:
-    """Return states dt [s] later, with two normals for each process."""
+    """Return the states of error processes dt [s] later, from two standard normals for each process."""
     pairs = enumerate(zip(processes, states, strict=True))
     return [process.step(state, Drawn(normals[2 * i : 2 * i + 2]), dt) for i, (process, state) in pairs]
 
 
 def one_for_all(draw: Draw) -> Draw:
-    """Return the random stream (1,) of the errors that all satellites share."""
+    """Return the random draw (1,) of the errors that all satellites share, from that of the satellites."""
     return draw.alone(ALL)

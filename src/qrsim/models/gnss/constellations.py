@@ -66,7 +66,7 @@ WALKERS = {
 
 
 def check_systems(systems: str, what: str = "systems") -> None:
-    """Raise UsageError unless ``systems`` consists of letters of satellite systems, each at most once."""
+    """Raise UsageError unless ``systems`` has letters of satellite systems (such as "GE"), each at most once."""
     known = ", ".join(f"{letter} ({name})" for letter, name in SYSTEMS.items())
     wrong = [letter for letter in systems if letter not in SYSTEMS]
     if wrong or not systems:
@@ -79,7 +79,7 @@ def check_systems(systems: str, what: str = "systems") -> None:
 
 
 def satellite_name(number: int) -> str:
-    """Return the name of a satellite by its number (``satellite_ids``): G05 of a file, G-A1 of a nominal one."""
+    """Return a satellite's name by its number (``satellite_ids``): G05 if from a file, G-A1 if nominal."""
     letter, middle = number >> 16, (number >> 8) & 0xFF
     if letter or middle < ord("A"):
         # The constellation of GPS alone has no letters in its numbers.
@@ -104,29 +104,29 @@ class NominalConstellations(Ephemeris):
 
     @property
     def satellites(self) -> tuple[str, ...]:
-        """Names of the satellites: system letter, plane and slot, such as G-A1."""
+        """Names of the satellites from system letter, plane and slot, such as G-A1."""
         gps = NominalConstellation().satellites
         walker = [f"{'ABC'[plane]}{slot + 1}" for plane in range(PLANES) for slot in range(SLOTS)]
         return tuple(f"{letter}-{slot}" for letter in self._letters for slot in (gps if letter == "G" else walker))
 
     @property
     def system_of(self) -> str:
-        """System letter of each of the S satellites."""
+        """GNSS system letter of each of the S satellites, as text, such as G for GPS."""
         return "".join(name[0] for name in self.satellites)
 
     @property
     def satellite_ids(self) -> npt.NDArray[np.uint32]:
-        """A number (S,) for each satellite, the same whichever systems there are; the lower byte, of PRNs, is 0."""
+        """Number (S,) of each satellite, the same whichever systems are simulated; the lower byte, of PRNs, is 0."""
         numbers = np.arange(24, dtype=np.uint32) * np.uint32(256)
         return np.concatenate([numbers + np.uint32(ord(letter) << 16) for letter in self._letters])
 
     @property
     def span_gps_seconds(self) -> tuple[float, float]:
-        """First and last time [GPS s] with positions: minus and plus infinity."""
+        """First and last time [GPS s] with satellite positions: minus and plus infinity."""
         return -math.inf, math.inf
 
     def positions_ecef(self, gps_seconds: npt.ArrayLike) -> Float64:
-        """Return Earth-fixed positions (..., S, 3) [m] at times (...) [GPS s]."""
+        """Return the S satellites' Earth-fixed positions (..., S, 3) [m] at times (...) [GPS s]."""
         times = np.asarray(gps_seconds, np.float64)
         found = []
         for letter in self._letters:
@@ -140,7 +140,7 @@ class NominalConstellations(Ephemeris):
     def at(
         self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike, duration_s: float = math.inf
     ) -> KeplerOrbits:
-        """Return the orbits of a run's satellites as seen from a site.
+        """Return the orbits of the satellites in a run, as seen from a site.
 
         Args:
             site: where the signals are received.
@@ -164,7 +164,7 @@ class NominalConstellations(Ephemeris):
         return cast(orbits, dtype)
 
     def _orbits(self, letter: str, site: Site, start: float) -> KeplerOrbits:
-        """Return the orbits of the satellites of one system, by its letter, in float64."""
+        """Return the orbits of one system's satellites from ``start`` [GPS s], by its letter, in float64."""
         if letter == "G":
             return NominalConstellation().at(site, start, np.float64)
         argument, node, (*rates, inclination) = _angles(WALKERS[letter], np.array([start]))
@@ -172,12 +172,12 @@ class NominalConstellations(Ephemeris):
 
     @property
     def _letters(self) -> tuple[str, ...]:
-        """Letters of the satellite systems, in the order of their numbers."""
+        """GNSS system letters in use, in the order of the systems' numbers."""
         return tuple(letter for letter in SYSTEMS if letter in self.systems)
 
 
 def _angles(pattern: Walker, gps_seconds: Float64) -> tuple[Float64, Float64, tuple[float, float, float]]:
-    """Return argument of latitude, Earth-fixed longitude of the node [rad], their rates [rad/s], and inclination [rad].
+    """Return argument of latitude and Earth-fixed node longitude [rad], and (both rates [rad/s], inclination [rad]).
 
     Times (..., 1) give angles (..., 24). Secular rates of a circular orbit: Brouwer 1959, first order.
     """
@@ -197,7 +197,7 @@ def _angles(pattern: Walker, gps_seconds: Float64) -> tuple[Float64, Float64, tu
 
 
 def _joined(parts: list[Any]) -> Any:
-    """Return a list of arrays (S,), or of records Phase, concatenated."""
+    """Return a list of arrays (S,), or of ``Phase`` records, concatenated."""
     if isinstance(parts[0], Phase):
         names = ("units", "units_per_s", "rest", "rest_per_s")
         joined = (np.concatenate([getattr(part, name) for part in parts]) for name in names)

@@ -31,22 +31,22 @@ class RangeErrors(Protocol):
 
     @abstractmethod
     def init(self, draw: Draw) -> Any:
-        """Return a stationary first state; ``draw`` is for the S satellites."""
+        """Return random initial range errors, in the steady state; ``draw`` is for the S satellites."""
 
     @abstractmethod
     def step(self, state: Any, draw: Draw, dt: float) -> Any:
-        """Return the state dt [s] later."""
+        """Return the range errors' state dt [s] later."""
 
     @abstractmethod
     def value(self, state: Any) -> Array:
-        """Return the range errors (S,) [m] of a state."""
+        """Return the range errors (S,) [m] of S satellites for a state."""
 
     def seen(self, state: Any, sight: Sight, system: Array) -> CommonErrors:
-        """Return the range errors [m], in parts, of satellites (S,) at the elevations of ``sight``."""
+        """Return the range errors [m], in parts, of S satellites at the elevations in ``sight``, by ``system`` (S,)."""
         return without_ionosphere(self.value(state))
 
     def scales(self, system: Array) -> Scales:
-        """Return the standard deviations of the errors of satellites of systems (S,) by number."""
+        """Return the standard deviations [m] of range errors of satellites, by system numbers ``system`` (S,)."""
         return plain_scales(self.std, system)
 
 
@@ -67,17 +67,17 @@ class Sky(Protocol):
 
     @property
     def steps_by_parts(self) -> bool:
-        """True if ``step_by_parts`` is to be called at every tick."""
+        """True if ``step_by_parts`` is called at every tick, in place of ``step`` at every epoch."""
         return False
 
     def step_by_parts(self, state: Any, draw: Draw, tick: Array) -> Any:
-        """Return the state at a tick () int32; called at every tick if ``steps_by_parts``."""
+        """Return the satellites' state at a tick () int32; called at every tick if ``steps_by_parts``."""
         return state
 
     @abstractmethod
     def init(self, draw: Draw) -> Any:
-        """Return the sky at the start; ``draw`` is for the S satellites."""
+        """Return the satellites' state at the start; ``draw`` is for the S satellites."""
 
     @abstractmethod
     def step(self, state: Any, draw: Draw, seconds: Array, fraction: Array) -> Any:
-        """Return the sky one period later, at ``seconds`` () int32 plus ``fraction`` () [s] since the run's start."""
+        """Return the satellites' state one epoch later, at ``seconds`` () int32 plus ``fraction`` () [s] in the run."""

@@ -47,7 +47,7 @@ BUDGETS: dict[str, dict[str, tuple[float, float]]] = {
 
 
 def _typical_std(budget: dict[str, tuple[float, float]]) -> float:
-    """Return the root mean square [m], to a centimetre, of a budget's totals at its two elevations."""
+    """Return the rms range error [m] of a published error budget, {term: std [m] at two elevations}, rounded to cm."""
     return round(float(np.sqrt(np.mean(np.sum(np.square(list(budget.values())), axis=0)))), 2)
 
 
@@ -110,7 +110,7 @@ class GaussMarkov2(RangeErrors):
     normals: ClassVar[int] = 2
 
     def init(self, draw: Noise) -> GaussMarkov2State:
-        """Return a stationary first state of S satellites."""
+        """Return the process' random initial state for S satellites, in the statistical steady state."""
         first, second = draw.normals(2)
         rate, drive_rate = self._rates()
         correlation = jnp.sqrt(rate / (rate + drive_rate))
@@ -118,7 +118,7 @@ class GaussMarkov2(RangeErrors):
         return GaussMarkov2State(rest * first + correlation * second, second)
 
     def step(self, state: GaussMarkov2State, draw: Noise, dt: float) -> GaussMarkov2State:
-        """Return the state dt [s] later, by the exact transition."""
+        """Return the process' state dt [s] later, by the exact transition."""
         first, second = draw.normals(2)
         by = self.discretise(dt)
         return GaussMarkov2State(
@@ -127,11 +127,11 @@ class GaussMarkov2(RangeErrors):
         )
 
     def value(self, state: GaussMarkov2State) -> Array:
-        """Return the range errors (S,) [m] of a state."""
+        """Return the range errors (S,) [m] of the process' state."""
         return self.std * state.error
 
     def discretise(self, dt: float | Array) -> GaussMarkov2Step:
-        """Return transition and Cholesky factor of the noise covariance of a step over dt [s], at any dt.
+        """Return the exact transition, and the Cholesky factor of the noise covariance, of a step of any length dt [s].
 
         With rates a = 1/tau_1 and b = 1/tau_2, unit variances need k' = sqrt(a (a + b)) and noise of intensity 2 b.
         An impulse on y is worth exp(-b s) in y and k' (exp(-a s) - exp(-b s))/(b - a) in x after s, and the covariances
@@ -164,7 +164,7 @@ class GaussMarkov2(RangeErrors):
         return GaussMarkov2Step(exp(-a * dt), coupling, exp(-b * dt), own, shared, drive_noise)
 
     def autocovariance(self, lag: npt.ArrayLike) -> Float64:
-        """Return the autocovariance (...) [m^2] of the range error at lags (...) [s], in float64.
+        """Return the autocovariance (...) [m^2] of the range error at time lags (...) [s], in float64.
 
         std^2 (b exp(-a t) - a exp(-b t))/(b - a), with a = 1/tau_1, b = 1/tau_2.
         """
@@ -173,7 +173,7 @@ class GaussMarkov2(RangeErrors):
         return np.asarray(first * np.exp(-t / slow) + second * np.exp(-t / quick))
 
     def allan_variance(self, window: npt.ArrayLike) -> Float64:
-        """Return the Allan variance (...) [m^2] of averages over windows (...) [s], in float64."""
+        """Return the Allan variance (...) [m^2] of the range error at windows (...) [s], in float64."""
         return np.asarray(sum(weight * exponential_allan_variance(window, tau) for weight, tau in self._terms()))
 
     def _rates(self) -> tuple[Array, Array]:
@@ -181,7 +181,7 @@ class GaussMarkov2(RangeErrors):
         return 1.0 / jnp.asarray(self.time_constant), 1.0 / jnp.asarray(self.drive_time_constant)
 
     def _terms(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return (weight [m^2], time constant [s]) of the two exponentials of the autocovariance."""
+        """Return (weight [m^2], time constant [s]) of each of the two exponentials in the autocovariance."""
         std, slow, quick = float(self.std), float(self.time_constant), float(self.drive_time_constant)
         if abs(slow - quick) < 1e-5 * slow:
             # Equal ones are a limit: moved apart about their mean they change the result by 1e-10 of itself.

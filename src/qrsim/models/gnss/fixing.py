@@ -82,7 +82,7 @@ class Quality:
 
 
 def _picked(value: Array, base: Array) -> Array:
-    """Return the value () of the vehicle that is the base, where the mask ``base`` (n,) is true."""
+    """Return the value () of the vehicle that is the base station: the one True in the mask ``base`` (n,)."""
     return jnp.sum(jnp.where(base, value, 0.0))
 
 
@@ -97,7 +97,7 @@ def received(
     moved_on: Vec3,
     effect: Effect | None = None,
 ) -> Received:
-    """Return which receivers (n,) use corrections at this epoch, and the errors (n,) [m] of their code solutions.
+    """Return which receivers (n,) use base corrections at an epoch, and the errors (n,) [m] of their code solutions.
 
     The base is one of the vehicles (``moving_base``) or the fixed station in ``slots``. Corrections are in use until
     they are ``LAST_AGE`` old; ``drift`` sums up how the common errors have changed since they were received.
@@ -144,7 +144,7 @@ def received(
 def started(
     receiver: ReceiverParameters, draw: Draw, slots: Slots, now: Geometry, got: Received
 ) -> tuple[Link, Quality]:
-    """Return the link state of receivers that have just been switched on, and the quality of their first fixes."""
+    """Return the correction link's state of receivers just switched on, and the quality of their first fixes."""
     nothing = jnp.zeros_like(got.age)
     zero = Vec3(nothing, nothing, nothing)
     carrier = Vec3(*draw.normal_rows(3, first=_NORMAL_PAIR))
@@ -165,7 +165,7 @@ def stepped(
     outer: Vec3,
     fixes: Array,
 ) -> tuple[Link, Quality]:
-    """Return link state and quality of an epoch's fixes, from filtered errors ``outer`` (n,) [m] of ``fixes`` fixes."""
+    """Return correction link and fix quality after an epoch, for filtered position errors ``outer`` (n,) [m]."""
     fixed, stage, wrong, carrier, white = link.fixed, link.stage, link.wrong, link.carrier, outer * 0.0
     if receiver.corrections == "rtk":
         rows = draw.normal_rows(10, first=_NORMAL_PAIR)
@@ -201,7 +201,7 @@ def stepped(
 def _reported_error(
     receiver: ReceiverParameters, link: Link, slots: Slots, got: Received, outer: Vec3, white: Vec3
 ) -> Vec3:
-    """Return the errors (n,) [m] of reported positions: relative to the base, plus the error of the base itself."""
+    """Return the errors (n,) [m] of the reported positions: relative to the base station, plus the base's own error."""
     if receiver.moving_base:
         base = receiver.base_vehicle
         origin, other = (part.map(lambda axis: _picked(axis, base)) for part in (outer, link.carrier))
@@ -225,7 +225,7 @@ def _reported_error(
 
 
 def _quality(receiver: ReceiverParameters, link: Link, now: Geometry, got: Received, fixes: Array) -> Quality:
-    """Return the fix type and accuracies [m] that receivers report, blind to wrong fixes and the error of the base."""
+    """Return the fix type and accuracies [m] that receivers report, which ignore wrong fixes and the base's error."""
     part = now.differential
     horizontal, vertical = part.horizontal, part.vertical
     fix_type: Array | float = CORRECTED

@@ -68,7 +68,7 @@ class Own:
     half: Any = quantity(default=None, unit="m", doc="(K, 1) std of each half of multipath; None while remembered")
 
     def of(self, shared: Vec3, ranges: Array) -> Vec3:
-        """Return the position error (n,) [m] for range errors (K, n) [m]; ``shared`` (n,) under an open sky."""
+        """Return the position error (n,) [m] for range errors (K, n) [m]; that in ``shared`` with an open sky."""
         return select(self.clear, shared, self.gains.of(self.directions, ranges))
 
 
@@ -104,17 +104,17 @@ class Geometry:
     own: Own | None = quantity(default=None, doc="Own, among obstacles: rows and multipath are those of the open sky")
 
     def of(self, ranges: Array) -> Vec3:
-        """Return the position error (n,) [m] for range errors (K, 1) or (K, n) [m]."""
+        """Return the solution's position error (n,) [m] for range errors (K, 1) or (K, n) [m]."""
         shared: Vec3 = self.rows.map(lambda row: jnp.sum(row * ranges, axis=0))
         return shared if self.own is None else self.own.of(shared, ranges)
 
     def of_multipath(self, both: Array) -> Vec3:
-        """Return the position error (n,) [m] for multipath (K, n) of unit variance, the sum of both halves."""
+        """Return the solution's position error (n,) [m] for multipath (K, n), the sum of two unit-variance parts."""
         shared: Vec3 = self.multipath.map(lambda row: jnp.sum(row * both, axis=0))
         return shared if self.own is None else self.own.of(shared, self.own.half * both)
 
     def common(self, part: Array) -> Vec3:
-        """Return the position error (m,) [m] by common errors at ``part``, 0 to 1, of the time to the next knot."""
+        """Return the position error (m,) [m] by errors that all receivers share, at ``part`` 0 to 1 between updates."""
         return self.before + (self.after - self.before) * part
 
 
@@ -129,24 +129,24 @@ class View:
 
 
 def thermal_variance(receiver: ReceiverParameters) -> Array:
-    """Return the variance [m^2] of thermal noise of a range at 45 dB-Hz (Kaplan and Hegarty, delay-lock loop)."""
+    """Return the variance [m^2] of a range by thermal noise at 45 dB-Hz (delay-lock loop, Kaplan and Hegarty)."""
     at_45 = CHIP_M**2 * 0.5 * 10.0 ** (-0.1 * _CN0_STRONG)
     return at_45 * jnp.asarray(receiver.code_bandwidth) * receiver.correlator_spacing
 
 
 def multipath_std(receiver: ReceiverParameters, slots: Slots) -> Array:
-    """Return the standard deviation (K, 1) or (K, n) [m] of range errors by multipath."""
+    """Return the multipath standard deviation [m] of each slot's range, (K, 1) or (K, n), by elevation."""
     low = exp(slots.sight.elevation[:, None] * (-1.0 / math.radians(_MULTIPATH_DEG)))
     return across(receiver.multipath) * (_MULTIPATH_ALL + _MULTIPATH_LOW * low)
 
 
 def carrier_to_noise(receiver: ReceiverParameters, up: Array) -> Array:
-    """Return C/N0 [dB-Hz] of unobstructed satellites, by the sine of their elevation."""
+    """Return the C/N0 [dB-Hz] of unobstructed satellites, by the sine ``up`` of their elevation."""
     return across(receiver.cn0_zenith) - _CN0_FALL * (1.0 - up)
 
 
 def passed(receiver: ReceiverParameters, rate: Array | float, smoothing_time: Array | None = None) -> Array:
-    """Return the share of variance of a first-order process of a rate [1/s] that passes both low-pass filters."""
+    """Return the share of a first-order process' variance (``rate`` [1/s]) that passes the receiver's two filters."""
     second_time = receiver.smoothing_time if smoothing_time is None else smoothing_time
     first, second = 1.0 / jnp.asarray(receiver.loop_time), 1.0 / jnp.asarray(second_time)
     above = first * second * (rate + first + second)
@@ -154,7 +154,7 @@ def passed(receiver: ReceiverParameters, rate: Array | float, smoothing_time: Ar
 
 
 def sights(receiver: ReceiverParameters, slots: Slots, position_ned: Vec3 | None, ground: Ground | None) -> Array:
-    """Return which satellites (K, m) receivers see: above the mask, of their systems, and not behind the ground."""
+    """Return (K, m) bool: the receiver uses the system of the slot's satellite, and sees it above mask and terrain."""
     numbers = [LETTERS.index(letter) for letter in receiver.systems]
     heard = slots.ids != jnp.uint32(NOBODY)
     if len(numbers) < len(LETTERS):
@@ -169,7 +169,7 @@ def sights(receiver: ReceiverParameters, slots: Slots, position_ned: Vec3 | None
 
 
 def weakness(receiver: ReceiverParameters, slots: Slots, jam: Array | None = None, loss: Array | float = 0.0) -> Array:
-    """Return c/n0 of 45 dB-Hz divided by that of each satellite (K, m), as a ratio: larger for weaker signals.
+    """Return 45 dB-Hz over the C/N0 of each satellite (K, m), as a power ratio: larger for weaker signals.
 
     ``jam`` (n,) is what jammers add, ``loss`` (K, m) what C/N0 lacks [dB].
     """
@@ -179,24 +179,24 @@ def weakness(receiver: ReceiverParameters, slots: Slots, jam: Array | None = Non
 
 
 def strengths(receiver: ReceiverParameters, slots: Slots, jam: Array | None = None) -> Array:
-    """Return the C/N0 (K, m) [dB-Hz] of the satellites."""
+    """Return the C/N0 (K, m) [dB-Hz] of the satellites, reduced by jamming ``jam`` (n,)."""
     return _CN0_STRONG - 10.0 / math.log(10.0) * log(weakness(receiver, slots, jam))
 
 
 def clear_weakness(receiver: ReceiverParameters) -> Array:
-    """Return c/n0 of 45 dB-Hz divided by that of an unjammed satellite at the zenith, as a ratio."""
+    """Return 45 dB-Hz over the C/N0 of an unjammed satellite at the zenith, as a power ratio."""
     return exp((_CN0_STRONG - jnp.asarray(receiver.cn0_zenith)) * (0.1 * math.log(10.0)))
 
 
 def tracked(receiver: ReceiverParameters, slots: Slots, seen: Array, age: Array, jam: Array) -> Array:
-    """Return which of the satellites seen (K, n), with ages (K, n) [s], jammed receivers (n,) track: (K, n) bool."""
+    """Return (K, n) bool: jammed receivers track the satellite; ``age`` (K, n) [s]: tracked so far, see ``aged``."""
     weaker = weakness(receiver, slots, jam)
     strong = weaker < jnp.where(age > 0.5 * AWAY, LOST, FOUND)
     return seen & (strong | ~(jam > 0.0)[None, :])
 
 
 def aged(receiver: ReceiverParameters, seen: Array, same: Array, age: Array) -> Array:
-    """Return tracking times (K, n) [s] one period later; out of view they are negative, coded by ``AWAY``."""
+    """Return tracking times (K, n) [s] one period later; while not in view they fall from ``AWAY``, a negative time."""
     period = receiver.period
     long = AWAY - age > _COLD_S
     found = across(receiver.acquisition) - jnp.where(
@@ -216,7 +216,7 @@ def geometry_of(
     view: View | None = None,
     jam: Array | None = None,
 ) -> Geometry:
-    """Return the geometry of receivers (a ``Gnss``) that see satellites (K, m) for a time (K, m) [s].
+    """Return the position solution (errors, accuracies) of receivers that track satellites (K, m) for ``age`` [s].
 
     Args:
         receiver: its parameters.
@@ -300,19 +300,19 @@ def geometry_of(
 
 
 def left_signal(receiver: ReceiverParameters) -> float:
-    """Return the share of clock and ephemeris errors that remains after SBAS corrections, 1 without them."""
+    """Return the share of satellite clock and orbit errors that SBAS corrections leave; 1 without SBAS."""
     return _left(receiver)[0]
 
 
 def _left(receiver: ReceiverParameters) -> tuple[float, float]:
-    """Return the shares of clock and ephemeris errors and of ionospheric errors left after SBAS, 1 without it."""
+    """Return the shares of satellite clock and orbit errors, and of ionospheric errors, left by SBAS; 1 without."""
     return (SBAS_SIGNAL, SBAS_DELAY) if receiver.corrections == "sbas" else (1.0, 1.0)
 
 
 def _own_variance(
     receiver: ReceiverParameters, multipath: Array, weaker: Array, smoothing_time: Array | None = None
 ) -> Array:
-    """Return the variance (K, m) [m^2] of a receiver's own range errors after both low-pass filters."""
+    """Return the variance (K, m) [m^2] of a receiver's own range errors (noise, multipath) after both its filters."""
     fast, slow = (passed(receiver, 1.0 / jnp.asarray(time), smoothing_time) for time in times(receiver))
     white = passed(receiver, 2.0 / receiver.period, smoothing_time)
     return multipath * multipath * across(0.5 * (fast + slow)) + across(thermal_variance(receiver) * white) * weaker
@@ -329,7 +329,7 @@ def _differential(
     weaker: Array,
     systems: list[Vec3],
 ) -> Differential | None:
-    """Return errors and accuracies with a base station's corrections, None if the receiver uses none."""
+    """Return position errors and accuracies [m] with a base station's corrections, None without a base station."""
     if not receiver.takes_base:
         return None
     before = after = None
@@ -375,7 +375,7 @@ def _accuracies(
     weaker: Array,
     systems: list[Vec3],
 ) -> tuple[Array, Array, Array]:
-    """Return the standard deviations of horizontal position [m], height [m] and velocity [m/s] to report."""
+    """Return the accuracies to report: horizontal position [m], height [m] and velocity [m/s], as stds."""
     sight, scales, which = slots.sight, slots.scales, column(receiver)
     signal, left = _left(receiver)
     own = _own_variance(receiver, multipath, weaker)

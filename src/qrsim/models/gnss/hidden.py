@@ -56,16 +56,16 @@ class Tracking:
 
     @property
     def held(self) -> Array:
-        """Time [s] (K, n) since each satellite was last blocked, for its weight; 0 while it is blocked."""
+        """Time [s] (K, n) since a satellite was last blocked by obstacles, for its weight; 0 while it is blocked."""
         return jnp.where(self.since < AWAY, 0.0, self.since)
 
     @property
     def away(self) -> Array:
-        """Time [s] (K, n) for which a signal has been blocked, 0 if it is not."""
+        """Time [s] (K, n) for which a satellite has been blocked by obstacles; 0 if it is not."""
         return jnp.where(self.since < AWAY, AWAY - self.since, 0.0)
 
     def placed(self, chosen: Array, fresh: Tracking) -> Tracking:
-        """Return this state with the ``chosen`` receivers (n,) taken from ``fresh``; shared parts are unchanged."""
+        """Return this state with the receivers ``chosen`` (n,) taken from ``fresh``; shared parts are unchanged."""
         own, new = (
             replace(each, knot=None, part=None, solution=replace(each.solution, knot=None)) for each in (self, fresh)
         )
@@ -86,7 +86,7 @@ def solved(
     slow: Array,
     effect: Effect | None = None,
 ) -> tuple[Geometry, Tracking]:
-    """Return solutions and tracking of receivers (n,) among obstacles, recomputed every ``obstacle_period``.
+    """Return the position solutions and tracking of receivers (n,) among obstacles, updated each ``obstacle_period``.
 
     Args:
         receiver: a ``Gnss``.
@@ -109,7 +109,7 @@ def solved(
     due = (slots.knot != before.knot) | (passed > receiver.obstacle_period - 0.5 * receiver.period)
 
     def fresh() -> Tracking:
-        """Return the tracking recomputed for the present positions."""
+        """Return the tracking computed again for the present positions."""
         return _looked(receiver, skyline, slots, whole, before, same, position_ned, fast, slow, passed, effect)
 
     # What interferes does so at every fix.
@@ -118,7 +118,7 @@ def solved(
 
 
 def _as_seen(receiver: ReceiverParameters, slots: Slots, whole: Geometry, tracking: Tracking) -> Geometry:
-    """Return the remembered solutions with the present satellite data; that of the open sky where nothing is hidden."""
+    """Return the stored solutions with the present satellite directions, and the open sky's where nothing is hidden."""
     own = replace(
         tracking.solution.own,
         directions=slots.sight.line_of_sight.map(lambda axis: axis[:, None]),
@@ -141,7 +141,7 @@ def _looked(
     passed: Array,
     effect: Effect | None,
 ) -> Tracking:
-    """Return new solutions among obstacles, ``passed`` () [s] after the last ones."""
+    """Return the tracking, with solutions among obstacles, computed again ``passed`` () [s] after the last time."""
     hides, detour = skyline.look(position_ned, slots.sight)
     there = jnp.broadcast_to(whole.age > 0.0, hides.shape)
     up = -slots.sight.line_of_sight.z[:, None]
@@ -180,14 +180,14 @@ def _looked(
 
 
 def weaker_by(slow: Array) -> Array:
-    """Return the attenuation [dB] of reflected signals, for slow multipath of unit variance."""
+    """Return the attenuation [dB] of reflected signals, which varies with their slow multipath (unit variance)."""
     return _WEAKER - _SPREAD * slow
 
 
 def _tracked(
     receiver: ReceiverParameters, before: Tracking | None, same: Any, there: Array, blocked: Array, passed: Array
 ) -> tuple[Array, Array]:
-    """Return ``held`` and ``away`` (K, n) of ``Tracking``, updated by ``passed`` () [s] and ``blocked`` signals."""
+    """Return the times (K, n) [s] since a signal was last blocked, and for which it is blocked, after ``passed``."""
     blocked = there & blocked
     if before is None:
         long = jnp.full(blocked.shape, _LONG, passed.dtype)
@@ -202,10 +202,10 @@ def _tracked(
 
 
 def _either(chosen: Array, yes: Geometry, no: Geometry) -> Geometry:
-    """Return for each receiver (n,) the geometry ``yes`` where ``chosen``, else ``no``."""
+    """Return each receiver's (n,) geometry: ``yes`` where ``chosen``, else ``no``."""
 
     def pick(a: Array, b: Array) -> Array:
-        """Return ``a`` for the chosen receivers, else ``b``."""
+        """Return entries of ``a`` for the chosen receivers, else of ``b``."""
         if not jnp.ndim(a):
             return a
         return jnp.where(chosen if jnp.ndim(b) == 1 else chosen[None, :], a, b)

@@ -39,12 +39,12 @@ _NEAREST = 1.0
 
 
 def _start() -> Array:
-    """Return the declaration of the parameter ``start`` [s]."""
+    """Return the field declaration of the parameter ``start`` [s] of an interference source."""
     return parameter(default=0.0, unit="s", doc="start of the interference", minimum=0.0)
 
 
 def _end() -> Array:
-    """Return the declaration of the parameter ``end`` [s], None for the end of the run."""
+    """Return the field declaration of the parameter ``end`` [s] of an interference source, None for never."""
     return parameter(
         default=None, unit="s", doc="end of the interference; null: the end of the run", above=0.0, nullable=True
     )
@@ -169,16 +169,16 @@ class Interference:
 
     @property
     def local(self) -> bool:
-        """True if any interference acts by a receiver's position or by satellite, not only through common errors."""
+        """True if some interference depends on the receiver's position or the satellite: all but ionospheric storms."""
         return bool(self.jammers or self.discs or self.spoofers or self.outages)
 
     def at(self, places: Array, seconds: Array, fraction: Array) -> Interfering | None:
-        """Return the interference at a time for the satellites numbered ``places`` (K,); None without any."""
+        """Return the interference active at a time, for satellites with indices ``places`` (K,); None without any."""
         if not self.local:
             return None
 
         def on(item: Jammer | Disc | Spoofer | Outage) -> Array:
-            """Return whether an interferer acts at this time."""
+            """Return () bool: an interference source acts at this time."""
             return is_on(item.start, item.end, seconds, fraction)
 
         emitters = tuple(
@@ -194,14 +194,14 @@ class Interference:
         return Interfering(emitters, discs, lies, silent)
 
     def _lie(self, item: Spoofer, on: Array, seconds: Array, fraction: Array) -> Lie:
-        """Return a spoofer's effect at a time: circle, whether it still jams, position and velocity offsets."""
+        """Return a spoofer's effect at a time: its circle, whether it jams still, position and velocity offsets."""
         passed = since(item.start, seconds, fraction)
         rate = _vector(item.rate_ned)
         where = Circle(_vector(item.position_ned), jnp.where(on, jnp.asarray(item.radius), -1.0))
         return Lie(where, passed < item.jam_first - 1e-4, _vector(item.offset_ned) + rate * passed, rate)
 
     def stormy(self, common: CommonErrors, seconds: Array, fraction: Array) -> CommonErrors:
-        """Return common errors with the ionosphere's scaled by the storms of a time."""
+        """Return common range errors with the ionospheric ones scaled by the storms active at a time."""
         for item in self.storms:
             begun, ended = (jnp.clip(since(t, seconds, fraction) / _RAMP_S, 0.0, 1.0) for t in (item.start, item.end))
             factor = 1.0 + (item.factor - 1.0) * (begun - ended)
@@ -212,7 +212,7 @@ class Interference:
 
 
 def strength(power_w: object, band: str) -> Array:
-    """Return how much a jammer at 1 m raises the inverse of C/N0, which is 1 at 45 dB-Hz (Kaplan and Hegarty).
+    """Return the rise of 1/(C/N0) by a jammer of a power [W] at 1 m, in units of 1/(45 dB-Hz) (Kaplan and Hegarty).
 
     1/(c/n0) = 1/(c/n0 without it) + (j/s)/(Q R_c), j by the power, free space and an antenna of no gain.
     """
@@ -227,7 +227,7 @@ def jammed(
     ground: Ground | None,
     skyline: Skyline | None = None,
 ) -> Array:
-    """Return how much jammers raise the inverse of C/N0 of receivers (n,); the inverse is 1 at 45 dB-Hz.
+    """Return the rise of 1/(C/N0) of receivers (n,) by jammers, discs and jamming spoofers, in 1/(45 dB-Hz).
 
     Args:
         now: the interference.
@@ -253,7 +253,7 @@ def jammed(
 
 
 def lied_to(now: Interfering, affected: Sequence[Array], position_ned: Vec3) -> tuple[Array, Vec3, Vec3]:
-    """Return which receivers (n,) follow a spoofer, and the offsets of their positions [m] and velocities [m/s]."""
+    """Return (n,) bool: a receiver follows a spoofer, and the position [m] and velocity [m/s] offsets that result."""
     zero = jnp.zeros_like(position_ned.x)
     believed, offset, rate = zero > 0.0, Vec3(zero, zero, zero), Vec3(zero, zero, zero)
     for lie, chosen in zip(now.lies, affected, strict=True):
@@ -267,13 +267,13 @@ def lied_to(now: Interfering, affected: Sequence[Array], position_ned: Vec3) -> 
 
 
 def _inside(circle: Circle, position_ned: Vec3) -> Array:
-    """Return whether positions in NED are in a circle; never while its radius is negative."""
+    """Return whether positions NED are inside a circle; never for a circle of negative radius."""
     way = position_ned - circle.position_ned
     # The radius is negative while the disc is off, so that no receiver is inside.
     return way.dot(way) <= circle.radius * jnp.abs(circle.radius)
 
 
 def _vector(values: object) -> Vec3:
-    """Return three numbers as a vector."""
+    """Return a sequence of three numbers as a vector."""
     array = jnp.asarray(values)
     return Vec3(array[0], array[1], array[2])

@@ -36,7 +36,7 @@ class Orbits(Protocol):
     """Satellite orbits as a tick uses them: a record of arrays for one site and one start time."""
 
     def positions_ned(self, seconds: Array, fraction: Array) -> Vec3:
-        """Return the satellites' positions [m], Vec3 of (S,), in the site's NED frame.
+        """Return the satellites' positions (S,) [m] in the site's NED frame, at a time since the run's start.
 
         The signals are received at the site at the time asked for. Each position is the one at transmission,
         expressed in the Earth-fixed frame of the time of reception.
@@ -55,34 +55,34 @@ class Ephemeris(Protocol):
     @property
     @abstractmethod
     def satellites(self) -> tuple[str, ...]:
-        """Name of each of the S satellites."""
+        """Names of the S satellites, such as G05."""
         ...
 
     @property
     def system_of(self) -> str:
-        """System letter of each of the S satellites, G (GPS) by default."""
+        """GNSS system letter of each of the S satellites, as text; G (GPS) by default."""
         return "G" * len(self.satellites)
 
     @property
     @abstractmethod
     def span_gps_seconds(self) -> tuple[float, float]:
-        """First and last time [GPS s] with positions; infinite if unlimited."""
+        """First and last time [GPS s] with satellite positions; infinite if unlimited."""
         ...
 
     @abstractmethod
     def positions_ecef(self, gps_seconds: npt.ArrayLike) -> Float64:
-        """Return Earth-fixed positions (..., S, 3) [m] at times (...) [GPS s]."""
+        """Return the S satellites' Earth-fixed positions (..., S, 3) [m] at times (...) [GPS s]."""
         ...
 
     @property
     @abstractmethod
     def satellite_ids(self) -> npt.NDArray[np.uint32]:
-        """A number (S,) for each satellite, to which its randomness belongs; the lower byte is the PRN, if any."""
+        """Number (S,) of each satellite, which identifies its random errors; the lower byte is its PRN, if any."""
         ...
 
     @abstractmethod
     def at(self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike, duration_s: float = math.inf) -> Orbits:
-        """Return the orbits of a run that starts at a time [GPS s] and lasts a duration."""
+        """Return the satellites' orbits as seen from a site, for a run from a start [GPS s] on, with a duration [s]."""
         ...
 
 
@@ -101,7 +101,7 @@ class Phase:
 
     @staticmethod
     def of(angle: NumpyArray, rate: NumpyArray) -> Phase:
-        """Return the phase, in float64, of angles (S,) [rad] that grow at rates (S,) [rad/s], |rate| < pi."""
+        """Return the phases, in float64, of angles (S,) [rad] that grow at rates (S,) [rad/s]; |rate| < pi."""
         units, units_per_s = np.rint(angle * _UNITS_PER_RAD), np.rint(rate * _UNITS_PER_RAD)
         return record_of(
             Phase,
@@ -112,7 +112,7 @@ class Phase:
         )
 
     def angle(self, seconds: Array, fraction: Array) -> Array:
-        """Return the angle (S,) [rad] near [-pi, pi] at whole seconds () int32 plus a fraction, () or (S,) [s]."""
+        """Return the angles (S,) [rad], near [-pi, pi], at a time of whole seconds plus a fraction [s], () or (S,)."""
         dtype = fraction.dtype
         units = self.units + self.units_per_s * seconds
         rest = self.rest + self.rest_per_s * seconds.astype(dtype)
@@ -135,7 +135,7 @@ class KeplerOrbits:
     down: Vec3 = quantity(unit="1", doc="() the site's down axis, Earth-fixed")
 
     def positions_ned(self, seconds: Array, fraction: Array) -> Vec3:
-        """Return the satellites' positions as received at a time; see ``Orbits.positions_ned``.
+        """Return the satellites' positions (S,) [m] NED, as received at a time; see ``Orbits.positions_ned``.
 
         The travel time comes from one fixed-point step, which leaves a satellite less than 1 mm off its place.
         """
@@ -143,7 +143,7 @@ class KeplerOrbits:
         return self._received(seconds, fraction, nearly.norm() * (1.0 / SPEED_OF_LIGHT))
 
     def _received(self, seconds: Array, fraction: Array, flight: Array | float) -> Vec3:
-        """Return positions in NED [m] of satellites as received after travel times ``flight`` [s], () or (S,)."""
+        """Return satellite positions NED (S,) [m] as received after signal travel times ``flight`` [s]."""
         sin_u, cos_u = sincos(self.argument.angle(seconds, fraction - flight))
         # While the signal travels the Earth turns on, and what is fixed in space falls back to the west.
         node = self.node.angle(seconds, fraction - flight) - EARTH_ROTATION_RATE * flight
@@ -181,13 +181,13 @@ _ARGUMENT_RATE = _MEAN_MOTION * (1.0 + _J2_FACTOR * (3.0 - 4.0 * math.sin(_INCLI
 
 
 def check_start(start_gps_seconds: float) -> None:
-    """Raise UsageError if the time of tick 0 [GPS s] is not finite."""
+    """Raise UsageError unless the start time [GPS s] is finite."""
     if not math.isfinite(start_gps_seconds):
         raise UsageError(f"start_gps_seconds: {start_gps_seconds} is not a finite time")
 
 
 def circular_positions(argument: Float64, node: Float64, radius: float, inclination: float) -> Float64:
-    """Return Earth-fixed positions (..., 3) [m] on circular orbits.
+    """Return Earth-fixed positions (..., 3) [m] on circular orbits, from argument of latitude and node [rad].
 
     Args:
         argument: of latitude (...) [rad].
@@ -210,7 +210,7 @@ def circular_positions(argument: Float64, node: Float64, radius: float, inclinat
 def circular_orbits(
     angles: tuple[Float64, Float64], rates: tuple[float, float], radius: float, inclination: float, site: Site
 ) -> KeplerOrbits:
-    """Return circular orbits of S satellites as seen from a site, in float64.
+    """Return S circular orbits as seen from a site, from (argument of latitude, node) [rad] and their rates [rad/s].
 
     Args:
         angles: argument of latitude and Earth-fixed longitude of the node (S,) at tick 0 [rad].
@@ -241,28 +241,31 @@ class NominalConstellation(Ephemeris):
 
     @property
     def satellites(self) -> tuple[str, ...]:
-        """Slot names, A1 to F4."""
+        """Names of the 24 orbital slots, A1 to F4."""
         return tuple(f"{plane}{slot}" for plane, (_, slots) in _PLANES.items() for slot in range(1, len(slots) + 1))
 
     @property
     def span_gps_seconds(self) -> tuple[float, float]:
-        """First and last time [GPS s] with positions: minus and plus infinity."""
+        """First and last time [GPS s] with satellite positions: minus and plus infinity."""
         return -math.inf, math.inf
 
     def positions_ecef(self, gps_seconds: npt.ArrayLike) -> Float64:
-        """Return Earth-fixed positions (..., 24, 3) [m] at times (...) [GPS s]; rounding is below 0.01 m until 2100."""
+        """Return the 24 satellites' Earth-fixed positions (..., 24, 3) [m] at times (...) [GPS s].
+
+        Rounding is below 0.01 m until 2100.
+        """
         argument, node = self._angles(np.asarray(gps_seconds, np.float64)[..., None])
         return circular_positions(argument, node, _SEMI_MAJOR_AXIS, _INCLINATION)
 
     @property
     def satellite_ids(self) -> npt.NDArray[np.uint32]:
-        """Slot indices (24,) from 0, with an upper byte that tells them from PRNs."""
+        """Numbers (24,) of the slots from 0, with an upper byte that distinguishes them from PRNs."""
         return np.arange(len(self.satellites), dtype=np.uint32) * np.uint32(256)
 
     def at(
         self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike, duration_s: float = math.inf
     ) -> KeplerOrbits:
-        """Return the orbits of a run's satellites as seen from a site.
+        """Return the orbits of the satellites in a run, as seen from a site.
 
         Args:
             site: where the signals are received.
@@ -280,7 +283,7 @@ class NominalConstellation(Ephemeris):
 
     @staticmethod
     def _angles(gps_seconds: Float64) -> tuple[Float64, Float64]:
-        """Return argument of latitude and Earth-fixed longitude of the node [rad]; times (..., 1) give (..., 24)."""
+        """Return argument of latitude and Earth-fixed node longitude (..., 24) [rad] at times (..., 1) [GPS s]."""
         age = gps_seconds - _EPOCH_GPS_SECONDS
         slots = np.radians([angle for _, angles in _PLANES.values() for angle in angles])
         planes = np.radians([ascension for ascension, angles in _PLANES.values() for _ in angles])
@@ -289,7 +292,7 @@ class NominalConstellation(Ephemeris):
 
 
 def elevation_azimuth(satellites_ned: npt.ArrayLike) -> tuple[Float64, Float64]:
-    """Return elevation (...) [rad] and azimuth (...) [rad, 0 to 2 pi, clockwise from north] of positions (..., 3).
+    """Return elevations and azimuths (...) [rad] of positions (..., 3) NED; azimuths clockwise from north, 0 to 2 pi.
 
     Args:
         satellites_ned: satellite minus receiver, in NED, in any unit.
@@ -299,7 +302,7 @@ def elevation_azimuth(satellites_ned: npt.ArrayLike) -> tuple[Float64, Float64]:
 
 
 def dilution_of_precision(line_of_sight_ned: npt.ArrayLike) -> tuple[float, float, float, float]:
-    """Return (HDOP, VDOP, PDOP, TDOP): standard deviations of a fix for range errors of standard deviation 1.
+    """Return (HDOP, VDOP, PDOP, TDOP) for unit vectors to satellites: fix stds for range errors of std 1.
 
     Args:
         line_of_sight_ned: (S, 3) unit vectors from the receiver to the satellites used.
@@ -322,7 +325,7 @@ def dilution_of_precision(line_of_sight_ned: npt.ArrayLike) -> tuple[float, floa
 
 
 def _vectors(name: str, values: npt.ArrayLike) -> Float64:
-    """Return an array (..., 3) as float64; raise UsageError, naming the argument, for other shapes."""
+    """Return an array (..., 3) as float64; raise UsageError, naming the argument ``name``, for other shapes."""
     array = np.asarray(values, np.float64)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise UsageError(f"{name}: expected an array of shape (..., 3), got {array.shape}")

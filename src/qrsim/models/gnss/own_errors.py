@@ -22,7 +22,7 @@ MULTIPATH_PAIRS = 1 << 24
 def first_common(
     receiver: ReceiverParameters, now: Geometry, draw: Draw, sky: SkyState
 ) -> tuple[Vec3, Array | None, Apart | None]:
-    """Return the first position error by common errors, and the range errors and states that the receiver keeps."""
+    """Return the first position error [m] by shared errors, and range errors and error states to keep, or None."""
     slots: Slots = sky.slots
     if slots.own is not None:
         apart = apart_init(slots.own, draw, slots)
@@ -37,7 +37,7 @@ def first_common(
 def common_errors(
     receiver: ReceiverParameters, now: Geometry, state: GnssState, draw: Draw, sky: SkyState, same: Array
 ) -> tuple[Vec3, Vec3, Array | None, Apart | None]:
-    """Return the position error by common errors, its change by the carrier's, and new ranges and states to keep."""
+    """Return the position error by shared errors, its change by carrier phase, and range errors and states to keep."""
     slots: Slots = sky.slots
     if state.apart is None and not slots.rough:
         return now.common(slots.part), now.carried * (receiver.period / slots.knot_s), None, None
@@ -51,7 +51,7 @@ def common_errors(
 
 
 def own_error(now: Geometry, bias: tuple[Array, ...], position_ned: Vec3, fast: Array, slow: Array) -> Vec3:
-    """Return the position error (n,) [m] by multipath, inter-system offsets, and ionospheric gradients."""
+    """Return the position error (n,) [m] by multipath, inter-system offsets and ionospheric gradients."""
     error = now.of_multipath(fast + slow)
     for part, value in zip(now.systems, bias, strict=True):
         error = error + part * value
@@ -63,7 +63,7 @@ def own_error(now: Geometry, bias: tuple[Array, ...], position_ned: Vec3, fast: 
 def step_multipath(
     receiver: ReceiverParameters, state: GnssState, draw: Draw, slots: Slots, same: Array, velocity_ned: Vec3
 ) -> tuple[Array, Array]:
-    """Return fast and slow parts of the multipath (K, n) a period later, drawn again for satellites in new slots."""
+    """Return fast and slow multipath (K, n) of unit variance one period later; drawn again for new satellites."""
     # Not normal, which would take half of a fix's time: the sums over time and satellites are.
     drawn = draw.uniform_pairs(slots.ids + jnp.uint32(MULTIPATH_PAIRS))
     way = velocity_ned.norm() * (receiver.period / receiver.multipath_length)

@@ -15,7 +15,7 @@ from qrsim.models.gnss.sight import MASK_LOWEST
 
 
 def _number(name: str, unit: str, doc: str, *, positive: bool = False, most: float | None = None) -> Array:
-    """Return the declaration of a receiver's parameter, with the usual receiver's number as default."""
+    """Return the field declaration of a receiver parameter, its default that of the default receiver preset."""
     least, above = (None, 0.0) if positive else (0.0, None)
     return parameter(default=default(name), unit=unit, doc=doc, minimum=least, maximum=most, above=above)
 
@@ -114,7 +114,7 @@ class ReceiverParameters:
 
     @property
     def takes_base(self) -> bool:
-        """True if the receiver uses corrections of a base station."""
+        """True if the receiver uses the corrections of a base station."""
         return self.corrections in ("dgps", "rtk")
 
 
@@ -125,10 +125,10 @@ def across(parameter: object) -> Array:
 
 
 def column(receiver: ReceiverParameters) -> int:
-    """Return the column of the ionosphere's scales: 0 for one frequency, 1 for two."""
+    """Return the index of the receiver's ionosphere errors in tables: 0 for one frequency, 1 for two."""
     return 0 if receiver.frequencies == "single" else 1
 
 
 def times(receiver: ReceiverParameters) -> tuple[Array, Array]:
-    """Return the time constants [s] of both halves of multipath at rest."""
+    """Return the time constants [s] of the fast and the slow multipath of a receiver at rest."""
     return receiver.multipath_time, receiver.multipath_slow_time

@@ -35,7 +35,7 @@ def with_satellites(
     skyline: Skyline | None,
     slow: Array,
 ) -> GnssFix:
-    """Return the reading with number, C/N0, state, azimuth and elevation of the satellite in each slot added.
+    """Return the reading with each slot's satellite added: number, C/N0, state, azimuth and elevation.
 
     Args:
         receiver: a ``Gnss``.
@@ -70,7 +70,7 @@ def with_satellites(
     azimuth = jnp.arctan2(sight.line_of_sight.y, sight.line_of_sight.x)
 
     def each(rows: Array, free: float = 0.0) -> tuple[Array, ...]:
-        """Return one array for each slot, ``free`` in slots without a satellite."""
+        """Return the rows (K, n) as one array for each slot, ``free`` in slots without a satellite."""
         spread = jnp.where(taken, rows, free) + like
         return tuple(spread[i] for i in range(spread.shape[0]))
 

@@ -75,5 +75,5 @@ PRESETS: Presets = {name: {**_COMMON, **own} for name, own in _OWN.items()}
 
 
 def default(name: str) -> object:
-    """Return the value of a receiver parameter in the default preset, by the parameter's name."""
+    """Return a receiver parameter's value in the default preset, by the parameter's name."""
     return PRESETS[DEFAULT][name]

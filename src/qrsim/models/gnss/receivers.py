@@ -39,15 +39,15 @@ class OrnsteinUhlenbeckErrors(RangeErrors):
     time_constant: Array = parameter(default=2000.0, unit="s", doc="time constant of the range errors", above=0.0)
 
     def init(self, draw: Draw) -> Array:
-        """Return stationary first errors (S,) [m]."""
+        """Return random initial range errors (S,) [m] of S satellites, in the statistical steady state."""
         return self.std * draw.normals(1)[0]
 
     def step(self, error: Array, draw: Draw, dt: float) -> Array:
-        """Return the errors (S,) [m] dt [s] later."""
+        """Return the range errors (S,) [m] dt [s] later."""
         return ou_step(error, draw.normals(1)[0], dt, self.std, self.time_constant)
 
     def value(self, error: Array) -> Array:
-        """Return the range errors (S,) [m] of a state: the state itself."""
+        """Return the range errors (S,) [m] of a state, which is these errors themselves."""
         return error
 
 
@@ -75,14 +75,14 @@ class SharedSky(Sky):
     )
 
     def init(self, draw: Draw) -> SkyState:
-        """Return the sky at the start."""
+        """Return the state of satellites and range errors at the start; ``draw`` is for the S satellites."""
         start = self.orbits.positions_ned(jnp.int32(0), jnp.zeros_like(draw.like))
         memory = self.errors.init(draw)
         error = self.errors.value(memory)
         return SkyState(start, error, jnp.zeros_like(error), memory, self.ids)
 
     def step(self, state: SkyState, draw: Draw, seconds: Array, fraction: Array) -> SkyState:
-        """Return the sky one period later, at ``seconds`` (whole, int32) plus ``fraction`` [s] since the start."""
+        """Return the state of satellites and range errors one epoch later, at a time in the run."""
         memory = self.errors.step(state.memory, draw, self.period)
         error = self.errors.value(memory)
         rate = (error - state.range_error) * (1.0 / self.period)
@@ -111,7 +111,7 @@ class Fix:
 
 
 def solve_position(line_of_sight: Vec3, range_residual: Array, used: Array) -> Fix:
-    """Return the least-squares fix of position and receiver clock from range residuals.
+    """Return the least-squares fix of position and receiver clock from range residuals [m] of S satellites.
 
     The residual form: rho_i - |p_i - p| = -u_i . d + c dt, with d the offset from the true position p in NED.
     The neglected term is d^2 / (2 rho): 1e-5 m at 20 m. The clock is eliminated by taking means over the used
@@ -129,7 +129,7 @@ def solve_position(line_of_sight: Vec3, range_residual: Array, used: Array) -> F
     count = jnp.sum(weight, axis=0)
 
     def centred(value: Array) -> Array:
-        """Return values less their mean over the used satellites, 0 for others."""
+        """Return values minus their mean over the used satellites, and 0 for unused ones."""
         # Selected, not multiplied by the weight, because a satellite without a position is NaN.
         mean = jnp.sum(jnp.where(used, value, 0.0), axis=0) / jnp.maximum(count, 1.0)
         return jnp.where(used, value - mean[None, :], 0.0)
@@ -142,7 +142,7 @@ def solve_position(line_of_sight: Vec3, range_residual: Array, used: Array) -> F
     xx, xy, xz, yy, yz, zz = inverse
 
     def solved(residual: Array) -> Vec3:
-        """Return the position error by least squares for range residuals [m]."""
+        """Return the least-squares position error (n,) [m] for range residuals (S, n) [m]."""
         bx, by, bz = (-jnp.sum(u * residual, axis=0) for u in (ux, uy, uz))
         return Vec3(xx * bx + xy * by + xz * bz, xy * bx + yy * by + yz * bz, xz * bx + yz * by + zz * bz)
 
@@ -152,7 +152,7 @@ def solve_position(line_of_sight: Vec3, range_residual: Array, used: Array) -> F
     enough = count >= FEWEST_SATELLITES
 
     def or_nan(value: Array) -> Array:
-        """Return a value, NaN for receivers with too few satellites."""
+        """Return a value (n,), NaN for receivers with too few satellites for a fix."""
         return jnp.where(enough, value, math.nan)
 
     return Fix(
@@ -164,7 +164,7 @@ def solve_position(line_of_sight: Vec3, range_residual: Array, used: Array) -> F
 
 
 def _inverse_symmetric(a: Array, b: Array, c: Array, d: Array, e: Array, f: Array) -> tuple[Array, ...]:
-    """Return the inverse of [[a, b, c], [b, d, e], [c, e, f]] by cofactors, as the same six entries."""
+    """Return the inverse of symmetric [[a, b, c], [b, d, e], [c, e, f]] by cofactors, as the same six entries."""
     co_a, co_b, co_c = d * f - e * e, c * e - b * f, b * e - c * d
     scale = 1.0 / (a * co_a + b * co_b + c * co_c)
     return (
@@ -236,7 +236,7 @@ class GnssReceiver(Sensor):
         position_low_ned: Vec3 | None = None,
         ground: Ground | None = None,
     ) -> tuple[ReceiverState, GnssReading]:
-        """Return state and first fix, as of a receiver that has been on for a while; its velocity is the true one."""
+        """Return state and first fix of receivers that have been running, with the true velocity."""
         listed = self._choose_listed(draw, sky) if self.satellites == "hand_list" else None
         fix, _ = self._solve(draw, position_ned, sky, listed, ground)
         position, true, low = _solution(position_ned, fix, position_low_ned)
@@ -254,7 +254,7 @@ class GnssReceiver(Sensor):
         position_low_ned: Vec3 | None = None,
         ground: Ground | None = None,
     ) -> tuple[ReceiverState, GnssReading]:
-        """Return state and first fix of receivers at new places, ``since`` [s] after an epoch."""
+        """Return state and first fix of receivers that were moved to other positions, ``since`` [s] after an epoch."""
         fresh, reading = self.init(draw, position_ned, velocity_ned, sky, position_low_ned, ground)
         # Where they would have been at that epoch, because the next velocity is that of a whole period.
         moved = velocity_ned * since
@@ -273,7 +273,7 @@ class GnssReceiver(Sensor):
         position_low_ned: Vec3 | None = None,
         ground: Ground | None = None,
     ) -> tuple[ReceiverState, GnssReading]:
-        """Compute a fix for receivers at position_ned (n,), and return the state and the fix ``delay`` periods old."""
+        """Return the receivers' state after an epoch at ``position_ned`` (n,) [m], and the fix ``delay`` epochs old."""
         fix, velocity_error = self._solve(draw, position_ned, sky, state.listed, ground)
         position, true, low = _solution(position_ned, fix, position_low_ned)
         if velocity_error is not None:
@@ -290,13 +290,13 @@ class GnssReceiver(Sensor):
         return ReceiverState(position, true, queue[1:], state.listed, low), queue[0]
 
     def fix(self, draw: Draw, position_ned: Vec3, sky: SkyState) -> Fix:
-        """Return the position fix of each receiver (n,) from the satellites above the mask."""
+        """Return the position fix of each receiver (n,) from the satellites above its elevation mask."""
         return self._solve(draw, position_ned, sky, None, None)[0]
 
     def _solve(
         self, draw: Draw, position_ned: Vec3, sky: SkyState, listed: Array | None, ground: Ground | None
     ) -> tuple[Fix, Vec3 | None]:
-        """Return the fix of each receiver (n,) and, for 'doppler', the error of its velocity."""
+        """Return each receiver's (n,) fix, and the error of its velocity for the setting 'doppler', else None."""
         # A satellite without a position is put somewhere and not used, so that no NaN comes near a gradient.
         present = jnp.isfinite(sky.satellites_ned.z)
         satellites = sky.satellites_ned.map(lambda axis: jnp.where(present, axis, -ABSENT_HEIGHT))
@@ -322,7 +322,7 @@ class GnssReceiver(Sensor):
         return fix, solve_position(line_of_sight, rates, used).offset_ned
 
     def _choose_listed(self, draw: Draw, sky: SkyState) -> Array:
-        """Return (S, n) bool: a random 10 to 13 satellites of the hand list for each receiver."""
+        """Return (S, n) bool: each receiver uses 10 to 13 random satellites of ``HAND_LIST``, a fixed list of PRNs."""
         # The lower byte of a number is the PRN.
         prn = sky.ids & jnp.uint32(0xFF)
         on_list = jnp.any(jnp.stack([prn == jnp.uint32(number) for number in HAND_LIST]), axis=0)
@@ -336,7 +336,7 @@ class GnssReceiver(Sensor):
 
 
 def _solution(position_ned: Vec3, fix: Fix, position_low_ned: Vec3 | None) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
-    """Return the fixed position as stored in a state: rounded fix, true position or None, rounding remainder or None.
+    """Return the parts of a fix that a state stores: rounded fix, true position or None, rounding remainder or None.
 
     From a position of two parts comes a solution of two parts, which need not be taken apart into truth and error.
     """
@@ -357,7 +357,7 @@ class IdealGnss(Memoryless):
     draws_alone: ClassVar[bool] = True
 
     def init(self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: SkyState) -> tuple[None, GnssReading]:
-        """Return no state, and the true position and velocity with all satellites of the sky and no dilution."""
+        """Return None as state, and the reading: true position and velocity, all satellites, dilutions 0."""
         zero = jnp.zeros_like(position_ned.x)
         count = jnp.full_like(zero, sky.range_error.shape[0])
         return None, GnssReading(position_ned, velocity_ned, count, zero, zero)

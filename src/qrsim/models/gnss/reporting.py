@@ -25,7 +25,7 @@ def lagged(
     fixes: Array,
     got: Received | None = None,
 ) -> tuple[Vec3, Vec3]:
-    """Return the errors after one and after both low-pass filters, shifted by ``moved_on`` [m] of carrier phase."""
+    """Return the position errors (n,) [m] after one and after both low-pass filters, shifted by ``moved_on`` [m]."""
     started = 1.0 / jnp.maximum(fixes, 1.0)
     gains = [
         jnp.maximum(started, -jnp.expm1(-receiver.period / jnp.asarray(time)))
@@ -43,7 +43,7 @@ def lagged(
 
 
 def plain(receiver: ReceiverParameters, now: Geometry) -> Quality:
-    """Return the quality of fixes without a base station's corrections."""
+    """Return the quality (fix type, accuracies) of fixes without a base station's corrections."""
     return Quality(CORRECTED if receiver.corrections == "sbas" else SINGLE, now.horizontal, now.vertical)
 
 
@@ -57,13 +57,13 @@ def fix_of(
     coasting: Array,
     effect: Effect | None,
 ) -> GnssFix:
-    """Return the reading: the computed fix, the held one moved on while coasting, or NaN without a fix."""
+    """Return the reading: the new fix, the last one extrapolated while coasting, or NaN without a fix."""
     shape, enough = place.x.shape, now.enough
     grown = held.speed_accuracy + _COASTING * receiver.period
     wider = grown * receiver.period
 
     def chosen(new: Array, old: Array) -> Array:
-        """Return the new value with enough satellites, the old one while coasting, else NaN."""
+        """Return ``new`` where satellites are enough for a fix, ``old`` while coasting, else NaN."""
         return jnp.broadcast_to(jnp.where(enough, new, jnp.where(coasting, old, jnp.nan)), shape)
 
     fix = jnp.broadcast_to(enough | coasting, shape)
@@ -88,18 +88,18 @@ def fix_of(
 
 
 def misled(effect: Effect | None, error: Vec3, velocity: Vec3) -> tuple[Vec3, Vec3]:
-    """Return position errors and velocities with the offsets of spoofers added."""
+    """Return position errors [m] and velocities [m/s] (n,) with the offsets that spoofers cause added."""
     if effect is None or effect.offset_ned is None or effect.rate_ned is None:
         return error, velocity
     return error + effect.offset_ned, velocity + effect.rate_ned
 
 
 def moved(position_ned: Vec3, low: Vec3 | None, state: GnssState) -> Vec3:
-    """Return the true displacement (n,) [m] of receivers since the last fix."""
+    """Return the true displacement (n,) [m] of receivers since their last fix."""
     way = position_ned - state.true_ned
     return way if low is None else way + (low - state.true_low_ned)
 
 
 def placed_at(position_ned: Vec3, low: Vec3 | None, error: Vec3) -> Vec3:
-    """Return the reported positions (n,) [m]: true position plus error."""
+    """Return the reported positions (n,) [m]: true position plus error, summed with the remainder ``low``."""
     return position_ned + error if low is None else added(position_ned, error + low)[0]

@@ -11,13 +11,13 @@ _HALF_STEP = 5e-5
 
 
 def since(start: object, seconds: Array, fraction: Array) -> Array:
-    """Return the time [s] from ``start`` [s] to the time ``seconds`` (whole, int32) plus ``fraction`` [s]."""
+    """Return the time [s] from ``start`` [s] until a time of whole ``seconds`` plus ``fraction`` [s]."""
     begin = jnp.asarray(start, fraction.dtype)
     whole = jnp.floor(begin)
     return (seconds - whole.astype(np.int32)).astype(fraction.dtype) + (fraction - (begin - whole))
 
 
 def is_on(start: Array, end: Array, seconds: Array, fraction: Array) -> Array:
-    """Return whether a time is within [start, end) [s]."""
+    """Return whether a time, of whole ``seconds`` plus ``fraction``, is in the interval [start, end) [s]."""
     passed = since(start, seconds, fraction)
     return (passed > -_HALF_STEP) & (passed < jnp.asarray(end, fraction.dtype) - start - _HALF_STEP)

@@ -67,7 +67,7 @@ class Gnss(ReceiverParameters, Sensor):
         ground: Ground | None = None,
         skyline: Skyline | None = None,
     ) -> tuple[GnssState, GnssFix]:
-        """Return state and first fix of receivers that have been running for long."""
+        """Return state and first fix of receivers that have been running for long, so filters are settled."""
         return self._started(draw, position_ned, velocity_ned, sky, position_low_ned, ground, skyline, None)
 
     def restart(
@@ -82,13 +82,13 @@ class Gnss(ReceiverParameters, Sensor):
         ground: Ground | None = None,
         skyline: Skyline | None = None,
     ) -> tuple[GnssState, GnssFix]:
-        """Return state and first fix of receivers at new places, ``since`` [s] after an epoch."""
+        """Return state and first fix of receivers that were moved to other positions, ``since`` [s] after an epoch."""
         shared = state.geometry
         fresh, reading = self._started(draw, position_ned, velocity_ned, sky, position_low_ned, ground, skyline, shared)
         return replace(fresh, true_ned=fresh.true_ned - velocity_ned * since), reading
 
     def placed(self, chosen: Array, fresh: GnssState, before: GnssState) -> GnssState:
-        """Return ``before`` with the ``chosen`` receivers (n,) taken from ``fresh``; shared parts are unchanged."""
+        """Return ``before`` with the receivers ``chosen`` (n,) taken from ``fresh``; shared parts are unchanged."""
         shared: dict[str, object] = {"geometry": before.geometry, "ids": before.ids}
         if fresh.tracking is not None and before.tracking is not None:
             shared["tracking"] = before.tracking.placed(chosen, fresh.tracking)
@@ -108,7 +108,7 @@ class Gnss(ReceiverParameters, Sensor):
         ground: Ground | None = None,
         skyline: Skyline | None = None,
     ) -> tuple[GnssState, GnssFix]:
-        """Compute a fix of receivers at position_ned (n,), and return the state and the fix ``delay`` periods old."""
+        """Return the receivers' state after an epoch at ``position_ned`` (n,) [m], and the fix ``delay`` epochs old."""
         slots: Slots = sky.slots
         same = slots.ids == state.ids
         age, effect = None, None
@@ -200,7 +200,7 @@ class Gnss(ReceiverParameters, Sensor):
         skyline: Skyline | None,
         shared: Geometry | None,
     ) -> tuple[GnssState, GnssFix]:
-        """Return state and reading of receivers with settled filters; ``shared``: the common geometry, if known."""
+        """Return state and reading of receivers with settled filters; ``shared``: the common solution, if known."""
         slots: Slots = sky.slots
         alike = (ground is None or not ground.hides) and slots.interference is None
         now, age, effect = shared, None, None
@@ -265,7 +265,7 @@ class Gnss(ReceiverParameters, Sensor):
     def _tracked(
         self, slots: Slots, position_ned: Vec3, ground: Ground | None, skyline: Skyline | None, age: Array
     ) -> tuple[Array, Effect | None]:
-        """Return which satellites (K, m) receivers track, and the effect of interference, None without any.
+        """Return (K, m) bool: the receiver tracks the satellite, and the effect of interference, None without any.
 
         ``age``: time (K, m) [s] for which each satellite has been tracked.
         """
@@ -281,7 +281,7 @@ class Gnss(ReceiverParameters, Sensor):
         return kept, Effect(jam, misled, offset, rate, above, above - left)
 
     def _renewed(self, state: GnssState, slots: Slots) -> Geometry:
-        """Return the geometry at a new knot, common to all receivers."""
+        """Return the receivers' common position solution for the satellites' positions at a new update (knot)."""
         before: Geometry = state.geometry
         passed_s = (slots.knot - before.knot).astype(before.age.dtype) * slots.knot_s
         same = (slots.ids == state.ids)[:, None]

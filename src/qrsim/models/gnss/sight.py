@@ -63,7 +63,7 @@ class Scales:
 
 
 def sight_of(satellites_ned: Vec3) -> Sight:
-    """Return directions and mappings of satellites (S,) at positions NED [m]; NaN if a position is NaN."""
+    """Return directions to S satellites at positions NED [m], and their atmospheric mapping factors; NaN for NaN."""
     ray = satellites_ned * (1.0 / satellites_ned.norm())
     sine = jnp.maximum(-ray.z, LOWEST_SINE)
     cosine = jnp.sqrt(jnp.maximum(1.0 - sine * sine, 0.0))
@@ -85,20 +85,20 @@ def sight_of(satellites_ned: Vec3) -> Sight:
 
 
 def without_ionosphere(signal: Array) -> CommonErrors:
-    """Return range errors (S,) [m] as common errors, with zero ionospheric delay."""
+    """Return range errors (S,) [m] as the error record of a sky, with zero ionospheric delay."""
     zero = jnp.zeros_like(signal)
     return CommonErrors(signal, zero, zero, zero, zero, zero)
 
 
 def plain_scales(signal: object, like: Array) -> Scales:
-    """Return scales with the standard deviation ``signal`` [m] for each satellite (S,), and all other terms zero."""
+    """Return error scales with ``signal`` [m] as each satellite's signal std (S,), and all other terms zero."""
     zero = jnp.zeros_like(jnp.asarray(signal))
     each = jnp.broadcast_to(jnp.asarray(signal), jnp.shape(like))
     return Scales(each, zero, (zero, zero), (zero, zero), (zero, zero), (zero, zero))
 
 
 def system_numbers(letters: str) -> NumpyArray:
-    """Return the system number (S,) of each satellite by its letter; the last number for unknown letters."""
+    """Return the system number (S,) of each satellite from its letter; unknown letters get the last number."""
     import numpy as np
 
     return np.array([max(LETTERS.find(letter), 0) if letter in LETTERS else len(LETTERS) - 1 for letter in letters])

@@ -43,13 +43,13 @@ class Skyline:
     )
 
     def sees(self, position_ned: Vec3, point_ned: Vec3) -> Array:
-        """Return (n,) bool: no obstacle is between a receiver and a point [m], by exact rays."""
+        """Return (n,) bool: no obstacle blocks the line from a receiver to a point [m], by exact rays."""
         if self.solids is None:
             return jnp.ones(position_ned.x.shape, bool)
         return line_of_sight(self.solids, position_ned, point_ned)
 
     def look(self, position_ned: Vec3, sight: Sight) -> tuple[Array, Array]:
-        """Return (K, n) bool, whether obstacles hide satellites (K,) from receivers (n,), and each reflection's detour.
+        """Return (K, n) bool: obstacles hide the satellite from the receiver, and (K, n) its reflection's detour.
 
         The detour is the extra path [m] divided by the cosine of the elevation; 0 without a reflection.
         """
@@ -75,7 +75,7 @@ class Skyline:
         upper = words[(first + self.azimuths)[None, :] + azimuth[:, None]]
 
         def byte(word: Array, number: int) -> Array:
-            """Return byte ``number`` of a word, 0 the lowest, as a float."""
+            """Return byte ``number`` of an integer word, 0 the lowest, as a float."""
             return ((word >> (8 * number)) & 255).astype(turn.dtype)
 
         below, above_it = (byte(word, 0) + along * (byte(word, 1) - byte(word, 0)) for word in (lower, upper))
@@ -91,6 +91,6 @@ class Skyline:
 
 
 def _bin(value: Array, count: int) -> Array:
-    """Return the index int32 of the unit interval that contains a value, clipped to 0 to count - 1; NaN gives 0."""
+    """Return the index (int32) of the unit interval that contains a value, clipped to 0 to count - 1; NaN gives 0."""
     finite = jnp.where(jnp.isfinite(value), value, 0.0)
     return jnp.clip(jnp.floor(finite), 0.0, float(count - 1)).astype(np.int32)

@@ -62,12 +62,12 @@ class Frame:
 
     @property
     def size(self) -> int:
-        """Bytes of the table."""
+        """Size of the table of horizons [bytes]."""
         return 4 * self.rows * self.columns * len(self.levels) * self.azimuths
 
 
 def walls_of(solids: Sequence[tuple[Sequence[npt.ArrayLike], float, float]]) -> Walls:
-    """Return the walls of solids, each with its rings of corners (V, 2) [m], top and bottom over z = 0 [m]."""
+    """Return the walls of solids, each given by rings of corners (V, 2), and top and bottom over z = 0 [m]."""
     ends = [edges_of(rings) for rings, _, _ in solids]
     count = [len(first) for first, _ in ends]
     return Walls(
@@ -82,7 +82,7 @@ def walls_of(solids: Sequence[tuple[Sequence[npt.ArrayLike], float, float]]) -> 
 def frame_of(
     walls: Walls, bounds: tuple[float, float, float, float] | None, lowest: float, pitch: float, azimuths: int
 ) -> Frame | None:
-    """Return the grid over all positions at which a wall can hide a satellite; None if no wall can.
+    """Return the grid of all positions at which walls can hide satellites from receivers; None if they cannot.
 
     Args:
         walls: of the obstacles.
@@ -106,7 +106,7 @@ def frame_of(
 
 
 def _levels(bottom: float, tallest: float) -> tuple[float, ...]:
-    """Return the heights over z = 0 [m] of the table's levels, rising; the last is the height of the highest roof."""
+    """Return heights over z = 0 [m] of the table's levels, rising from ``bottom`` to the highest roof, ``tallest``."""
     above, whole = list(LEVELS), tallest - bottom
     while above[-1] * GROWTH < whole:
         above.append(above[-1] * GROWTH)
@@ -114,7 +114,7 @@ def _levels(bottom: float, tallest: float) -> tuple[float, ...]:
 
 
 def make_table(walls: Walls, frame: Frame, lowest: float) -> Skyline:
-    """Return the table of horizons, detours and ceilings by the walls; ``lowest`` is as in ``frame_of``."""
+    """Return the table of horizons, reflection detours and ceilings that walls cause; ``lowest`` as in ``frame_of``."""
     shape = (frame.rows * frame.columns, len(frame.levels), frame.azimuths)
     tables = [np.zeros(shape, np.uint8) for _ in range(3)]
     slope = math.tan(lowest)
@@ -138,13 +138,13 @@ def make_table(walls: Walls, frame: Frame, lowest: float) -> Skyline:
 
 
 def skyline_of(words: npt.NDArray[np.int32], frame: Frame) -> Skyline:
-    """Return the table ``words`` of a frame as the component that receivers query."""
+    """Return packed table words on the grid ``frame`` as the component that receivers query."""
     levels = np.array(frame.levels)
     return record_of(Skyline, words, levels, frame.corner, frame.pitch, frame.rows, frame.columns, frame.azimuths)
 
 
 def _near(walls: Walls, x: Float64, y: Float64, slope: float) -> npt.NDArray[np.bool_]:
-    """Return (E,) bool: which walls are high and near enough to hide a satellite from one of the cells."""
+    """Return (E,) bool: the wall is high and near enough to hide a satellite from some grid cell."""
     middle = np.array([0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())])
     around = math.hypot(x.max() - middle[0], y.max() - middle[1])
     edge, start = walls.last - walls.first, middle - walls.first
@@ -157,7 +157,7 @@ def _near(walls: Walls, x: Float64, y: Float64, slope: float) -> npt.NDArray[np.
 def _block(
     first: Float64, last: Float64, top: Float64, x: Float64, y: Float64, frame: Frame, slope: float
 ) -> tuple[Bytes, Bytes, Bytes]:
-    """Return horizon, detour and ceiling (C, L, A) of cells (C,)."""
+    """Return horizon, reflection detour and ceiling as bytes (C, L, A): C cells, L levels and A azimuths."""
     count, step = frame.azimuths, 2.0 * math.pi / frame.azimuths
     away_x, away_y = first[:, :1] - x, first[:, 1:] - y
     begin = np.arctan2(away_y, away_x)
@@ -213,12 +213,12 @@ def _block(
 
 
 def _quantized(tangent: Float64) -> NumpyArray:
-    """Return elevations as bytes, in units of ANGLE, from their tangents."""
+    """Return elevations, given by their tangents, as bytes in units of ANGLE."""
     return np.round(np.arctan(tangent) * (1.0 / ANGLE)).astype(np.uint8)
 
 
 def _outside(tables: list[Bytes], walls: Walls, frame: Frame, north: Float64, east: Float64) -> None:
-    """Copy the nearest outside cell's values into cells inside a solid, in place in ``tables``."""
+    """Copy the nearest outside cell's values into the cells inside a solid, in place."""
     from scipy.ndimage import distance_transform_edt
 
     roof = np.full((frame.rows, frame.columns), -np.inf)
@@ -241,7 +241,7 @@ def _outside(tables: list[Bytes], walls: Walls, frame: Frame, north: Float64, ea
 
 
 def _inside(first: Float64, last: Float64, north: Float64, east: Float64) -> npt.NDArray[np.bool_]:
-    """Return which places (R, C) are inside the polygon of edges (E, 2)."""
+    """Return (R, C) bool: the place is inside the polygon with edges from ``first`` to ``last`` (E, 2) [m]."""
     found = np.zeros((len(north), len(east)), bool)
     for (a, b), (c, d) in zip(first, last, strict=True):
         straddles = (a > north) != (c > north)

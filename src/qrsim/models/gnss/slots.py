@@ -95,16 +95,16 @@ class SlottedSky(Sky):
 
     @property
     def knot_ticks(self) -> int:
-        """Ticks from one knot to the next, a multiple of the ticks of an epoch."""
+        """Number of ticks between two updates of the satellites (knots), a multiple of an epoch's ticks."""
         return max(1, round(self.period / self.time_step)) * max(1, round(KNOT_S / self.period))
 
     @property
     def knot_s(self) -> float:
-        """Time from one knot to the next [s]."""
+        """Time [s] between two updates of the satellites (knots)."""
         return self.knot_ticks * self.time_step
 
     def init(self, draw: Draw) -> SkyState:
-        """Return the sky at the start, which is a knot."""
+        """Return the satellites' state at the start of an episode, which is an update (knot)."""
         zero = jnp.zeros_like(draw.like)
         errors = self.errors.init(draw)
         here = self.orbits.positions_ned(jnp.int32(0), zero)
@@ -121,11 +121,11 @@ class SlottedSky(Sky):
         return SkyState(here, error, jnp.zeros_like(error), memory, jnp.asarray(self.ids), slots)
 
     def step(self, state: SkyState, draw: Draw, seconds: Array, fraction: Array) -> SkyState:
-        """Return the sky one period later, at ``seconds`` (whole, int32) plus ``fraction`` [s] since the start."""
+        """Return the satellites' state one epoch later, at ``seconds`` (int32) plus ``fraction`` [s] in the run."""
         tick = draw.tick.astype(jnp.int32)
 
         def held() -> tuple[object, ...]:
-            """Return the sky unchanged between knots."""
+            """Return the satellites' state held from the last update (knot)."""
             # Interference changes at every epoch and is set below.
             return state.memory, replace(state.slots, interference=None), state.satellites_ned, state.range_error
 
@@ -146,20 +146,20 @@ class SlottedSky(Sky):
 
     @property
     def steps_by_parts(self) -> bool:
-        """True if only the interpolation between knots changes from epoch to epoch."""
+        """True if only the interpolation between two updates (knots) changes from epoch to epoch."""
         plain = self.base is None and self.interference is None
         return plain and self.errors.needs_sight and not self.each_epoch
 
     def step_by_parts(self, state: SkyState, draw: Draw, tick: Array) -> SkyState:
-        """Return the state at a tick () int32, with branches that copy only the parts that change."""
+        """Return the satellites' state at a tick () int32, with branches that copy only the parts that change."""
         epoch = max(1, round(self.period / self.time_step))
 
         def held() -> tuple[object, ...]:
-            """Return the sky unchanged between knots."""
+            """Return the satellites' state held from the last update (knot)."""
             return state.memory, replace(state.slots, part=None), state.satellites_ned, state.range_error
 
         def knot() -> tuple[object, ...]:
-            """Return the sky at a new knot."""
+            """Return the satellites' state at a new update (knot)."""
             memory, slots, satellites, error = self._knot(state, draw)
             return memory, replace(slots, part=None), satellites, error
 
@@ -170,7 +170,7 @@ class SlottedSky(Sky):
         return SkyState(satellites, error, state.range_rate_error, memory, state.ids, slots)
 
     def _knot(self, state: SkyState, draw: Draw) -> tuple[object, ...]:
-        """Return memory, slots, satellites and range errors at a knot, with those of the next knot computed ahead."""
+        """Return the parts of the satellites' state at an update (knot); those of the next one are computed ahead."""
         memory, tick = state.memory, draw.tick.astype(jnp.int32)
         here = memory.after_ned
         ahead = self.orbits.positions_ned(*split_time(tick + self.knot_ticks, self.time_step, draw.like.dtype))
@@ -189,7 +189,7 @@ class SlottedSky(Sky):
     def _with_base(
         self, memory: SlottedMemory, slots: Slots, now: BaseState, later: BaseState
     ) -> tuple[SlottedMemory, Slots]:
-        """Return memory and slots with the base station's data from this knot to the next."""
+        """Return the state's memory and slots with the base station's data from this update (knot) to the next."""
         assert self.base is not None
         seen, taken = self.base.seen(now, later), jnp.maximum(slots.places, 0)
         seen = replace(seen, code_before=seen.code_before[taken], code_after=seen.code_after[taken])
@@ -198,7 +198,7 @@ class SlottedSky(Sky):
     def _with_base_and_interference(
         self, memory: SlottedMemory, slots: Slots, seconds: Array, fraction: Array
     ) -> Slots:
-        """Return slots with the corrections of the base station and the interference at an epoch."""
+        """Return slots with the base station's corrections and the interference of an epoch."""
         if self.base is not None:
             slots = replace(slots, base=self.base.heard(slots.base, memory.base.carrier, seconds, fraction))
         if self.interference is not None:
@@ -206,13 +206,13 @@ class SlottedSky(Sky):
         return slots
 
     def _advanced(self, errors: object, draw: Draw) -> object:
-        """Return the errors at the next knot; unchanged if they are stepped at every epoch."""
+        """Return the range errors at the next update (knot); unchanged if they are stepped at every epoch."""
         return self.errors.step(errors, draw, self.knot_s) if self.errors.needs_sight else errors
 
     def _from(
         self, errors: object, advanced: object, here: Vec3, later: Vec3, places: Array, knot: Array
     ) -> tuple[SlottedMemory, Slots, Array]:
-        """Return memory, slots and range errors (S,) from knot ``knot`` on; satellites in view keep their slots."""
+        """Return memory, slots and range errors (S,) from update (knot) ``knot`` on; satellites in view keep slots."""
         sights = [sight_of(where) for where in (here, later)]
         system = jnp.asarray(self.system)
         common = [self.errors.seen(e, s, system) for e, s in zip((errors, advanced), sights, strict=True)]
@@ -226,7 +226,7 @@ class SlottedSky(Sky):
         taken, free = jnp.maximum(places, 0), places < 0
 
         def picked(leaf: Array) -> Array:
-            """Return the values of the satellites in the slots, 0.5 in free slots."""
+            """Return the values (K,) of the satellites in the slots, 0.5 in free slots, from those of all (S,)."""
             return jnp.where(free, 0.5, leaf[taken])
 
         slots = Slots(
@@ -250,12 +250,12 @@ class SlottedSky(Sky):
 
 
 def _between(first: Array, last: Array, part: Array) -> Array:
-    """Return the linear interpolation from ``first`` at part 0 to ``last`` at part 1."""
+    """Return the linear interpolation from ``first`` at ``part`` 0 to ``last`` at ``part`` 1."""
     return first + part * (last - first)
 
 
 def assigned(in_view: Array, highest: Array, places: Array) -> tuple[Array, Array]:
-    """Return the satellite of each slot, new ones added and those out of view removed, and the number left out.
+    """Return each slot's satellite after satellites entered or left the view, and the number without a slot.
 
     Args:
         in_view: (S,) bool.
@@ -274,7 +274,7 @@ def assigned(in_view: Array, highest: Array, places: Array) -> tuple[Array, Arra
     free, wanted = jnp.sum(~kept, dtype=jnp.int32), jnp.sum(new, dtype=jnp.int32)
 
     def by_height() -> Array:
-        """Return the rank of each new satellite by elevation."""
+        """Return each new satellite's rank by elevation, the highest first."""
         height = jnp.where(new, highest, -2.0)
         same = (height[:, None] == height[None, :]) & (number[:, None] < number[None, :])
         return jnp.sum(new[:, None] & ((height[:, None] > height[None, :]) | same), axis=0, dtype=jnp.int32)
@@ -288,7 +288,7 @@ def assigned(in_view: Array, highest: Array, places: Array) -> tuple[Array, Arra
 
 
 def slots_needed(ephemeris: Ephemeris, site: Site, start: float, duration_s: float, lowest_sine: float) -> int:
-    """Return the number of slots for the satellites of an ephemeris in view at once, over a day or the run."""
+    """Return the number of slots for all satellites in view at once: over a day, or a shorter run with a file."""
     first, last = ephemeris.span_gps_seconds
     begin = min(max(start, first), last)
     if math.isinf(last):
@@ -297,7 +297,7 @@ def slots_needed(ephemeris: Ephemeris, site: Site, start: float, duration_s: flo
 
 
 def _slots_between(ephemeris: Ephemeris, site: Site, begin: float, end: float, lowest_sine: float) -> int:
-    """Return the number of slots for the satellites in view at once between two times [GPS s]."""
+    """Return the number of slots for all satellites in view at once between two times [GPS s]."""
     times = np.append(np.arange(begin, end, LOOK_S), end)
     rays = (ephemeris.positions_ecef(times) - site.origin_ecef()) @ site.ned_from_ecef_rotation().T
     with np.errstate(invalid="ignore"):

@@ -24,7 +24,7 @@ Symmetric = tuple[Array, Array, Array, Array, Array, Array]
 
 
 def sums(columns: Sequence[Array]) -> list[Array]:
-    """Return the sums (1,) or (n,) over slots of columns (K, 1) or (K, n)."""
+    """Return the sum over slots of each column, (K, 1) to (1,) or (K, n) to (n,)."""
     return [jnp.sum(column, axis=0) for column in columns]
 
 
@@ -42,13 +42,13 @@ class Solution:
     vdop: Array = quantity(unit="1", doc="(m,) vertical dilution of precision")
 
     def of(self, errors: Sequence[Array]) -> list[Vec3]:
-        """Return the position errors (1,) or (n,) [m] for each of several range errors (K, 1) or (K, n) [m]."""
+        """Return the position error (1,) or (n,) [m] for each of several range error arrays (K, 1) or (K, n) [m]."""
         g = self.gain
         found = sums([axis * error for error in errors for axis in (g.x, g.y, g.z)])
         return [_times(self.inverse, *found[3 * i : 3 * i + 3]) for i in range(len(errors))]
 
     def rows(self) -> Vec3:
-        """Return, for each axis, the matrix (K, m) that turns range errors into a position error."""
+        """Return the matrix rows (K, m) for north, east and down that map range errors to a position error."""
         xx, xy, xz, yy, yz, zz = (entry[None, :] for entry in self.inverse)
         return _times((xx, xy, xz, yy, yz, zz), self.gain.x, self.gain.y, self.gain.z)
 
@@ -62,7 +62,7 @@ class Gains:
     inverse: Symmetric = quantity(unit="m^2", doc="(n,) of the normal matrix")
 
     def of(self, line_of_sight: Vec3, errors: Array) -> Vec3:
-        """Return the position error (n,) [m] for range errors (K, 1) or (K, n) [m] of satellites, directions (K, 1)."""
+        """Return the position error (n,) [m] for range errors (K, 1) or (K, n) [m] in directions (K, 1)."""
         weighted = self.weight * errors
         total, *along = sums([weighted, *(weighted * axis for axis in line_of_sight.axes)])
         about = (part - mean * total for part, mean in zip(along, self.mean.axes, strict=True))
@@ -70,13 +70,13 @@ class Gains:
 
 
 def _times(inverse: Symmetric, x: Array, y: Array, z: Array) -> Vec3:
-    """Return minus the product of the inverse normal matrix and a vector: the position error for sums over ranges."""
+    """Return minus a symmetric 3 x 3 inverse times the vector (x, y, z): a least-squares position error [m]."""
     xx, xy, xz, yy, yz, zz = inverse
     return Vec3(-(xx * x + xy * y + xz * z), -(xy * x + yy * y + yz * z), -(xz * x + yz * y + zz * z))
 
 
 def solve(line_of_sight: Vec3, weight: Array, used: Array) -> Solution:
-    """Return the weighted least-squares solution for position and receiver clock.
+    """Return the weighted least-squares solution for position and receiver clock, from directions to satellites.
 
     Args:
         line_of_sight: unit vectors (K, 1) to the satellites.
@@ -103,7 +103,7 @@ def solve(line_of_sight: Vec3, weight: Array, used: Array) -> Solution:
 
 
 def robust(solution: Solution, line_of_sight: Vec3, weight: Array, used: Array, errors: Array, std: Array) -> Solution:
-    """Return the solution reweighted twice, with outlying ranges weighted less (Huber) and cut at six sigma.
+    """Return the solution reweighted twice: outlying ranges count less (Huber), beyond six sigma almost nothing.
 
     Args:
         solution: with the weights as they are.
@@ -133,14 +133,14 @@ def robust(solution: Solution, line_of_sight: Vec3, weight: Array, used: Array, 
 
 
 def _reweighted(weight: Array, errors: Array, axes: Sequence[Array], moved: Vec3, shift: Array, std: Array) -> Array:
-    """Return weights (K, m), smaller for large residuals of a solution moved by ``moved`` and ``shift`` [m]."""
+    """Return weights (K, m) reduced for large residuals after a move ``moved`` and a clock ``shift`` [m]."""
     left = errors + sum(u * d[None, :] for u, d in zip(axes, moved.axes, strict=True)) - shift[None, :]
     size = jnp.abs(left) / std
     return weight * jnp.where(size < FITS, 1.0, jnp.where(size < FITS_NOT, FITS / jnp.maximum(size, FITS), LEFT))
 
 
 def _inverted(entries: Sequence[Array], enough: Array) -> tuple[Symmetric, Array]:
-    """Return the inverse of a symmetric matrix (m,) by cofactors, and (m,) bool: the matrix is regular."""
+    """Return the inverses of symmetric 3 x 3 matrices (m,) by cofactors, and (m,) bool: the matrix is regular."""
     a, b, c, d, e, f = entries
     co_a, co_b, co_c = d * f - e * e, c * e - b * f, b * e - c * d
     determinant = a * co_a + b * co_b + c * co_c
@@ -151,7 +151,7 @@ def _inverted(entries: Sequence[Array], enough: Array) -> tuple[Symmetric, Array
 
 
 def factor(rows: Vec3, variance: Array) -> Symmetric:
-    """Return the Cholesky factor (m,) of the solution's covariance for independent range errors (K, m) [m^2].
+    """Return the Cholesky factor (m,) of a solution's covariance, for independent errors of variances (K, m) [m^2].
 
     The entries are 11, 21, 22, 31, 32, 33 of the lower triangle, for north, east and down.
     """
@@ -165,7 +165,7 @@ def factor(rows: Vec3, variance: Array) -> Symmetric:
 
 
 def correlated(by: Symmetric, normals: tuple[Array, ...]) -> Vec3:
-    """Return a random vector (n,) with the covariance of Cholesky factor ``by``, from three standard normals (n,)."""
+    """Return a random vector (n,) from three standard normals (n,), with covariance by Cholesky factor ``by``."""
     return Vec3(
         by[0] * normals[0],
         by[1] * normals[0] + by[2] * normals[1],

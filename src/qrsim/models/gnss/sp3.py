@@ -27,7 +27,7 @@ _FIRST_FLIGHT_S = 0.075
 
 
 def lagrange_basis(nodes: npt.ArrayLike, points: npt.ArrayLike) -> Float64:
-    """Return the Lagrange basis polynomials (..., n) on nodes (n,) at points (...), in the nodes' unit.
+    """Return the Lagrange basis polynomials (..., n), on nodes (n,), at points (...) in the nodes' unit.
 
     By products, not the barycentric quotient, so that a point on a node needs no special case.
     """
@@ -55,7 +55,7 @@ class Sp3Orbits:
     fraction: Array = quantity(unit="s", doc="() the rest of them, in [0, 1)")
 
     def positions_ned(self, seconds: Array, fraction: Array) -> Vec3:
-        """Return the satellites' positions as received at a time; see ``Orbits.positions_ned``."""
+        """Return the satellites' positions (S,) [m] NED, as received at a time; see ``Orbits.positions_ned``."""
         count = self.coefficients.shape[0]
         since_first = self.seconds + seconds
         index = jnp.clip(since_first // self.interval, 0, count - 1)
@@ -89,37 +89,37 @@ class Sp3Ephemeris(Ephemeris):
 
     @cached_property
     def data(self) -> Sp3File:
-        """The file's content, read on first use; raises UsageError as ``read_sp3``."""
+        """Content of the SP3 file, read on first use; raises UsageError as ``read_sp3`` does."""
         return read_sp3(self.file)
 
     @property
     def satellites(self) -> tuple[str, ...]:
-        """Names of the S satellites used, such as G05."""
+        """Names of the S satellites used from the file, such as G05."""
         return tuple(self.data.satellites[column] for column in self._columns)
 
     @property
     def system_of(self) -> str:
-        """System letter of each of the S satellites."""
+        """GNSS system letter of each of the S satellites used from the file, as text."""
         return "".join(name[0] for name in self.satellites)
 
     @property
     def satellite_ids(self) -> npt.NDArray[np.uint32]:
-        """A number (S,) for each satellite, the same for every file: 256 times its letter's code plus its number."""
+        """Number (S,) of each satellite, the same for every file: 256 times its letter's code, plus its PRN."""
         return np.array([256 * ord(name[0]) + int(name[1:]) for name in self.satellites], np.uint32)
 
     @property
     def span_gps_seconds(self) -> tuple[float, float]:
-        """First and last epoch [GPS s]."""
+        """First and last epoch of the file [GPS s]."""
         times = self.data.gps_seconds
         return float(times[0]), float(times[-1])
 
     @property
     def cut_off(self) -> str:
-        """Addition to errors if the file may be truncated, beginning with a semicolon; else ""."""
+        """Text to append to error messages if the file may be truncated, with a semicolon in front; else ""."""
         return f"; {self.data.cut_off}" if self.data.cut_off else ""
 
     def positions_ecef(self, gps_seconds: npt.ArrayLike) -> Float64:
-        """Return Earth-fixed positions (..., S, 3) [m] at times (...) [GPS s]; NaN in a satellite's gaps.
+        """Return the satellites' Earth-fixed positions (..., S, 3) [m] at times (...) [GPS s]; NaN in data gaps.
 
         Raises:
             UsageError: a time is outside the file's span.
@@ -129,7 +129,7 @@ class Sp3Ephemeris(Ephemeris):
         return self._interpolate(flat[:, None], self._interval_of(flat)).reshape(*since_first.shape, -1, 3)
 
     def received_ned(self, site: Site, gps_seconds: npt.ArrayLike) -> Float64:
-        """Return positions (..., S, 3) [m] as received at a site at times (...) [GPS s]; see ``Orbits``.
+        """Return positions (..., S, 3) [m] NED as received at a site at times (...) [GPS s]; see ``Orbits``.
 
         Raises:
             UsageError: a time is outside the file's span.
@@ -139,7 +139,7 @@ class Sp3Ephemeris(Ephemeris):
         return self._received(site, flat, self._interval_of(flat)).reshape(*since_first.shape, -1, 3)
 
     def notes(self, start_gps_seconds: float, duration_s: float = math.inf) -> tuple[str, ...]:
-        """Return notes for the user on a run's orbits, one sentence each.
+        """Return messages to the user about the file's orbits in a run, one sentence each.
 
         They are the file's own notes, nearness to the ends of its span, satellites that it lacks or loses on the way,
         and too few of them. A run of unknown, infinite duration is looked at to the end of the file, whose nearness
@@ -173,7 +173,7 @@ class Sp3Ephemeris(Ephemeris):
         return tuple(found)
 
     def at(self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike, duration_s: float = math.inf) -> Sp3Orbits:
-        """Return the orbits of a run, over the whole file; each note becomes a warning.
+        """Return the orbits as seen from a site, over the whole file, for a run; each of ``notes`` becomes a warning.
 
         Args:
             site: where the signals are received.
@@ -201,7 +201,7 @@ class Sp3Ephemeris(Ephemeris):
 
     @cached_property
     def _wanted(self) -> npt.NDArray[np.bool_]:
-        """(S of the file,) bool: the satellite's system is in ``systems``; raises UsageError for missing systems."""
+        """(S of the file,) bool: ``systems`` has the satellite's system; raises UsageError for missing systems."""
         letters = self._letters
         if not letters or set(letters) - set(SYSTEMS):
             known = ", ".join(f"{letter} ({name})" for letter, name in SYSTEMS.items())
@@ -214,23 +214,23 @@ class Sp3Ephemeris(Ephemeris):
 
     @property
     def content(self) -> str:
-        """Satellite systems of the file with their numbers of satellites, as text for messages."""
+        """Satellite systems in the file and their numbers of satellites, as text for messages."""
         has = Counter(name[0] for name in self.data.satellites)
         return ", ".join(f"{letter} ({SYSTEMS[letter]}): {count}" for letter, count in has.items())
 
     def lacking(self, systems: str) -> str:
-        """Return those letters of ``systems`` of which the file has no satellite."""
+        """Return the letters of ``systems`` for which the file has no satellites."""
         there = {name[0] for name in self.data.satellites}
         return "".join(letter for letter in systems if letter not in there)
 
     @property
     def _letters(self) -> str:
-        """Letters of the satellite systems that are used."""
+        """Letters of the satellite systems used from the file."""
         return "G" if self.systems is None else self.systems
 
     @cached_property
     def _columns(self) -> npt.NDArray[np.intp]:
-        """Indices (S,) of the file's satellites that are used; raises UsageError if none is."""
+        """Column indices (S,) of the file's satellites that are used; raises UsageError if none is."""
         usable = np.flatnonzero(self._wanted & (self._windows >= 0).any(axis=0))
         if not len(usable):
             raise UsageError(
@@ -241,7 +241,7 @@ class Sp3Ephemeris(Ephemeris):
 
     @cached_property
     def _windows(self) -> npt.NDArray[np.intp]:
-        """Index (E - 1, all satellites) of the first of 12 epochs that interpolate each interval; -1: none."""
+        """Index of the first of 12 epochs that interpolate each interval (E - 1, satellites of the file); -1: none."""
         present = np.isfinite(self.data.positions_ecef[..., 0])
         joined = present[1:] & present[:-1] & ~self.data.manoeuvre[1:]
         windows = np.full(joined.shape, -1, np.intp)
@@ -253,11 +253,11 @@ class Sp3Ephemeris(Ephemeris):
         return windows
 
     def _interval_of(self, since_first: Float64) -> npt.NDArray[np.intp]:
-        """Return the number of the interval between epochs for times [s] since the first epoch."""
+        """Return the index of the interval between epochs for times [s] after the first epoch."""
         return np.clip(since_first // self.data.interval, 0, len(self.data.clocks) - 2).astype(np.intp)
 
     def _interpolate(self, since_first: Float64, intervals: npt.NDArray[np.intp]) -> Float64:
-        """Return positions (T, S, 3) [m] at times (T, 1) or (T, S) [s] by the polynomials of intervals (T,)."""
+        """Return positions (T, S, 3) [m] at (T, 1) or (T, S) [s] after the first epoch, in the intervals (T,)."""
         window = self._windows[intervals][:, self._columns]
         basis = lagrange_basis(np.arange(DEGREE + 1), since_first / self.data.interval - window)
         total = np.zeros((*window.shape, 3))
@@ -266,7 +266,7 @@ class Sp3Ephemeris(Ephemeris):
         return np.where(window[..., None] < 0, np.nan, total)
 
     def _received(self, site: Site, since_first: Float64, intervals: npt.NDArray[np.intp]) -> Float64:
-        """Return positions (T, S, 3) [m] in NED, received at times (T,) [s] after the first epoch."""
+        """Return positions (T, S, 3) [m] NED as received at a site at times (T,) [s] after the first epoch."""
         origin, to_ned = site.origin_ecef(), site.ned_from_ecef_rotation()
         flight = _FIRST_FLIGHT_S
         # Each round shrinks the error of the travel time, 0.02 s at first, by 1e5.
@@ -279,7 +279,7 @@ class Sp3Ephemeris(Ephemeris):
         return np.asarray(ray @ to_ned.T)
 
     def _since_first(self, gps_seconds: npt.ArrayLike) -> Float64:
-        """Return times (...) after the first epoch [s]; raises UsageError where one is outside the span."""
+        """Return times (...) as seconds after the first epoch; raises UsageError for one outside the file's span."""
         times = np.asarray(gps_seconds, np.float64)
         first, last = self.span_gps_seconds
         # NaN fails this comparison too.
@@ -291,6 +291,6 @@ class Sp3Ephemeris(Ephemeris):
         return np.asarray(times - first)
 
     def _span_text(self) -> str:
-        """Return the first and the last epoch, in UTC, as text."""
+        """Return the file's first and last epoch in UTC, as text."""
         first, last = (f"{utc_from_gps_seconds(time):%Y-%m-%d %H:%M:%S}" for time in self.span_gps_seconds)
         return f"{first} to {last} UTC"

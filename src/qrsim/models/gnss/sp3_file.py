@@ -81,7 +81,7 @@ class Sp3File:
 
     @property
     def gps_seconds(self) -> Float64:
-        """Times (E,) of the epochs [GPS s]."""
+        """Times (E,) of the file's E epochs [GPS s]."""
         return self.first_gps_seconds + self.interval * np.arange(len(self.clocks), dtype=np.float64)
 
 
@@ -110,11 +110,11 @@ class _Lines:
         self.text = data.decode("latin-1").splitlines()
 
     def fail(self, line: int, words: str) -> NoReturn:
-        """Raise UsageError with file and line in front."""
+        """Raise UsageError with ``words``, file and line number in front."""
         raise UsageError(f"{self.path}, line {line}: {words}")
 
     def number(self, line: int, first: int, end: int, what: str) -> float:
-        """Return the number in columns first + 1 to end of a line; raise UsageError, naming ``what``, for others."""
+        """Return the number in columns first + 1 to end of a line; raise UsageError, naming ``what``, if it is none."""
         words = self.text[line - 1][first:end]
         try:
             value = float(words)
@@ -126,7 +126,7 @@ class _Lines:
 
 
 def read_sp3(path: str | Path) -> Sp3File:
-    """Return the contents of an SP3 file of version a, c or d.
+    """Return the content (satellites, epochs, positions) of an SP3 file of version a, c or d.
 
     A position of zeros and a clock of 999999 us mean a missing value; a satellite without a line at an epoch has
     none there, and an epoch left out of the regular spacing has none of any satellite. Notes and gaps record these.
@@ -183,7 +183,7 @@ def read_sp3(path: str | Path) -> Sp3File:
 
 
 def _version(lines: _Lines) -> str:
-    """Return the version letter of an SP3 file; raise UsageError for unsupported ones."""
+    """Return the version letter in the file's first line; raise UsageError for unsupported versions."""
     head = lines.text[0] if lines.text else ""
     if not head.startswith("#") or len(head) < 2:
         lines.fail(1, f"'{head[:20]}' is not the start of an SP3 file, which is '#c' or the like")
@@ -193,7 +193,7 @@ def _version(lines: _Lines) -> str:
 
 
 def _epochs(lines: _Lines) -> tuple[list[_Epoch], bool]:
-    """Return the epochs in the file's order, and a bool: an EOF line ends the file."""
+    """Return the epochs in the file's order, and whether an EOF line ends the file."""
     found: list[_Epoch] = []
     time_system = ""
     for line, text in enumerate(lines.text, 1):
@@ -217,7 +217,7 @@ def _epochs(lines: _Lines) -> tuple[list[_Epoch], bool]:
 
 
 def _header_satellites(lines: _Lines) -> set[str]:
-    """Return the satellites that the header's '+' lines list, 17 to a line in columns of three from the tenth on."""
+    """Return the satellites in the header's '+' lines: 17 to a line, in columns of three from the tenth on."""
     found = set()
     for text in lines.text:
         if text.startswith("*"):
@@ -232,7 +232,7 @@ def _header_satellites(lines: _Lines) -> set[str]:
 
 
 def _time_system(lines: _Lines, line: int) -> str:
-    """Return the time system that the first '%c' line names in columns 10 to 12."""
+    """Return the time system in columns 10 to 12 of header line ``line``, such as GPS; raise UsageError for others."""
     name = lines.text[line - 1][9:12].strip().upper() or "CCC"
     known = (*_GPS_MINUS, *_LEAPING)
     if name not in known:
@@ -241,7 +241,7 @@ def _time_system(lines: _Lines, line: int) -> str:
 
 
 def _epoch_time(lines: _Lines, line: int, time_system: str) -> float:
-    """Return the time of an epoch line [GPS s]."""
+    """Return the time [GPS s] of an epoch line, by its number and the file's time system."""
     words = lines.text[line - 1][1:].split()
     try:
         year, month, day, hour, minute = (int(word) for word in words[:5])
@@ -259,7 +259,7 @@ def _epoch_time(lines: _Lines, line: int, time_system: str) -> float:
 
 
 def _position(lines: _Lines, line: int) -> tuple[str, _Record]:
-    """Return satellite name, position and clock of a position line; raise UsageError for a damaged line."""
+    """Return satellite name, and position and clock, of a position line; raise UsageError for a damaged line."""
     text = lines.text[line - 1].rstrip()
     letter, digits = text[1:2].strip() or "G", text[2:4].strip()
     if letter not in SYSTEMS or not digits.isdecimal():
@@ -282,7 +282,7 @@ def _position(lines: _Lines, line: int) -> tuple[str, _Record]:
 
 
 def _grid(lines: _Lines, epochs: list[_Epoch]) -> tuple[int, list[int]]:
-    """Return the epochs' spacing [s], and the index of each on the regular grid; raise UsageError if uneven."""
+    """Return the epochs' spacing [s], and each one's index on an even grid; raise UsageError if not even."""
     for before, after in pairwise(epochs):
         if after.gps_seconds <= before.gps_seconds:
             which = "repeats" if after.gps_seconds == before.gps_seconds else "is before"
@@ -311,7 +311,7 @@ def _grid(lines: _Lines, epochs: list[_Epoch]) -> tuple[int, list[int]]:
 
 
 def _gap(path: str, epochs: list[_Epoch], name: str) -> str:
-    """Return a description of a satellite's missing data, "" if complete."""
+    """Return a text that describes a satellite's missing data, "" if they are complete."""
     absent = [epoch for epoch in epochs if name not in epoch.records or not any(epoch.records[name].xyz_km)]
     moved = [epoch for epoch in epochs if name in epoch.records and epoch.records[name].moved]
     found = []
@@ -324,5 +324,5 @@ def _gap(path: str, epochs: list[_Epoch], name: str) -> str:
 
 
 def gps_text(gps_seconds: float) -> str:
-    """Return a GPS time as text to the second, for messages."""
+    """Return a GPS time [s] as text to the second, such as "2024-05-01 00:00:00 GPS"."""
     return f"{GPS_EPOCH + timedelta(seconds=round(gps_seconds)):%Y-%m-%d %H:%M:%S} GPS"

@@ -11,7 +11,7 @@ from qrsim.models.scene.uniform import uniform
 
 
 def starts(mac: Mac, air: float, draw: Draw, wants: Array, audible: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return the start (n,) [s] of each vehicle's packet in the period, and (n,) bool: it is sent.
+    """Return the start (n,) [s] of each vehicle's packet within a radio period, and (n,) bool: it is sent.
 
     Args:
         mac: the access to the channel.
@@ -32,7 +32,7 @@ def starts(mac: Mac, air: float, draw: Draw, wants: Array, audible: tuple[Array,
 
 
 def _listened(mac: Mac, air: float, draw: Draw, wants: Array, audible: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return the start (n,) [s] of each packet in the period and whether it is sent, with carrier sensing (CSMA).
+    """Return the same as ``starts`` for carrier sensing (CSMA): vehicles wait for audible ones.
 
     Every vehicle draws a start. One that receives a transmission then draws a later one in the rest of the period.
     After ``mac.attempts`` draws it waits for the next period.
@@ -43,7 +43,7 @@ def _listened(mac: Mac, air: float, draw: Draw, wants: Array, audible: tuple[Arr
     number = jnp.arange(wants.shape[0], dtype=jnp.int32)
 
     def busy(begin: Array) -> Array:
-        """Return whether an audible vehicle began before this one and still sends."""
+        """Return (n,) bool: an audible vehicle has begun before the time ``begin`` (n,) [s] and still sends."""
         theirs = begin.at[neighbour].get(mode="promise_in_bounds")
         sends = hears & wants.at[neighbour].get(mode="promise_in_bounds")
         # Of two that start at the same time, the lower number is first.

@@ -31,20 +31,20 @@ class FleetRadios:
     works: Array = quantity(doc="bool: there is a radio")
 
     def power(self, usual: Array) -> Array:
-        """Return the transmitted power (n,) [dBm] of each radio, ``usual`` for radios without a value."""
+        """Return the transmitted power (n,) [dBm] of each radio, ``usual`` for radios without their own value."""
         return _or_usual(self.power_dbm, usual)
 
     def gain(self, usual: Array) -> Array:
-        """Return the antenna gain (n,) [dB] of each radio, ``usual`` for radios without a value."""
+        """Return the antenna gain (n,) [dB] of each radio, ``usual`` for radios without their own value."""
         return _or_usual(self.gain_db, usual)
 
     def noise(self, usual: Array) -> Array:
-        """Return the noise figure (n,) [dB] of each receiver, ``usual`` for radios without a value."""
+        """Return the noise figure (n,) [dB] of each receiver, ``usual`` for radios without their own value."""
         return _or_usual(self.noise_figure_db, usual)
 
 
 def _or_usual(own: Array, usual: Array) -> Array:
-    """Return the value of each radio (n,), the usual one in place of NaN."""
+    """Return each radio's own value (n,), or ``usual`` where that is NaN."""
     return jnp.where(jnp.isnan(own), usual, own)
 
 
@@ -78,24 +78,24 @@ class Channel:
 
     @property
     def field_ids(self) -> int:
-        """Number of waves of the shadowing."""
+        """Number of random waves that make up the shadowing (large-scale fading)."""
         return self.path_loss.waves
 
     @property
     def noise_dbm(self) -> Array:
-        """Noise of the receivers [dBm]: () of all, or (n,) of each."""
+        """Noise power of the receivers [dBm]: () for all, or (n,) for each."""
         figure = self.noise_figure_db if self.own is None else self.own.noise(self.noise_figure_db)
         figure = with_man_made(figure, self.frequency_mhz, self.man_made)
         return noise_floor(1000.0 * self.bandwidth_khz, figure)
 
     @property
     def asks_height(self) -> bool:
-        """True if the path loss depends on the height of radios above the ground."""
+        """True if the path loss depends on the radios' heights above the ground."""
         return self.path_loss.air_to_ground != "none" or self.path_loss.ground == "two_ray"
 
     @property
     def air_time(self) -> float:
-        """Time of a packet on the air [s]."""
+        """Time that a packet occupies the channel [s]."""
         if self.packet.spreading_factor:
             return lora_air_time(self.packet.bytes, self.packet.spreading_factor, 1000.0 * self.bandwidth_khz)
         return self.packet.preamble + 8.0 * self.packet.bytes / (1000.0 * self.rate_kbps)
@@ -109,5 +109,5 @@ class Channel:
 
     @property
     def periods_on_the_way(self) -> int:
-        """Number F of periods with packets that may not have arrived yet."""
+        """Number F of radio periods in which packets were sent that may not have arrived yet."""
         return max(1, math.ceil(self.latest / self.mac.period - 1e-9))

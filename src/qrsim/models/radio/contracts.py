@@ -96,48 +96,48 @@ class Radio(Protocol):
     @property
     @abstractmethod
     def period(self) -> float:
-        """Time [s] from one exchange to the next, a multiple of the time step."""
+        """Time [s] from one exchange of packets to the next, a multiple of the time step."""
 
     @property
     def asks_height(self) -> bool:
-        """True if ``exchange`` needs the height of radios above the ground."""
+        """True if ``exchange`` needs the radios' heights above the ground."""
         return False
 
     @property
     @abstractmethod
     def field_ids(self) -> int:
-        """Number of random ids that ``init`` draws once an episode."""
+        """Number of random ids for which ``init`` draws numbers once an episode."""
 
     @abstractmethod
     def init(self, draw: Draw, keys: StreamKeys, like: Array) -> object:
-        """Return the state at the start of an episode, without any message, for vehicles (n,) as ``like``."""
+        """Return the radio network's state at the start of an episode, without messages; ``like``: any array (n,)."""
 
     @abstractmethod
     def exchange(self, state: Any, now: Exchange) -> object:
-        """Return the state after a tick: new messages queued, due ones sent; they arrive at the next tick or later."""
+        """Return the network's state after a tick: messages queued or sent; these arrive at the next tick or later."""
 
     @abstractmethod
     def received(self, state: Any, tick: Array, time_step: float) -> Inbox:
-        """Return the messages that each vehicle has received by a tick."""
+        """Return the messages that each vehicle has received by a tick, the newest of each sender."""
 
     @abstractmethod
     def heard(self, state: Any, tick: Array, time_step: float) -> Heard:
         """Return the messages received by a tick as a table, with the ticks at which each was sent and arrived."""
 
     def last_heard(self, state: Any, senders: slice, tick: Array, time_step: float) -> Array:
-        """Return the tick (n,) int32 at which the newest message received from ``senders`` was sent; -1 without one."""
+        """Return the tick (n,) int32 when the newest message received from ``senders`` was sent; -1 if none was."""
         heard = self.heard(state, tick, time_step)
         counts = (heard.sender >= senders.start) & (heard.sender < senders.stop)
         return jnp.max(jnp.where(counts, heard.sent, NOBODY), axis=0)
 
     @abstractmethod
     def counted(self, state: Any) -> dict[str, Array]:
-        """Return the counts of packets since the start by name, (n,) each: sent, received and lost."""
+        """Return the counts of packets since the start by name, such as "sent" and "lost_noise", each (n,)."""
 
     @abstractmethod
     def links(self, state: Any) -> object:
-        """Return the links of the last period."""
+        """Return the radio links between vehicles in the last period, with each packet's outcome."""
 
     @abstractmethod
     def handed(self, state: Any, vehicle: int, payload: Any, to: int, tick: int) -> Any:
-        """Return a host state with a message appended to the send queue of ``vehicle``, addressed to ``to``."""
+        """Return a state with a message to ``to`` appended to the send queue of ``vehicle``; called on the host."""

@@ -25,11 +25,11 @@ class RadioFault:
 
     @staticmethod
     def empty(count: int) -> RadioFault:
-        """Return a fault record for the radios of ``count`` vehicles, none of them affected."""
+        """Return a fault record for the radios of ``count`` vehicles that affects none of them."""
         never, nobody = np.full(count, LAST_TICK, np.int32), np.zeros(count, bool)
         return record_of(RadioFault, never, never, nobody, nobody, np.zeros(count))
 
     def at(self, tick: Array) -> tuple[Array, Array]:
-        """Return (n,) bool, whether each radio is off at a tick, and the share (n,) of packets that it loses."""
+        """Return (n,) bool: the radio is off at a tick, and the share (n,) of packets that it loses."""
         acts = self.affected & (tick >= self.start_tick) & (tick < self.end_tick)
         return acts & self.off, jnp.where(acts & ~jnp.asarray(self.off), self.share, 0.0)

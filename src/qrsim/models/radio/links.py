@@ -48,14 +48,14 @@ class Links:
 
     @staticmethod
     def nothing(rows: int, like: Array) -> Links:
-        """Return no links, for vehicles (n,)."""
+        """Return a table of ``rows`` empty links for each vehicle (n,), in the dtype of ``like``."""
         zero = jnp.zeros((rows, *like.shape), like.dtype)
         none = jnp.full((rows, *like.shape), -1, jnp.int32)
         return Links(none, zero, zero, jnp.zeros_like(none))
 
 
 def powers(network: Channel, field: ShadowField, near: Neighbours, surfaces: Surfaces) -> Array:
-    """Return the power (K, n) [dBm] at which each vehicle would receive each of its neighbours."""
+    """Return the power (K, n) [dBm] that each vehicle would receive from each of its K neighbours."""
     way = network.path_loss
     there = jnp.maximum(near.index, 0)
     here = surfaces.position_ned.map(lambda axis: jnp.broadcast_to(axis[None], there.shape))
@@ -84,7 +84,7 @@ def powers(network: Channel, field: ShadowField, near: Neighbours, surfaces: Sur
 def _over_land(
     network: Channel, near: Neighbours, surfaces: Surfaces, squared: Array, apart: Array, lost: Array
 ) -> Array:
-    """Return the path loss (K, n) [dB]: by land use for links between ground and air, ``lost`` for others.
+    """Return the path loss (K, n) [dB]: by land use between ground and air, ``lost`` for other links.
 
     Args:
         network: the radio.
@@ -107,7 +107,7 @@ def _over_land(
 def outcomes(
     network: Channel, near: Neighbours, power: Array, begin: Array, sends: Array, to: Array, chance: Array
 ) -> Links:
-    """Return the links (K, n) of a period, with the outcome of each packet.
+    """Return the links (K, n) of a radio period from each vehicle's K neighbours, with each packet's outcome.
 
     Args:
         network: the radio.
@@ -150,7 +150,7 @@ def outcomes(
 
 
 def error_rate(network: Channel, snr_db: Array, squared: Array) -> Array:
-    """Return the probability that a packet is lost, by signal-to-noise ratio [dB] or by squared distance [m^2]."""
+    """Return the probability that a packet is lost, by signal-to-noise ratio [dB] or squared distance [m^2]."""
     packet = network.packet
     bits = 8.0 * packet.bytes
     if packet.model == "threshold":
@@ -165,12 +165,12 @@ def error_rate(network: Channel, snr_db: Array, squared: Array) -> Array:
 def _disturbance(
     network: Channel, power: Array, begin: Array, sends: Array, there: Array, comes: Array
 ) -> tuple[Array, Array]:
-    """Return the power (K, n) [mW] of packets that overlap each packet, and whether its receiver sends meanwhile."""
+    """Return the interfering power (K, n) [mW] during each packet, and (K, n) bool: its receiver sends meanwhile."""
     air, period = network.air_time, network.mac.period
     theirs = begin.at[there].get(mode="promise_in_bounds")
 
     def together(one: Array, other: Array) -> Array:
-        """Return whether two packets that begin at these times overlap."""
+        """Return whether packets that begin at these times [s] overlap."""
         apart = jnp.abs(one - other)
         # What goes on at the end of a period disturbs the beginning of the next, which is as any other.
         apart = jnp.minimum(apart, period - apart) if network.mac.type == "aloha" else apart

@@ -67,11 +67,11 @@ class Network(Channel, Radio):
 
     @property
     def period(self) -> float:
-        """Time [s] from one exchange to the next."""
+        """Time [s] from one exchange of packets to the next."""
         return self.mac.period
 
     def init(self, draw: Draw, keys: StreamKeys, like: Array) -> NetworkState:
-        """Return the state at the start; ``draw`` has an id for each wave of the shadowing."""
+        """Return the network's state at the start; ``draw`` has one id for each wave of the shadowing."""
         queue, shape = self.mac.queue, like.shape
         rows, size = self.inbox.size, self.size
         none = jnp.full((queue, *shape), NOBODY, jnp.int32)
@@ -87,14 +87,14 @@ class Network(Channel, Radio):
         )
 
     def exchange(self, state: NetworkState, now: Exchange) -> NetworkState:
-        """Return the state after a tick: new messages queued, and, once a period, due ones sent."""
+        """Return the network's state after a tick: messages queued and, once a period, each queue's oldest sent."""
         if now.said is not None:
             state = self._queued(state, now.said, now)
         ticks = max(1, round(self.mac.period / now.time_step))
         return lax.cond(now.due % ticks == 0, lambda: self._sent(state, now, ticks), lambda: state)
 
     def received(self, state: NetworkState, tick: Array, time_step: float) -> Inbox:
-        """Return the messages that each vehicle has received by a tick."""
+        """Return the messages that each vehicle has received by a tick, the newest of each sender."""
         heard = self.heard(state, tick, time_step)
         library = library_of(heard.sender)
         mask = heard.sender != NOBODY
@@ -114,21 +114,21 @@ class Network(Channel, Radio):
         return newest(both, both.known(tick) & fresh, self.inbox.size)
 
     def last_heard(self, state: NetworkState, senders: slice, tick: Array, time_step: float) -> Array:
-        """Return the tick (n,) int32 at which the newest message received from ``senders`` was sent; -1 without."""
+        """Return the tick (n,) int32 when the newest message received from ``senders`` was sent; -1 if none was."""
         both = state.coming.joined(state.table)
         counts = both.known(tick) & (both.sender >= senders.start) & (both.sender < senders.stop)
         return jnp.max(jnp.where(counts, both.sent, NOBODY), axis=0)
 
     def counted(self, state: NetworkState) -> dict[str, Array]:
-        """Return the counts of packets since the start by name, (n,) each: sent, received and lost."""
+        """Return the counts of packets since the start by name, such as "sent" and "lost_noise", each (n,)."""
         return dict(vars(state.counts))
 
     def links(self, state: NetworkState) -> Links:
-        """Return the links of the last period."""
+        """Return the radio links between vehicles in the last period, with each packet's outcome."""
         return state.links
 
     def handed(self, state: NetworkState, vehicle: int, payload: object, to: int, tick: int) -> NetworkState:
-        """Return a host state with a message appended to the vehicle's send queue; a full queue drops its oldest."""
+        """Return a state with a message appended to a vehicle's send queue; a full queue drops its oldest message."""
         words, receivers, since = (
             np.array(part) for part in (state.waiting.payload, state.waiting.to, state.waiting.since)
         )
@@ -144,7 +144,7 @@ class Network(Channel, Radio):
         return replace(state, waiting=waiting, counts=replace(state.counts, lost_queue=lost))
 
     def _queued(self, state: NetworkState, said: Outbox, now: Exchange) -> NetworkState:
-        """Return the state with new messages in the send queues; a full queue drops its oldest and counts it."""
+        """Return the state with new messages in the send queues; a full queue drops its oldest message, counted."""
         waiting, queue = state.waiting, self.mac.queue
         here = said.send & now.surfaces.works
         length = jnp.sum((waiting.since != NOBODY).astype(jnp.int32), axis=0, dtype=jnp.int32)
@@ -153,7 +153,7 @@ class Network(Channel, Radio):
         place = jnp.where(here, jnp.minimum(length, queue - 1), -1)[None]
 
         def put(rows: Array, new: Array) -> Array:
-            """Return the queue with a new row at the first free place; a full one loses its oldest."""
+            """Return the queue ``rows`` with ``new`` at the first free place; a full queue loses its oldest entry."""
             shifted = _shifted(rows, full)
             at = place if rows.ndim == 2 else place[:, None]
             number = row if rows.ndim == 2 else row[:, None]
@@ -165,7 +165,7 @@ class Network(Channel, Radio):
         return replace(state, waiting=waiting, counts=counts)
 
     def _sent(self, state: NetworkState, now: Exchange, ticks: int) -> NetworkState:
-        """Return the state after sending each vehicle's oldest message or beacon, received ones put in transit."""
+        """Return the state after each vehicle has sent its oldest message or a beacon; received ones are in transit."""
         surfaces, limits = now.surfaces, self.inbox
         frame = jnp.asarray(now.tick, jnp.int32) // ticks
         x, y, z = (
@@ -198,7 +198,7 @@ class Network(Channel, Radio):
         )
 
     def _first(self, state: NetworkState, now: Exchange) -> tuple[Array, Array, Array, Array, Array]:
-        """Return each vehicle's next message: payload (D, n), receiver, tick, and flags (n,): was queued, is sent."""
+        """Return each vehicle's next message: payload (D, n), receiver, tick, and (n,) bool: was queued, is sent."""
         waiting = state.waiting
         queued = waiting.since[0] != NOBODY
         payload, to, since = waiting.payload[0], waiting.to[0], waiting.since[0]
@@ -210,7 +210,7 @@ class Network(Channel, Radio):
         return payload, to, since, queued, queued | now.beacons.send
 
     def _audible(self, near: Neighbours, power: Array) -> tuple[Array, Array]:
-        """Return the candidates (K, n) of carrier sensing, and whether each is audible at the vehicle itself.
+        """Return the neighbours (K, n) considered by carrier sensing, and (K, n) bool: they are audible to the vehicle.
 
         A vehicle defers to audible senders; the others are hidden from it.
         """
@@ -223,19 +223,19 @@ class Network(Channel, Radio):
 
     @staticmethod
     def _stream(keys: StreamKeys, which: int, ids: object, frame: object) -> Stream:
-        """Return the random stream with number ``which`` for senders ``ids`` in a frame."""
+        """Return the random stream number ``which`` for senders ``ids`` in radio period ``frame``."""
         low = keys.low[which] + jnp.asarray(frame).astype(jnp.uint32)
         return Stream(keys.high[which], low, jnp.asarray(ids, jnp.uint32))
 
     def _pair(self, keys: StreamKeys, which: int, near: Neighbours, ids: object, frame: Array) -> tuple[Stream, Array]:
-        """Return the random stream of ordered pairs (K, n) in a frame, and the senders' ids, used as its ticks."""
+        """Return a random stream for pairs (K, n) of vehicles in a period, and the senders' ids, used as ticks."""
         ids = jnp.asarray(ids, jnp.uint32)
         sender = ids.at[jnp.maximum(near.index, 0)].get(mode="promise_in_bounds")
         receiver = jnp.broadcast_to(ids[None], sender.shape)
         return self._stream(keys, which, receiver, frame), sender
 
     def _chance(self, keys: StreamKeys, near: Neighbours, ids: object, frame: Array) -> Array:
-        """Return a uniform number in [0, 1) for each pair of receiver and sender in a frame."""
+        """Return a uniform random number (K, n) in [0, 1) for each pair of receiver and sender in a period."""
         stream, sender = self._pair(keys, PACKET, near, ids, frame)
         return uniform(Draw(stream, sender, near.squared[0, :1]), 0)
 
@@ -248,7 +248,7 @@ class Network(Channel, Radio):
         now: Exchange,
         frame: Array,
     ) -> Heard:
-        """Return the received packets, those of the nearest senders first, with their ticks of arrival."""
+        """Return the table of packets received in a period, the nearest senders' first, with arrival ticks."""
         payload, since, begin = packets
         heard = links.outcome == Outcome.HEARD
         there = jnp.maximum(near.index, 0)
@@ -265,7 +265,7 @@ class Network(Channel, Radio):
         return replace(found, payload=jnp.where((found.sender != NOBODY)[:, None], words, 0.0))
 
     def _late(self, keys: StreamKeys, near: Neighbours, begin: Array, now: Exchange, frame: Array) -> Array:
-        """Return the time (K, n) [s] from the beginning of a period until each packet arrives."""
+        """Return the delay (K, n) [s] from the beginning of a period until each packet arrives."""
         stream, sender = self._pair(keys, JITTER, near, now.ids, frame)
         (normal,) = stream.normals(sender, 1, near.squared.dtype)
         distance = jnp.sqrt(jnp.where(near.index >= 0, near.squared, 0.0))
@@ -274,13 +274,13 @@ class Network(Channel, Radio):
 
 
 def _shifted(rows: Array, where: Array) -> Array:
-    """Return rows moved up by one, the last one repeated, for vehicles in the mask ``where`` (n,)."""
+    """Return queue rows moved up by one, the last one repeated, for vehicles in the mask ``where`` (n,)."""
     moved = jnp.concatenate([rows[1:], rows[-1:]])
     return jnp.where(where[(None,) * (rows.ndim - 1)], moved, rows)
 
 
 def _without_first(waiting: Waiting, gone: Array) -> Waiting:
-    """Return the queues without the first message of vehicles in the mask ``gone`` (n,)."""
+    """Return the send queues without their first message for vehicles in the mask ``gone`` (n,)."""
     since = jnp.concatenate([waiting.since[1:], jnp.full_like(waiting.since[:1], NOBODY)])
     return Waiting(
         _shifted(waiting.payload, gone), _shifted(waiting.to, gone), jnp.where(gone[None], since, waiting.since)
@@ -288,10 +288,10 @@ def _without_first(waiting: Waiting, gone: Array) -> Waiting:
 
 
 def _counted(counts: Counts, links: Links, near: Neighbours, sends: Array, wants: Array) -> Counts:
-    """Return the counts with a period's packets added by outcome."""
+    """Return the packet counts with those of a period added, by outcome."""
 
     def of(outcome: int) -> Array:
-        """Return the number of links (n,) with an outcome."""
+        """Return each vehicle's (n,) number of links with this outcome."""
         return jnp.sum((links.outcome == outcome).astype(jnp.int32), axis=0, dtype=jnp.int32)
 
     return replace(

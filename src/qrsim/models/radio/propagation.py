@@ -24,17 +24,17 @@ _DB = 10.0 / math.log(10.0)
 
 
 def db(ratio: Array) -> Array:
-    """Return a positive ratio of powers in decibels."""
+    """Return a positive power ratio in decibels."""
     return _DB * log(ratio)
 
 
 def ratio(decibels: Array) -> Array:
-    """Return the ratio of powers for a value in decibels."""
+    """Return decibels as a power ratio."""
     return exp(decibels * (1.0 / _DB))
 
 
 def path_loss(squared: Array, frequency_hz: Array, exponent: Array) -> Array:
-    """Return the loss [dB] of links by the log-distance law, free space in the first metre.
+    """Return the log-distance path loss [dB] for squared distances [m^2]; free space in the first metre.
 
     Args:
         squared: lengths squared [m^2].
@@ -51,7 +51,7 @@ GROUND_WAVELENGTHS = 0.638
 
 
 def two_ray_loss(squared: Array, frequency_hz: Array, heights: tuple[Array, Array]) -> Array:
-    """Return the two-ray loss [dB] of long links along the ground; its reflection nearly cancels the direct ray.
+    """Return the two-ray path loss [dB] of long links over flat ground, for squared distances [m^2] and heights [m].
 
     K. Bullington, "Radio propagation at frequencies above 30 megacycles", Proc. IRE 35, 1947: d^4/(h1 h2)^2, with
     heights that are not less than what the ground itself gives, of vertical antennas over land of permittivity 15.
@@ -77,7 +77,7 @@ LANDS = {
 
 
 def sight_chance(elevation: Array, land: str) -> Array:
-    """Return the probability of a line of sight at an elevation [rad] above built-up land.
+    """Return the probability of a line of sight at an elevation [rad] above built-up land of a kind in ``LANDS``.
 
     A. Al-Hourani, S. Kandeepan, S. Lardner, "Optimal LAP altitude for maximum coverage", IEEE Wireless Communications
     Letters 3, 2014: 1/(1 + a exp(-b (elevation - a))), in degrees.
@@ -87,7 +87,7 @@ def sight_chance(elevation: Array, land: str) -> Array:
 
 
 def air_to_ground_loss(squared: Array, frequency_hz: Array, elevation: Array, land: str) -> Array:
-    """Return the mean loss [dB] of links between ground and air: free space plus the shadowing by buildings.
+    """Return the mean path loss [dB] between ground and air: free space plus shadowing by buildings on the land.
 
     Args:
         squared: lengths squared [m^2].
@@ -102,7 +102,7 @@ def air_to_ground_loss(squared: Array, frequency_hz: Array, elevation: Array, la
 
 
 def noise_floor(bandwidth_hz: float, noise_figure_db: Array) -> Array:
-    """Return the noise [dBm] of a receiver."""
+    """Return the noise power [dBm] of a receiver with a bandwidth [Hz] and a noise figure [dB]."""
     return THERMAL + db(jnp.asarray(bandwidth_hz)) + noise_figure_db
 
 
@@ -131,7 +131,7 @@ class ShadowField:
 
     @staticmethod
     def drawn(draw: Draw) -> ShadowField:
-        """Return a field of M random waves, one for each id of ``draw``.
+        """Return a random shadowing field of M waves, one for each id of ``draw``.
 
         Wave numbers are normals over one common normal (Cauchy in six dimensions), so that the correlation of two links
         whose ends are d apart is exp(-d/correlation distance): Gudmundson, "Correlation model for shadow fading in
@@ -143,7 +143,7 @@ class ShadowField:
         return ShadowField(Vec3(*turns[:3]), Vec3(*turns[3:]), uniform(draw, 16))
 
     def between(self, one: Vec3, other: Vec3, correlation_distance: Array) -> Array:
-        """Return shadowing (...) of unit variance on links between places [m], equal in both directions."""
+        """Return the shadowing (...), of unit variance, on links between positions [m], equal in both directions."""
         inverse = 1.0 / correlation_distance
         shape = (-1,) + (1,) * other.x.ndim
         here, there = (end.map(lambda wave: jnp.reshape(wave * inverse, shape)) for end in (self.here, self.there))
@@ -154,7 +154,7 @@ class ShadowField:
 
 
 def complementary_error(x: Array) -> Array:
-    """Return erfc(x) for x >= 0, relative error below 1.2e-7.
+    """Return the complementary error function erfc(x) for x >= 0, relative error below 1.2e-7.
 
     Chebyshev fit of W. H. Press et al., "Numerical Recipes", 2nd edition, section 6.2.
     """
@@ -176,17 +176,17 @@ def complementary_error(x: Array) -> Array:
 
 
 def fsk_bit_error(per_bit: Array) -> Array:
-    """Return the bit error rate of non-coherent binary FSK, by energy per bit over noise density."""
+    """Return the bit error rate of non-coherent binary FSK for a ratio of energy per bit to noise density."""
     return 0.5 * exp(-0.5 * per_bit)
 
 
 def bpsk_bit_error(per_bit: Array) -> Array:
-    """Return the bit error rate of coherent BPSK, by energy per bit over noise density."""
+    """Return the bit error rate of coherent BPSK for a ratio of energy per bit to noise density."""
     return 0.5 * complementary_error(jnp.sqrt(jnp.maximum(per_bit, 0.0)))
 
 
 def packet_error(bit_error: Array, bits: float) -> Array:
-    """Return the probability that at least one of ``bits`` bits is wrong."""
+    """Return the probability that at least one of ``bits`` bits is wrong, for a bit error rate."""
     # What is left of one minus a small number is rounded; its logarithm is not.
     small = -bit_error * (1.0 + bit_error * (0.5 + bit_error * (1.0 / 3.0)))
     kept = jnp.where(bit_error < 0.01, small, log(1.0 - bit_error))
@@ -194,7 +194,7 @@ def packet_error(bit_error: Array, bits: float) -> Array:
 
 
 def threshold_error(snr_db: Array, snr50_db: Array, width_db: Array) -> Array:
-    """Return a smooth threshold's loss probability: 0.5 at ``snr50_db``, steeper for a smaller ``width_db``."""
+    """Return the loss probability of a smooth threshold in SNR: 0.5 at ``snr50_db``, steeper for small ``width_db``."""
     return 1.0 / (1.0 + exp((snr_db - snr50_db) / width_db))
 
 
@@ -206,7 +206,7 @@ def lora_air_time(
     preamble: int = 8,
     implicit_header: bool = False,
 ) -> float:
-    """Return the time [s] that a LoRa packet of a number of bytes is on the air.
+    """Return the time on air [s] of a LoRa packet of ``size`` bytes.
 
     Semtech, "LoRa modem designer's guide", AN1200.13, section 4: with a check sum, with the low data rate optimisation
     where a symbol lasts longer than 16 ms.

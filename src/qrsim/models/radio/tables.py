@@ -29,23 +29,23 @@ class Heard:
 
     @staticmethod
     def nothing(rows: int, size: int, like: Array) -> Heard:
-        """Return a table of E empty rows with payloads of D numbers, for vehicles (n,)."""
+        """Return a table of ``rows`` (E) empty messages with ``size`` (D) numbers each, for vehicles (n,)."""
         none = jnp.full((rows, *like.shape), NOBODY, jnp.int32)
         zero = jnp.zeros((rows, *like.shape), like.dtype)
         return Heard(jnp.zeros((rows, size, *like.shape), like.dtype), none, none, none, zero)
 
     def known(self, tick: Array) -> Array:
-        """Return (E, n) bool: the message has arrived by a tick."""
+        """Return (E, n) bool: the message in the table has arrived by a tick."""
         return (self.sender != NOBODY) & (self.arrives <= tick)
 
     def joined(self, other: Heard) -> Heard:
-        """Return one table with these messages first, then the other's."""
+        """Return one table with this table's rows first, then the other's."""
         library = library_of(self.sender)
         return jax.tree.map(lambda a, b: library.concatenate([a, b], axis=0), self, other)
 
 
 def newest(heard: Heard, counts: Array, size: int) -> Heard:
-    """Return the first message of each sender, of at most ``size`` senders, in rows without gaps.
+    """Return the table of each sender's first message, at most ``size`` of them, in rows without gaps.
 
     Args:
         heard: in order, the newest first.
@@ -62,7 +62,7 @@ def newest(heard: Heard, counts: Array, size: int) -> Heard:
 
 
 def first_of(which: Array, size: int) -> Array:
-    """Return the first ``size`` true rows (size, n) int32 of a mask (E, n) for each vehicle; E where no more are."""
+    """Return the indices (size, n) int32 of the first ``size`` True rows of a mask (E, n); E where there are fewer."""
     library = library_of(which)
     rows = which.shape[0]
     number = library.arange(rows, dtype=library.int32)
@@ -75,7 +75,7 @@ def first_of(which: Array, size: int) -> Array:
 
 
 def taken(heard: Heard, chosen: Array) -> Heard:
-    """Return chosen rows (K, n) of messages; a row number equal to the number of rows gives an empty message."""
+    """Return the rows with indices ``chosen`` (K, n) of a message table; the index E gives an empty message."""
     library = library_of(heard.sender)
     rows = heard.sender.shape[0]
     there = chosen < rows
@@ -84,7 +84,7 @@ def taken(heard: Heard, chosen: Array) -> Heard:
     vehicle = library.arange(row.shape[1], dtype=library.int32)
 
     def of(leaf: Array, nothing: int) -> Array:
-        """Return the chosen rows of one array, ``nothing`` for rows without a message."""
+        """Return the chosen rows (K, n) of one array of the table, ``nothing`` for rows without a message."""
         # Single elements, which both compilers take.
         place: tuple[object, ...]
         if leaf.ndim == 3:

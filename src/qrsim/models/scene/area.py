@@ -60,12 +60,12 @@ UNITS = {
 
 
 def reason_code(kind: str, field: str) -> int:
-    """Return the code of a reason for a stop, its index in REASONS."""
+    """Return the integer code of a stop reason (kind and field, such as "collision"), its index in REASONS."""
     return REASONS.index((kind, field))
 
 
 def reason_text(code: int, value: float) -> str:
-    """Return a reason for a stop as text with kind, field, value and unit; "" for code 0."""
+    """Return a stop reason as text with kind, field, value and unit; "" for code 0."""
     if code == 0:
         return ""
     kind, field = REASONS[code]
@@ -85,7 +85,7 @@ class Violation:
 
     @staticmethod
     def first(checks: Sequence[tuple[int, Array, Array]], like: Array) -> Violation:
-        """Return the first broken one of (code, value, broken) checks, code 0 if none is."""
+        """Return the first broken check (code, value (n,), broken (n,)) for each vehicle, code 0 if none is."""
         code, value = jnp.zeros(like.shape, jnp.int32), jnp.zeros_like(like)
         for check_code, check_value, broken in reversed(checks):
             code = jnp.where(broken, check_code, code)
@@ -93,7 +93,7 @@ class Violation:
         return Violation(code, value)
 
     def or_else(self, other: Violation) -> Violation:
-        """Return this violation, replaced by the other one for vehicles without any (code 0)."""
+        """Return this violation, or ``other`` for vehicles (n,) without one here (code 0)."""
         here = self.code != 0
         return Violation(jnp.where(here, self.code, other.code), jnp.where(here, self.value, other.value))
 
@@ -111,7 +111,7 @@ class BoxArea(Area):
     is_box: ClassVar[bool] = True
 
     def check(self, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
-        """Return the checks of positions (n,) against the walls, each (code, value, broken)."""
+        """Return the checks of positions (n,) against the area's walls, each (reason code, value, broken)."""
         axes = (
             ("x", position_ned.x, self.x_min, self.x_max),
             ("y", position_ned.y, self.y_min, self.y_max),
@@ -123,7 +123,7 @@ class BoxArea(Area):
         ]
 
     def margin(self, position_ned: Vec3) -> Array:
-        """Return the distance [m] of positions (n,) from the nearest wall, floor and ceiling; negative outside."""
+        """Return the distance (n,) [m] of positions from the nearest wall, floor or ceiling; negative outside."""
         walls, ceiling, floor = self.clearances(position_ned)
         return jnp.minimum(walls, jnp.minimum(ceiling, floor))
 
@@ -134,7 +134,7 @@ class BoxArea(Area):
         return walls, z - self.z_min, self.z_max - z
 
     def farthest_squared(self, position_ned: Vec3) -> Array:
-        """Return the squared distance [m^2] of positions (n,) from the corner that is farthest."""
+        """Return the squared distance (n,) [m^2] of positions from the area's farthest corner."""
         limits = ((self.x_min, self.x_max), (self.y_min, self.y_max), (self.z_min, self.z_max))
         far = Vec3(
             *(
@@ -145,7 +145,7 @@ class BoxArea(Area):
         return far.dot(far)
 
     def height_agl(self, position_ned: Vec3) -> Array:
-        """Return the height above ground [m] of positions (n,)."""
+        """Return the height (n,) [m] of positions above the ground at z = 0."""
         return -position_ned.z
 
 
@@ -166,7 +166,7 @@ class StateLimits:
     def check(
         self, attitude: Euler, velocity_body: Vec3, rates_body: Vec3, turns: Array | None = None
     ) -> list[tuple[int, Array, Array]]:
-        """Return the checks of states (n,) against the limits, each (code, value, broken).
+        """Return the checks of attitude, velocity and rates (n,) against the limits, each (reason code, value, broken).
 
         Args:
             attitude: [rad], the yaw within -pi and pi.
@@ -188,7 +188,7 @@ class StateLimits:
 def collisions(
     position_ned: Vec3, collision_distance: Array, radius: Array | None = None, before_ned: Vec3 | None = None
 ) -> Violation:
-    """Return collisions of vehicles (n,) closer than ``collision_distance`` [m] to another, with the distance [m].
+    """Return the collisions of vehicles (n,) nearer than ``collision_distance`` [m] to another, with the distance.
 
     Compares all positions together, so the result does not depend on the order of the vehicles, and counts
     vehicles that have already stopped.
@@ -212,7 +212,7 @@ def collisions(
 
 
 def _nearest_on_the_way(position_ned: Vec3, before_ned: Vec3, least: Array) -> Array:
-    """Return the smallest squared distance (n,) [m^2] to another vehicle on the straight ways of a tick.
+    """Return the smallest squared distance (n,) [m^2] to another vehicle during a tick, on straight paths.
 
     Two that move less than half of ``least`` to each other are 3 % of it nearer in between, at most: of them the ends
     of the ways are looked at.
@@ -224,7 +224,7 @@ def _nearest_on_the_way(position_ned: Vec3, before_ned: Vec3, least: Array) -> A
     nearest = nearest_squared(position_ned.x, position_ned.y, position_ned.z, reach)
 
     def by_pairs() -> Array:
-        """Return the squared distances (n,) computed from all pairs of ways."""
+        """Return the smallest squared distances (n,) [m^2], computed from all pairs of vehicles."""
         start, end = (
             place.map(lambda axis: axis[:, None]) - place.map(lambda axis: axis[None, :])
             for place in (before_ned, position_ned)
@@ -238,7 +238,7 @@ def _nearest_on_the_way(position_ned: Vec3, before_ned: Vec3, least: Array) -> A
 
 
 def _overlaps(position_ned: Vec3, radius: Array, before_ned: Vec3 | None) -> Violation:
-    """Return collisions of spheres (n,) that overlap another, with the distance [m] to the one overlapped most."""
+    """Return the collisions of vehicles' spheres (n,) that overlap, with the centre distance [m] of the worst."""
     start, end = (
         place.map(lambda axis: axis[:, None]) - place.map(lambda axis: axis[None, :])
         for place in (position_ned if before_ned is None else before_ned, position_ned)
@@ -254,6 +254,6 @@ def _overlaps(position_ned: Vec3, radius: Array, before_ned: Vec3 | None) -> Vio
 
 
 def _itself(pairs: Array) -> Array:
-    """Return which pairs (n, n) are of a vehicle and itself."""
+    """Return (n, n) bool: the pair is a vehicle and itself."""
     index = jnp.arange(pairs.shape[0])
     return index[:, None] == index[None, :]

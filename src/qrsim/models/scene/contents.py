@@ -35,7 +35,7 @@ class Contents:
 
     @property
     def random(self) -> bool:
-        """True if plume, terrain or persons are drawn at random for each episode."""
+        """True if plume, land cover or persons are drawn at random for each episode."""
         return bool(self.plume.random or self.terrain.random or self.persons.random)
 
 
@@ -66,20 +66,20 @@ class Surroundings:
     )
 
     def over_ground(self, position_ned: Vec3) -> Vec3:
-        """Return positions of any shape with minus the height above the ground for z.
+        """Return positions with z replaced by minus the height above the ground, as for flat ground at z = 0.
 
         Plumes, persons and cameras know a ground at z = 0: each vehicle sees it level, at the height of that below it.
         """
         return over_ground(self.ground, position_ned)
 
     def carrying_wind(self, dtype: DTypeLike) -> Wind:
-        """Return the mean wind at the origin, which carries a plume, in a floating-point type."""
+        """Return the mean wind at the origin, which carries plumes, with numbers of ``dtype``."""
         time, height = split_time(self.tick, self.time_step, dtype), jnp.full(1, WIND_HEIGHT, dtype)
         place = Vec3(jnp.zeros(1, dtype), jnp.zeros(1, dtype), -height)
         return Wind.of(mean_wind_at(self.wind, height, place, time).map(lambda axis: axis[0]))
 
     def concentration(self, position_ned: Vec3) -> Array:
-        """Return the concentration at positions (n,)."""
+        """Return the plume's concentration at positions (n,) [m]."""
         plume, position_ned = self.contents.plume, self.over_ground(position_ned)
         ticks = max(1, round(plume.period / self.time_step))
         dtype = position_ned.x.dtype
@@ -87,12 +87,12 @@ class Surroundings:
         return plume.concentration(self.state.plume, position_ned, self.carrying_wind(dtype), self.area, since)
 
     def ground_class(self, position_ned: Vec3) -> Array:
-        """Return the class (int32) of the ground below positions of any shape."""
+        """Return the land-cover class (int32) of the ground below positions of any shape [m]."""
         return self.contents.terrain.class_at(self.state.terrain, position_ned, self.area)
 
 
 def over_ground(ground: Ground, position_ned: Vec3) -> Vec3:
-    """Return positions of any shape with minus the height above a ground for z."""
+    """Return positions with z replaced by minus the height above ``ground``, as for flat ground at z = 0."""
     if ground.at_zero:
         return position_ned
     return replace(position_ned, z=position_ned.z - ground.down(position_ned))

@@ -34,10 +34,10 @@ class Area(Protocol):
 
     @abstractmethod
     def check(self, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
-        """Return the checks of positions (n,) [m], each (code of a reason (area.py), value (n,), broken (n,))."""
+        """Return the checks of positions (n,) [m] against the area, each (reason code, value (n,), broken (n,))."""
 
     def swept(self, before_ned: Vec3, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
-        """Return the checks of positions (n,) [m] and of the straight ways on which vehicles reached them.
+        """Return the checks of positions (n,) [m] and of the straight paths to them from ``before_ned`` (n,).
 
         By default the positions alone are checked: no way between two points of a convex area leaves it.
         """
@@ -45,10 +45,10 @@ class Area(Protocol):
 
     @abstractmethod
     def margin(self, position_ned: Vec3) -> Array:
-        """Return the distance (n,) [m] of positions from the nearest limit; negative outside."""
+        """Return the distance (n,) [m] of positions from the area's nearest limit; negative outside."""
 
     def clearances(self, position_ned: Vec3) -> tuple[Array, Array, Array]:
-        """Return the distances (n,) [m] of positions from the sides, the ceiling and the floor; negative beyond.
+        """Return the distances (n,) [m] of positions from the area's sides, ceiling and floor; negative beyond.
 
         An area that does not tell them apart has ``margin`` for the sides, and neither ceiling nor floor.
         """
@@ -86,15 +86,15 @@ class Ground(Protocol):
     flat: ClassVar[bool] = False
 
     def at(self, site: object, box: object) -> Ground:
-        """Return the ground for a site and the bounds of an area (south, north, west, east [m], or None)."""
+        """Return the ground for a site and for an area's bounds (south, north, west, east [m], or None)."""
         return self
 
     def horizon_sine(self, position_ned: Vec3, line_of_sight: Vec3) -> Array:
-        """Return the sine (S, n) of the horizon's elevation below lines of sight (S, n) from positions (n,) [m]."""
+        """Return the sine (S, n) of the terrain horizon's elevation below lines of sight (S, n) from positions (n,)."""
         return jnp.full(line_of_sight.z.shape, -1.0, line_of_sight.z.dtype)
 
     def line_of_sight(self, position_ned: Vec3, point_ned: Vec3) -> Array:
-        """Return (n,) bool: the ground does not hide a point () [m] from positions (n,) [m]; here always True."""
+        """Return (n,) bool: the terrain does not hide a point () [m] from positions (n,) [m]; here always True."""
         return jnp.ones(position_ned.x.shape, bool)
 
     @abstractmethod
@@ -102,7 +102,7 @@ class Ground(Protocol):
         """Return the down coordinate [m] of the ground below (or above) positions of any shape [m]."""
 
     def ray_distance(self, origin_ned: Vec3, direction: Vec3, reach: Array) -> Array:
-        """Return the distance [m] along rays (...) to the ground, 0 from below it, infinite beyond ``reach``.
+        """Return the distance [m] along rays (...) to the ground: 0 from below it, infinite beyond ``reach`` [m].
 
         By default the ground is sampled every ``reach``/32, and the first crossing found there is narrowed down. A
         ridge between two samples can be missed.
@@ -115,7 +115,7 @@ class Ground(Protocol):
         return crossing(self.down, origin_ned, direction, reach)
 
     def normal(self, position_ned: Vec3) -> Vec3:
-        """Return the unit normal, upwards, of the ground below positions of any shape [m].
+        """Return the upward unit normal of the ground below positions of any shape [m].
 
         By default it is that of the slope between points 1 m apart.
         """
@@ -127,12 +127,12 @@ class Ground(Protocol):
 
 
 def crossing(down: Callable[[Vec3], Array], origin_ned: Vec3, direction: Vec3, reach: Array) -> Array:
-    """Return the distance [m] along rays (...) to a surface with this down coordinate; see ``Ground.ray_distance``."""
+    """Return the distance [m] along rays (...) to the surface z = ``down(position)``; see ``Ground.ray_distance``."""
     shape = jnp.broadcast_shapes(origin_ned.x.shape, direction.x.shape)
     origin, ray = (end.map(lambda axis: jnp.broadcast_to(axis, shape)) for end in (origin_ned, direction))
 
     def above(distance: Array) -> Array:
-        """Return the height [m] above the surface at distances along the rays, negative below."""
+        """Return the height [m] above the surface, negative below, of points at distances [m] along the rays."""
         wide = (1,) * (distance.ndim - len(shape)) + shape
         place = origin.map(lambda axis: axis.reshape(wide)) + ray.map(lambda axis: axis.reshape(wide)) * distance
         return down(place) - place.z
@@ -154,7 +154,7 @@ def crossing(down: Callable[[Vec3], Array], origin_ned: Vec3, direction: Vec3, r
 
 
 def upward(north: Array, east: Array) -> Vec3:
-    """Return the unit normal of a surface, from the slopes [m/m] of its down coordinate to north and east."""
+    """Return a surface's upward unit normal from the slopes [m/m] of its down coordinate to north and east."""
     scale = 1.0 / jnp.sqrt(1.0 + north * north + east * east)
     return Vec3(north * scale, east * scale, -scale)
 
@@ -179,19 +179,19 @@ class Plume(Protocol):
     @property
     @abstractmethod
     def ids(self) -> int:
-        """Number of random ids that ``init`` and ``step`` draw for."""
+        """Number of random ids for which ``init`` and ``step`` draw numbers."""
 
     def init(self, draw: Draw, area: object) -> object:
-        """Return the state at the start of an episode; ``draw`` is for ``ids`` ids."""
+        """Return the plume's state at the start of an episode; ``draw`` has ``ids`` ids."""
         return None
 
     def step(self, state: Any, draw: Draw) -> object:
-        """Return the state one period later."""
+        """Return the plume's state one period later; ``draw`` has ``ids`` ids."""
         return state
 
     @abstractmethod
     def concentration(self, state: Any, position_ned: Vec3, wind: Any, area: Area, since: Array) -> Array:
-        """Return the concentration (n,) at positions (n,) [m], ``since`` () [s] after the last step."""
+        """Return the concentration (n,) at positions (n,) [m], ``since`` () [s] after the plume's last step."""
 
 
 @runtime_checkable
@@ -205,16 +205,16 @@ class GroundCover(Protocol):
     random: ClassVar[bool] = True
 
     def init(self, draw: Draw) -> object:
-        """Return the land cover of an episode, drawn at random for one id."""
+        """Return an episode's land cover, drawn at random; ``draw`` has one id."""
         return None
 
     @abstractmethod
     def class_at(self, state: Any, position_ned: Vec3, area: Area) -> Array:
-        """Return the class (int32, terrain.py) of the ground below positions of any shape."""
+        """Return the land-cover class (int32, see terrain.py) of the ground below positions of any shape [m]."""
 
     @abstractmethod
     def cells(self, state: Any) -> Array:
-        """Return the classes as a grid (C, C) int32, north and east from the south-western corner."""
+        """Return the land-cover classes as a grid (C, C) int32, from the south-western corner north and east."""
 
 
 @runtime_checkable
@@ -234,11 +234,11 @@ class People(Protocol):
     size: Any = 0.5
 
     def init(self, draw: Draw, cells: Array, area: object) -> object:
-        """Return the persons (P,) of an episode; ``draw`` is for P ids, ``cells`` are the classes of the ground."""
+        """Return an episode's persons (P,), placed at random on land of their class in the grid ``cells``."""
         return None
 
     def step(self, state: Any, position_ned: Vec3, speed: Array, valid: Array, tick: Array) -> object:
-        """Return the state with the persons marked that vehicles (n,) find at a tick."""
+        """Return the state with persons marked as found that vehicles (n,) find at a tick."""
         return state
 
 
@@ -247,12 +247,12 @@ class Placed(Protocol):
 
     @property
     def position_ned(self) -> Vec3:
-        """Position (n,) [m]."""
+        """Position (n,) [m] NED."""
         ...
 
     @property
     def attitude(self) -> Euler:
-        """Attitude (n,) [rad]."""
+        """Attitude (n,) [rad], Euler angles."""
         ...
 
 
@@ -271,7 +271,7 @@ class Placement(Protocol):
 
     @abstractmethod
     def place(self, draw: Draw, start: StartT, area: object) -> tuple[StartT, Array]:
-        """Return the start of vehicles (n,), and () bool whether one was found.
+        """Return the start of vehicles (n,) with positions chosen, and () bool: positions were found.
 
         Args:
             draw: for n ids.
@@ -280,7 +280,7 @@ class Placement(Protocol):
         """
 
     def unplaced(self, size: int) -> str:
-        """Return the error message for ``size`` vehicles without a place."""
+        """Return the error message for a fleet of ``size`` vehicles for which no positions were found."""
         return f"no place for {size} vehicles; take another seed or fewer vehicles"
 
 

@@ -55,14 +55,14 @@ class Elevations:
 
     @property
     def spacing(self) -> tuple[float, float]:
-        """Distance of two rows and of two columns, in the unit of the frame."""
+        """Distance between rows and between columns, in the unit of the grid's frame (degrees or metres)."""
         return (
             float(self.rows[-1] - self.rows[0]) / (len(self.rows) - 1),
             float(self.columns[-1] - self.columns[0]) / (len(self.columns) - 1),
         )
 
     def at(self, row: Float64, column: Float64) -> Float64:
-        """Return the bilinear height [m] at coordinates of any shape; NaN beyond the grid and near missing points."""
+        """Return the height [m], bilinear in the grid, at coordinates of any shape; NaN outside and near gaps."""
         (dr, dc), heights = self.spacing, self.height
         r, c = (row - self.rows[0]) / dr, (column - self.columns[0]) / dc
         # A coordinate on the edge may be a rounding error beyond it.
@@ -101,14 +101,14 @@ class Landscape:
     filled: int = 0
 
     def down(self, north: Float64, east: Float64) -> Float64:
-        """Return the down coordinate [m] of the ground at places of any shape [m], NaN without data."""
+        """Return the down coordinate [m] of the ground at places north and east [m]; NaN without data."""
         return self.zero - self.elevations.at(*_in_file(self.elevations, self.site, self.origin, north, east))
 
 
 def _in_file(
     elevations: Elevations, site: Site, origin: tuple[float, float], north: Float64, east: Float64
 ) -> tuple[Float64, Float64]:
-    """Return the row and column coordinates in the file, in its own unit, of places north and east [m]."""
+    """Return the file's coordinates (row, column), in its own unit, of places north and east [m]."""
     north, east = np.broadcast_arrays(np.asarray(north, np.float64), np.asarray(east, np.float64))
     if elevations.frame == "local":
         return north + origin[0], east + origin[1]
@@ -129,7 +129,7 @@ def landscape(
     every: int = 1,
     fill: bool = False,
 ) -> Landscape:
-    """Return the heights of a file, placed at a site.
+    """Return the terrain heights of a file, placed in a site's local frame.
 
     Args:
         file: .asc or .npz.
@@ -171,12 +171,12 @@ def landscape(
 
 
 def filled_note(name: str, count: int) -> str:
-    """Return the user's note that ``count`` missing heights of a file were filled."""
+    """Return the message to the user that ``count`` missing heights of file ``name`` were filled."""
     return f"{name}: {count} missing heights are those of the nearest cells, at most {FARTHEST_FILL} away"
 
 
 def filled(height: Float64) -> tuple[Float64, int]:
-    """Return heights (R, C) with NaN replaced by the nearest height within FARTHEST_FILL cells, and how many were.
+    """Return heights (R, C) with NaN filled from the nearest height within FARTHEST_FILL cells, and their number.
 
     Those farther off stay NaN.
     """
@@ -192,7 +192,7 @@ def filled(height: Float64) -> tuple[Float64, int]:
 
 
 def _check_cover(file: str, found: Elevations, site: Site, origin: tuple[float, float], box: Bounds) -> None:
-    """Raise UsageError for a file that ends inside a box [m]."""
+    """Raise UsageError for a terrain file that does not cover a box [m]."""
     south, north, west, east = box
     # A box in metres is not a box by latitude and longitude, so points along its sides are checked.
     along = np.linspace(0.0, 1.0, 9)
@@ -217,7 +217,7 @@ def _check_cover(file: str, found: Elevations, site: Site, origin: tuple[float, 
 
 
 def _help_to_cover(file: str, found: Elevations, origin: tuple[float, float], box: Bounds) -> str:
-    """Return a hint for a file that does not cover a box; its coordinates may be those of a map."""
+    """Return a hint for the error message of a terrain file that does not cover a box."""
     rows, columns = found.rows - origin[0], found.columns - origin[1]
     overlaps = rows[0] <= box[1] and rows[-1] >= box[0] and columns[0] <= box[3] and columns[-1] >= box[2]
     if found.frame != "local" or overlaps:
@@ -229,7 +229,7 @@ def _help_to_cover(file: str, found: Elevations, origin: tuple[float, float], bo
 
 
 def _extent(rows: Float64, columns: Float64, first: str, second: str, unit: str, form: str) -> str:
-    """Return the range of rows and columns as text for messages."""
+    """Return the range of rows and columns as text for messages, with their names, unit and number format."""
     parts = [
         f"{name} {format(values.min(), form)} to {format(values.max(), form)}"
         for name, values in ((first, rows), (second, columns))
@@ -238,7 +238,7 @@ def _extent(rows: Float64, columns: Float64, first: str, second: str, unit: str,
 
 
 def read_elevations(file: str, frame: str) -> Elevations:
-    """Return the grid of heights in a file, from a cache if the file has not changed.
+    """Return the grid of heights in a terrain file, from a cache if the file has not changed.
 
     Args:
         file: ``.asc``, an ESRI ASCII grid; or ``.npz`` with ``height`` (R, C) [m] and ``north`` (R,), ``east`` (C,) [m]
@@ -258,7 +258,7 @@ def read_elevations(file: str, frame: str) -> Elevations:
 
 @lru_cache(maxsize=2)
 def _read(file: str, frame: str, changed: int, size: int) -> Elevations:
-    """Return the checked grid of heights in a file; ``changed`` and ``size`` are the cache's key for its version."""
+    """Return the checked grid of heights in a file; ``changed`` and ``size`` identify its version for the cache."""
     data = read_bytes(file, LARGEST_TABLE)
     found = _from_archive(file, data) if file.lower().endswith(".npz") else _from_text(file, data, frame)
     if frame not in ("auto", found.frame):
@@ -284,7 +284,7 @@ def _read(file: str, frame: str, changed: int, size: int) -> Elevations:
 
 
 def _upwards(found: Elevations) -> Elevations:
-    """Return the grid with rows and columns rising, flipped where they fall."""
+    """Return the grid flipped so that its row and column coordinates rise."""
     rows, columns, height = found.rows, found.columns, found.height
     if height.shape == (len(rows), len(columns)):
         if len(rows) > 1 and rows[0] > rows[-1]:
@@ -295,7 +295,7 @@ def _upwards(found: Elevations) -> Elevations:
 
 
 def _from_archive(file: str, data: bytes) -> Elevations:
-    """Return the elevations in a .npz archive; raise UsageError for missing or wrong arrays."""
+    """Return the grid of heights in a .npz archive; raise UsageError for missing or wrong arrays."""
     content = read_arrays(file, data, MOST_HEIGHTS)
     frame: Frame = "geodetic" if "latitude_deg" in content else "local"
     wanted = (*KEYS[frame], "height")
@@ -317,7 +317,7 @@ def _from_archive(file: str, data: bytes) -> Elevations:
 
 
 def _from_text(file: str, data: bytes, frame: str) -> Elevations:
-    """Return the grid in the text of an ESRI ASCII grid; raise UsageError for a damaged one."""
+    """Return the grid of heights in an ESRI ASCII grid's text; raise UsageError for a damaged one."""
     data = data.removeprefix(codecs.BOM_UTF8)
     # No header is longer; of the rest no more is taken apart than it says.
     words = data[:LONGEST_HEADER].decode("latin-1").split()
@@ -365,7 +365,7 @@ def _from_text(file: str, data: bytes, frame: str) -> Elevations:
 
 
 def _first_text(text: str, skipped: int) -> tuple[int, str]:
-    """Return line number and text of the first word that is no number, after ``skipped`` words."""
+    """Return line number and text of the first word that is not a number, after ``skipped`` words."""
     count = 0
     for number, line in enumerate(text.split("\n"), 1):
         for word in line.split():
@@ -378,12 +378,12 @@ def _first_text(text: str, skipped: int) -> tuple[int, str]:
 
 
 def _is_name(word: str) -> bool:
-    """Return whether a word is the name of a header field: not a number, nor NaN as a height."""
+    """Return whether a word is a header field's name: neither a number nor NaN."""
     return word[:1].isalpha() and word.lower() != "nan"
 
 
 def _number(file: str, name: str, text: str) -> float:
-    """Return a number of an ASCII grid's header; raise UsageError for impossible values."""
+    """Return a number of an ASCII grid's header field ``name``; raise UsageError for impossible values."""
     try:
         number = float(text)
     except ValueError:

@@ -61,7 +61,7 @@ class ElevationFile:
     )
 
     def at(self, site: Site, box: Bounds | None) -> GridGround:
-        """Return the ground of the file for a site and an area, in float64.
+        """Return the ground that the file gives for a site and an area, in float64.
 
         Args:
             site: origin of the local frame.
@@ -74,11 +74,11 @@ class ElevationFile:
         return self._read(site, box)[0]
 
     def notes(self, site: Site, box: Bounds | None) -> tuple[str, ...]:
-        """Return notes on the file for the user, one sentence each; arguments and errors as of ``at``."""
+        """Return messages to the user about the file, one sentence each; arguments and errors as of ``at``."""
         return self._read(site, box)[1]
 
     def _read(self, site: Site, box: Bounds | None) -> tuple[GridGround, tuple[str, ...]]:
-        """Return the ground and its notes, read once; a first UsageError is raised again at each call."""
+        """Return the ground and its messages, read once; a UsageError is raised again at each later call."""
         # A scenario is checked before it is built, and its files are read for both.
         found = _made(self, site, box, self._stamps())
         if isinstance(found, UsageError):
@@ -86,7 +86,7 @@ class ElevationFile:
         return found
 
     def _stamps(self) -> tuple[tuple[str, int, int], ...]:
-        """Return name, time of change and size of each file that is there."""
+        """Return (name, time of change, size) of each file that exists, as a cache key."""
         # Only who has such files waits for their readers to be imported.
         from qrsim.models.scene.terrain_files.tiles import sources_of, stamps
         from qrsim.models.scene.terrain_files.vrt import Source
@@ -95,7 +95,7 @@ class ElevationFile:
 
     @property
     def _surveyed(self) -> bool:
-        """True if the file's coordinates are those of a map, not metres from the site or plain degrees."""
+        """True if the file's coordinates are those of a map projection, not metres from the site or plain degrees."""
         if not isinstance(self.file, str) or os.path.isdir(os.path.expanduser(self.file)):
             return True
         suffix = Path(self.file).suffix.lower()
@@ -111,7 +111,7 @@ class ElevationFile:
         return self.crs != "" or not (wkt is None or is_wgs84(wkt))
 
     def _height_of_zero(self, site: Site) -> float | None:
-        """Return the height in the grid [m] that becomes z = 0; None for the ground at the origin."""
+        """Return the height [m] in the grid that becomes z = 0; None for the ground's height at the origin."""
         if self.zero == "ground":
             return self.height_of_zero
         if self.height_of_zero is not None:
@@ -119,7 +119,7 @@ class ElevationFile:
         return site.height - (GeoidPlane.at(site).height if self.datum == "sea" else 0.0)
 
     def _own_notes(self) -> tuple[str, ...]:
-        """Return notes for the user on a file in metres, one if its north may not be true north."""
+        """Return a message to the user if the north of a file in metres may not be true north, in a tuple."""
         moved = self.frame == "auto" and (self.origin_north != 0.0 or self.origin_east != 0.0)
         if moved and str(self.file).lower().endswith(".asc"):
             return (
@@ -133,7 +133,7 @@ class ElevationFile:
 def _made(
     item: ElevationFile, site: Site, box: Bounds | None, changed: object
 ) -> tuple[GridGround, tuple[str, ...]] | UsageError:
-    """Return ground and notes of files, or the UsageError of reading them; ``changed`` is the cache's key."""
+    """Return the file's ground and messages, or the UsageError of reading it; ``changed`` is the cache's key."""
     zero = item._height_of_zero(site)
     try:
         if not item._surveyed:
@@ -148,7 +148,7 @@ def _made(
 def _plain(
     item: ElevationFile, file: str, site: Site, box: Bounds | None, zero: float | None
 ) -> tuple[GridGround, tuple[str, ...]]:
-    """Return ground and notes of a file in metres from the site, or in degrees."""
+    """Return ground and messages of a file with coordinates in metres from the site, or in degrees."""
     if item.crs:
         raise UsageError(f"{file}: crs is for files with coordinates of a map; leave out crs or the frame and origins")
     origin = (item.origin_north, item.origin_east)
@@ -162,7 +162,7 @@ def _plain(
 def _of_survey(
     item: ElevationFile, site: Site, box: Bounds | None, zero: float | None
 ) -> tuple[GridGround, tuple[str, ...]]:
-    """Return ground and notes of files in the coordinates of a map."""
+    """Return ground and messages of files with coordinates of a map projection."""
     from qrsim.models.scene.terrain_files.gdal import Gdal
     from qrsim.models.scene.terrain_files.survey import Wanted, survey
     from qrsim.models.scene.terrain_files.tiles import called
@@ -186,7 +186,7 @@ def _of_survey(
 def _ground(
     name: str, grid: Floats, rows: Floats, columns: Floats, down: Callable[[Floats, Floats], Floats], *steps: float
 ) -> GridGround:
-    """Return the ground of a grid of points, with the horizon around its middle.
+    """Return the ground for a grid of down coordinates, with the terrain horizon around its middle.
 
     Args:
         name: of the file, for messages.
@@ -214,7 +214,7 @@ def _ground(
 
 
 def _even(box: Bounds | None, spacing: tuple[float, float]) -> tuple[Floats, Floats]:
-    """Return north and east [m] of grid points over a box, two a cell of the file, or fewer to keep to MOST_POINTS."""
+    """Return north and east [m] of grid points over a box, two per cell of the file, at most MOST_POINTS in all."""
     assert box is not None
     sides, steps = (box[1] - box[0], box[3] - box[2]), (0.5 * spacing[0], 0.5 * spacing[1])
     counts = [max(2, math.ceil(side / step) + 1) for side, step in zip(sides, steps, strict=True)]
@@ -224,7 +224,7 @@ def _even(box: Bounds | None, spacing: tuple[float, float]) -> tuple[Floats, Flo
 
 
 def _points(file: str, land: Landscape, box: Bounds | None) -> tuple[Floats, Floats]:
-    """Return north and east [m] of the grid points of the ground within a box.
+    """Return north and east [m] of the grid points of the ground in a box, from a file's terrain ``land``.
 
     Those of a local file are its own, cut to the box; over a grid by latitude, they are half as far apart as its own.
     """
@@ -267,14 +267,14 @@ def _points(file: str, land: Landscape, box: Bounds | None) -> tuple[Floats, Flo
 
 
 def _too_many(file: str, count: int) -> UsageError:
-    """Return the error for a file with too many points in the area."""
+    """Return the error for a file with ``count`` points in the area, too many."""
     return UsageError(f"{file}: {count} points in world.area; allowed: {MOST_POINTS}, so resample it more coarsely")
 
 
 def _horizon(
     ground: Callable[[Floats, Floats], Floats], middle: tuple[float, float], eyes: Floats, step: float
 ) -> Floats:
-    """Return the sine (E, B) of the horizon's elevation around ``middle``, from eyes (E,) at down coordinates [m]."""
+    """Return the sine (E, B) of the horizon's elevation around ``middle``, seen from down coordinates ``eyes`` [m]."""
     bearing = 2.0 * math.pi * np.arange(BEARINGS) / BEARINGS
     # A quarter of a cell at first, not to step over a ridge.
     even = 0.25 * step * np.arange(1, math.ceil(1.0 / STEP))

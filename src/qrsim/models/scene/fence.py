@@ -26,7 +26,7 @@ class PolygonArea(Area):
     z_max: Array = parameter(default=0.0, unit="m", doc="floor; 0 is the ground", maximum=0.0)
 
     def check(self, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
-        """Return the checks of positions (n,) against fence, floor and ceiling, each (code, value, broken)."""
+        """Return the checks of positions (n,) against fence, floor and ceiling, each (reason code, value, broken)."""
         distance, z = self.distance_to_fence(position_ned), position_ned.z
         return [
             (reason_code("out_of_area", "fence"), distance, distance < 0.0),
@@ -34,7 +34,7 @@ class PolygonArea(Area):
         ]
 
     def swept(self, before_ned: Vec3, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
-        """Return the checks of positions (n,); a way that leaves the polygon and comes back counts as outside."""
+        """Return the checks of positions (n,); a path that left the fence in between counts as outside."""
         (code, distance, outside), vertical = self.check(position_ned)
         north, east = position_ned.x - before_ned.x, position_ned.y - before_ned.y
         # A way that is shorter than the distance from the nearest edge stays inside.
@@ -45,7 +45,7 @@ class PolygonArea(Area):
         return [(code, jnp.where(crosses, 0.0, distance), outside | crosses), vertical]
 
     def _crossed(self, before_ned: Vec3, position_ned: Vec3) -> Array:
-        """Return whether the ways (n,) cross an edge; a way that starts or ends on an edge does not cross that edge."""
+        """Return (n,) bool: the straight path crosses an edge of the fence; touching it at its ends does not count."""
         north, east = self.north[:, None], self.east[:, None]
         edge_north, edge_east = jnp.roll(north, -1, axis=0) - north, jnp.roll(east, -1, axis=0) - east
         way_north, way_east = (position_ned.x - before_ned.x)[None], (position_ned.y - before_ned.y)[None]
@@ -57,7 +57,7 @@ class PolygonArea(Area):
         return jnp.any((start * end < 0.0) & ((corner > 0.0) != (next_corner > 0.0)), axis=0)
 
     def distance_to_fence(self, position_ned: Vec3) -> Array:
-        """Return the horizontal distance [m] of positions of any shape from the polygon's edges, negative outside.
+        """Return the horizontal distance [m] of positions of any shape from the fence's edges, negative outside.
 
         A position is inside where a ray due east from it crosses an odd number of edges.
         """
@@ -83,7 +83,7 @@ class PolygonArea(Area):
         return jnp.where(inside, distance, -distance)
 
     def margin(self, position_ned: Vec3) -> Array:
-        """Return the distance [m] of positions (n,) from the nearest side, floor and ceiling; negative outside."""
+        """Return the distance (n,) [m] of positions from the nearest side, floor or ceiling; negative outside."""
         sides, ceiling, floor = self.clearances(position_ned)
         return jnp.minimum(sides, jnp.minimum(ceiling, floor))
 
@@ -92,19 +92,19 @@ class PolygonArea(Area):
         return self.distance_to_fence(position_ned), position_ned.z - self.z_min, self.z_max - position_ned.z
 
     def farthest_squared(self, position_ned: Vec3) -> Array:
-        """Return the squared distance [m^2] of positions (n,) from the corner that is farthest."""
+        """Return the squared distance (n,) [m^2] of positions from the area's farthest corner."""
         north, east = position_ned.x[None] - self.north[:, None], position_ned.y[None] - self.east[:, None]
         z = position_ned.z
         down = jnp.maximum(jnp.abs(z - self.z_min), jnp.abs(z - self.z_max))
         return jnp.max(north * north + east * east, axis=0) + down * down
 
     def height_agl(self, position_ned: Vec3) -> Array:
-        """Return the height above ground [m] of positions (n,)."""
+        """Return the height (n,) [m] of positions above the ground at z = 0."""
         return -position_ned.z
 
 
 def polygon_problems(vertices: npt.ArrayLike) -> list[str]:
-    """Return the reasons why corners (V, 2), in any unit, are not a simple polygon, one sentence each.
+    """Return sentences that say why corners (V, 2) do not form a simple polygon; [] if they do.
 
     Corners are counted from 0, and the last is joined to the first. Edges that touch count as crossing.
     """
@@ -132,12 +132,12 @@ def polygon_problems(vertices: npt.ArrayLike) -> list[str]:
 
 
 def _cross(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the z component of the cross products of vectors (..., 2)."""
+    """Return the z component of the cross product of vectors (..., 2)."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
 def _crossing_edges(start: npt.NDArray[np.float64], end: npt.NDArray[np.float64]) -> list[tuple[int, int]]:
-    """Return the index pairs of edges, from start to end (V, 2), that meet other than at a shared corner."""
+    """Return index pairs of edges, from ``start`` to ``end`` (V, 2), that meet other than at a shared corner."""
     count, edge = len(start), end - start
     low, high = np.minimum(start, end), np.maximum(start, end)
     found = []

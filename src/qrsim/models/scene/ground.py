@@ -28,22 +28,22 @@ class FlatGround(Ground):
 
     @computed
     def at_zero(self) -> bool:
-        """True if the ground is the plane z = 0."""
+        """True if the ground is exactly the plane z = 0."""
         return self.height == 0.0
 
     def down(self, position_ned: Vec3) -> Array:
-        """Return the down coordinate [m] of the ground below positions of any shape."""
+        """Return the down coordinate [m] of the flat ground below positions of any shape [m]."""
         return jnp.full_like(position_ned.z, 0.0 - self.height)
 
     def ray_distance(self, origin_ned: Vec3, direction: Vec3, reach: Array) -> Array:
-        """Return the distance [m] along rays (...) to the plane, infinite beyond ``reach``."""
+        """Return the distance [m] along rays (...) to the ground plane, infinite beyond ``reach`` [m]."""
         above = -self.height - origin_ned.z
         falls = direction.z > 0.0
         met = above / jnp.where(falls, direction.z, 1.0)
         return jnp.where(above <= 0.0, 0.0, jnp.where(falls & (met <= reach), met, jnp.inf))
 
     def normal(self, position_ned: Vec3) -> Vec3:
-        """Return the normal, straight up."""
+        """Return the ground's unit normal, straight up, for positions of any shape."""
         flat = jnp.zeros_like(position_ned.z)
         return Vec3(flat, flat, flat - 1.0)
 
@@ -66,13 +66,13 @@ class GridGround(Ground):
     hides: ClassVar[bool] = True
 
     def down(self, position_ned: Vec3) -> Array:
-        """Return the down coordinate [m] of the ground below positions of any shape."""
+        """Return the down coordinate [m] of the ground below positions of any shape [m], bilinear in the grid."""
         (a, b), corners = self._cell(position_ned)
         south, north = (low + b * (high - low) for low, high in corners)
         return south + a * (north - south)
 
     def line_of_sight(self, position_ned: Vec3, point_ned: Vec3) -> Array:
-        """Return (n,) bool: the ground does not hide a point () [m] from positions (n,) [m], by samples between."""
+        """Return (n,) bool: the terrain does not hide a point () [m] from positions (n,) [m], by samples in between."""
         shape, dtype = self.grid.shape, position_ned.x.dtype
         ways = [b - a for a, b in zip(position_ned.axes, point_ned.axes, strict=True)]
         # Which part of the way is over the grid; of ridges there is nothing to be missed beyond.
@@ -94,14 +94,14 @@ class GridGround(Ground):
         return seen
 
     def normal(self, position_ned: Vec3) -> Vec3:
-        """Return the unit normal, upwards, of the bilinear patch below positions of any shape."""
+        """Return the upward unit normal of the bilinear ground below positions of any shape [m]."""
         (a, b), ((sw, se), (nw, ne)) = self._cell(position_ned)
         north = ((nw - sw) + b * ((ne - se) - (nw - sw))) / self.spacing[0]
         east = ((se - sw) + a * ((ne - nw) - (se - sw))) / self.spacing[1]
         return upward(north, east)
 
     def _cell(self, position_ned: Vec3) -> tuple[tuple[Array, Array], tuple[tuple[Array, Array], tuple[Array, Array]]]:
-        """Return positions in the cell, 0 to 1 north and east, and the heights of its corners: ((sw, se), (nw, ne))."""
+        """Return positions in their grid cell, 0 to 1, and the cell's down coordinates [m], ((sw, se), (nw, ne))."""
         grid, parts, numbers = jnp.asarray(self.grid), [], []
         for axis, value in enumerate((position_ned.x, position_ned.y)):
             last = grid.shape[axis] - 1
@@ -115,7 +115,7 @@ class GridGround(Ground):
         return (parts[0], parts[1]), (south, north)
 
     def horizon_sine(self, position_ned: Vec3, line_of_sight: Vec3) -> Array:
-        """Return the sine (S, n) of the elevation of the horizon below lines of sight (S, n) from positions (n,).
+        """Return the sine (S, n) of the terrain horizon's elevation below lines of sight (S, n) from positions (n,).
 
         It is that seen from above the middle of the area, at the same height as the vehicle.
         """

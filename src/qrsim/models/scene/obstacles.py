@@ -28,7 +28,7 @@ class BoxObstacle:
     z_max: Array = parameter(default=0.0, unit="m", doc="bottom; 0 is the ground")
 
     def distance(self, position_ned: Vec3) -> Array:
-        """Return the distance [m] of positions (n,) from the box, 0 inside."""
+        """Return the distance (n,) [m] of positions from the box, 0 inside it."""
         return _length(
             _beyond(position_ned.x, self.x_min, self.x_max),
             _beyond(position_ned.y, self.y_min, self.y_max),
@@ -47,7 +47,7 @@ class CylinderObstacle:
     z_max: Array = parameter(default=0.0, unit="m", doc="bottom; 0 is the ground")
 
     def distance(self, position_ned: Vec3) -> Array:
-        """Return the distance [m] of positions (n,) from the cylinder, 0 inside."""
+        """Return the distance (n,) [m] of positions from the cylinder, 0 inside it."""
         dx, dy = position_ned.x - self.x, position_ned.y - self.y
         lib = library_of(dx)
         radial = lib.maximum(_length(dx, dy, lib.zeros_like(dx)) - self.radius, 0.0)
@@ -65,7 +65,7 @@ class Obstacles:
     prisms: Prisms | None = quantity(default=None, doc="prisms with their numbers; None without any")
 
     def nearest(self, position_ned: Vec3) -> tuple[Array, Array]:
-        """Return the distance (n,) [m] of positions (n,) to the nearest obstacle, and its number in the scenario.
+        """Return the distance (n,) [m] of positions from the nearest obstacle, and its number in the scenario.
 
         Without any obstacle the distance is infinite and the number -1. A prism that is farther than ``prisms.reach``
         may be overlooked.
@@ -79,7 +79,7 @@ class Obstacles:
         return jnp.where(closer, other, distance), jnp.where(closer, its_number, number)
 
     def _nearest_plain(self, position_ned: Vec3) -> tuple[Array, Array]:
-        """Return distance [m] and number of the nearest box or cylinder; infinite and -1 without any."""
+        """Return distance [m] and number of the nearest box or cylinder; infinite and -1 if there are neither."""
         row = position_ned.map(lambda axis: axis[None, :])
         rows = [
             kind.distance(row) for kind in (_as_columns(self.boxes), _as_columns(self.cylinders)) if kind.z_min.shape[0]
@@ -94,16 +94,16 @@ class Obstacles:
 
 
 def _as_columns(item: T) -> T:
-    """Return the record with arrays (k,) reshaped to (k, 1), to broadcast against vehicles (n,)."""
+    """Return a record of k solids with arrays (k,) reshaped to (k, 1), to broadcast against vehicles (n,)."""
     return jax.tree.map(lambda leaf: leaf[:, None], item)
 
 
 def _beyond(value: Array, low: Array, high: Array) -> Array:
-    """Return the distance of a coordinate from an interval, 0 inside."""
+    """Return the distance of coordinates from the interval [low, high], 0 inside it."""
     lib = library_of(value)
     return lib.maximum(lib.maximum(low - value, value - high), 0.0)
 
 
 def _length(x: Array, y: Array, z: Array) -> Array:
-    """Return the length of vectors, its gradient finite at zero."""
+    """Return the length of vectors (x, y, z); its gradient at zero is finite."""
     return length_of(library_of(x), x * x + y * y + z * z)

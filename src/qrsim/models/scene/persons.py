@@ -35,7 +35,7 @@ class PersonsState:
     found_tick: Array = quantity(doc="int32 tick at which it was found, -1 before")
 
     def missing(self, tick: Array | None = None) -> Array:
-        """Return (P,) bool: the person is present and not found by a tick (None: by now)."""
+        """Return (P,) bool: the person is present and has not been found by a tick (None: until now)."""
         found = self.found_tick >= 0
         return self.there & ~(found if tick is None else found & (self.found_tick <= tick))
 
@@ -61,7 +61,7 @@ class Persons(People):
     random: ClassVar[bool] = True
 
     def init(self, draw: Draw, cells: Array, area: Any) -> PersonsState:
-        """Return the random persons (P,) of an episode, uniform on their class of ground in the inner part of the area.
+        """Return an episode's random persons (P,), uniform over land of their class in the area's inner part.
 
         Where the area has no such ground, a person is anywhere in the inner part.
 
@@ -88,7 +88,7 @@ class Persons(People):
         return PersonsState(north, east, there, jnp.full(self.most, -1, jnp.int32))
 
     def step(self, state: PersonsState, position_ned: Vec3, speed: Array, valid: Array, tick: Array) -> PersonsState:
-        """Return the state with the persons marked that vehicles (n,) find at a tick."""
+        """Return the state with persons marked as found that vehicles (n,) find at a tick."""
         north, east = position_ned.x[:, None] - state.north[None], position_ned.y[:, None] - state.east[None]
         distance = jnp.sqrt(north * north + east * east + (position_ned.z * position_ned.z)[:, None])
         finds = (distance <= self.found_distance) & ((speed <= self.found_speed) & valid)[:, None]
@@ -97,7 +97,7 @@ class Persons(People):
 
 
 def _overlaps(low: Array, high: Array, cells: int) -> tuple[Array, Array]:
-    """Return for each cell along a side the start and the length [m] of its part inside the inner area."""
+    """Return, for each cell along a side [low, high], start and length [m] of its part in the inner area."""
     edges = low + (high - low) * (jnp.arange(cells + 1).astype(jnp.asarray(low).dtype) / cells)
     middle, half = 0.5 * (low + high), 0.5 * INNER * (high - low)
     inner = jnp.clip(edges, middle - half, middle + half)

@@ -25,7 +25,7 @@ class GivenPlaces(Placement):
     random: ClassVar[bool] = False
 
     def place(self, draw: Draw, start: StartT, area: object) -> tuple[StartT, Array]:
-        """Return the given start unchanged, and True."""
+        """Return the given start positions unchanged, and True: positions were found."""
         return start, jnp.ones((), bool)
 
 
@@ -41,11 +41,11 @@ class UniformPlaces(Placement):
     random: ClassVar[bool] = True
 
     def place(self, draw: Draw, start: StartT, area: object) -> tuple[StartT, Array]:
-        """Return the start of vehicles (n,) at random places, and () bool: places far enough apart were found."""
+        """Return the start of vehicles (n,) at random positions, and () bool: these are far enough apart."""
         low, high = inner_box(area, self.inner)
 
         def candidate(number: Array) -> tuple[Array, Array]:
-            """Return random places (n,) north and east [m] of a numbered try."""
+            """Return random positions (n,) north and east [m] for try number ``number``."""
             return (
                 uniform(draw, 2 * number, low.x, high.x),
                 uniform(draw, 2 * number + 1, low.y, high.y),
@@ -58,7 +58,7 @@ class UniformPlaces(Placement):
         return replace(start, position_ned=Vec3(north, east, start.position_ned.z), attitude=attitude), found
 
     def unplaced(self, size: int) -> str:
-        """Return the error message for ``size`` vehicles without a place; see ``_unplaced``."""
+        """Return the error message for a fleet of ``size`` vehicles for which no positions were found."""
         return _unplaced(size, self.apart, self.tries)
 
 
@@ -75,10 +75,10 @@ class RingPlaces(Placement):
     random: ClassVar[bool] = True
 
     def place(self, draw: Draw, start: StartT, area: object) -> tuple[StartT, Array]:
-        """Return the start of vehicles (n,) at random places, and () bool: places far enough apart were found."""
+        """Return the start of vehicles (n,) at random positions in a ring, and () bool: these are far enough apart."""
 
         def candidate(number: Array) -> tuple[Array, Array]:
-            """Return random places (n,) north and east [m] of a numbered try."""
+            """Return random positions (n,) north and east [m] for try number ``number``."""
             sine, cosine = sincos(uniform(draw, 2 * number, -math.pi, math.pi))
             distance = uniform(draw, 2 * number + 1, self.nearest, self.farthest)
             return self.north + distance * cosine, self.east + distance * sine
@@ -87,11 +87,11 @@ class RingPlaces(Placement):
         return replace(start, position_ned=Vec3(north, east, start.position_ned.z)), found
 
     def unplaced(self, size: int) -> str:
-        """Return the error message for ``size`` vehicles without a place; see ``_unplaced``."""
+        """Return the error message for a fleet of ``size`` vehicles for which no positions were found."""
         return _unplaced(size, self.apart, self.tries)
 
     def most_vehicles(self) -> int:
-        """Return the number of vehicles that fit on the outer circle, an upper bound for random placement."""
+        """Return the number of vehicles that fit on the ring's outer circle, an upper bound for random placement."""
         # At distances near zero any number fits, and the angle would be too small to divide by.
         if self.apart <= 1e-9 * self.farthest:
             return 10**9
@@ -100,7 +100,7 @@ class RingPlaces(Placement):
 
 
 def _unplaced(size: int, apart: Array, tries: int) -> str:
-    """Return the error message for vehicles without places at least ``apart`` [m] apart after a number of tries."""
+    """Return the error message for vehicles without positions at least ``apart`` [m] apart after ``tries``."""
     return (
         f"no place for {size} vehicles at least {float(apart):g} m apart in {tries} tries; take another seed, fewer "
         "vehicles, more tries or less distance"
@@ -110,7 +110,7 @@ def _unplaced(size: int, apart: Array, tries: int) -> str:
 def _first_apart(
     candidate: Callable[[Array], tuple[Array, Array]], apart: Array, tries: int
 ) -> tuple[Array, Array, Array]:
-    """Return the first of several random placements of all vehicles with distances of at least ``apart`` [m].
+    """Return north, east (n,) [m] of the first random placement at least ``apart`` [m] apart, and bool: found.
 
     Args:
         candidate: from the number of a try to north and east (n,).
@@ -122,13 +122,13 @@ def _first_apart(
     """
 
     def far_enough(north: Array, east: Array) -> Array:
-        """Return () bool: every two vehicles (n,) are at least ``apart`` [m] apart."""
+        """Return () bool: all vehicles (n,) are at least ``apart`` [m] from each other."""
         square = (north[:, None] - north[None]) ** 2 + (east[:, None] - east[None]) ** 2
         itself = jnp.eye(north.shape[0], dtype=bool)
         return jnp.all(itself | (square >= apart * apart))
 
     def again(now: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Return the next try's number, and whether its places are far enough apart."""
+        """Return the next try's number, and whether its positions are far enough apart."""
         number = now[0] + 1
         return number, far_enough(*(lax.stop_gradient(axis) for axis in candidate(number)))
 

@@ -37,10 +37,10 @@ class Sources:
 
 
 def inner_box(area: Any, part: Array | float) -> tuple[Vec3, Vec3]:
-    """Return the lowest and the highest corner [m] of a box scaled by ``part`` about its centre."""
+    """Return the lowest and highest corner [m] of an area scaled by the factor ``part`` about its centre."""
 
     def shrunk(low: Array, high: Array) -> tuple[Array, Array]:
-        """Return the interval [low, high] scaled by ``part`` about its middle."""
+        """Return the interval [low, high] scaled by the factor ``part`` about its middle."""
         middle, half = 0.5 * (low + high), 0.5 * part * (high - low)
         return middle - half, middle + half
 
@@ -49,7 +49,7 @@ def inner_box(area: Any, part: Array | float) -> tuple[Vec3, Vec3]:
 
 
 def _placed(draw: Draw, area: object, least: int, most: int) -> tuple[Vec3, Array]:
-    """Return random positions (S,) in the inner part of the area, and (S,) bool: the source exists in this episode."""
+    """Return random source positions (S,) [m] in the inner area, and (S,) bool: the source exists."""
     low, high = inner_box(area, INNER)
     position = Vec3(*(uniform(draw, i, getattr(low, axis), getattr(high, axis)) for i, axis in enumerate("xyz")))
     count = whole(draw, 3, least, most)[0]
@@ -66,28 +66,28 @@ class Wind:
 
     @staticmethod
     def of(velocity_ned: Vec3) -> Wind:
-        """Return speed and direction of the horizontal part of a velocity () [m/s]."""
+        """Return speed [m/s] and direction of the horizontal part of a wind velocity () [m/s] NED."""
         speed = jnp.sqrt(velocity_ned.x * velocity_ned.x + velocity_ned.y * velocity_ned.y)
         return Wind(speed, velocity_ned.x / speed, velocity_ned.y / speed)
 
     def along_across(self, offset_ned: Vec3) -> tuple[Array, Array]:
-        """Return downwind and crosswind components [m] of offsets."""
+        """Return downwind and crosswind components [m] of offsets NED [m]."""
         along = self.north * offset_ned.x + self.east * offset_ned.y
         return along, self.north * offset_ned.y - self.east * offset_ned.x
 
 
 def _count(which: str) -> int:
-    """Return the declaration of a setting for a number of sources."""
+    """Return the field declaration of a setting: a number of plume sources."""
     return setting(default=1, unit="1", doc=f"{which} sources of an episode", minimum=1, maximum=100)
 
 
 def _spread_factor() -> Array:
-    """Return the declaration of the parameter a of the spread 2 a x'^b."""
+    """Return the field declaration of the factor a in a plume's spread 2 a x'^b over the downwind distance x'."""
     return parameter(default=0.33, unit="m^(2-b)", doc="a of the spread s = 2 a x'^b", above=0.0)
 
 
 def _spread_exponent() -> Array:
-    """Return the declaration of the parameter b of the spread 2 a x'^b."""
+    """Return the field declaration of the exponent b in a plume's spread 2 a x'^b."""
     return parameter(default=0.86, unit="1", doc="b of the spread s = 2 a x'^b", above=0.0, maximum=2.0)
 
 
@@ -99,11 +99,11 @@ class NoPlume(Plume):
 
     @property
     def ids(self) -> int:
-        """Number of random ids: 0."""
+        """Number of random ids that the plume draws for: 0."""
         return 0
 
     def concentration(self, state: None, position_ned: Vec3, wind: Wind, area: object, since: Array) -> Array:
-        """Return zero at every position (n,)."""
+        """Return zero concentration at every position (n,)."""
         return jnp.zeros_like(position_ned.x)
 
 
@@ -129,18 +129,18 @@ class GaussianPlume(Plume):
 
     @property
     def ids(self) -> int:
-        """Number of ids for random draws: one for each of at most ``most`` sources."""
+        """Number of random ids that the plume draws for: one for each of at most ``most`` sources."""
         return self.most
 
     def init(self, draw: Draw, area: object) -> GaussianState:
-        """Return the sources (S,) of an episode."""
+        """Return an episode's random plume sources (S,)."""
         position, there = _placed(draw, area, self.fewest, self.most)
         std = Vec3(*(uniform(draw, 4 + axis, self.std_min, self.std_max) for axis in range(3)))
         strength = jnp.where(there, self.peak, 0.0).astype(position.x.dtype)
         return GaussianState(Sources(position, strength), std, uniform(draw, 7, 0.0, math.pi))
 
     def concentration(self, state: GaussianState, position_ned: Vec3, wind: Wind, area: object, since: Array) -> Array:
-        """Return the concentration at positions (n,)."""
+        """Return the concentration (n,) at positions (n,) [m], the sum over all sources."""
         offset = _offsets(position_ned, state.sources.position_ned)
         sine, cosine = (part[None] for part in sincos(state.yaw))
         first = (cosine * offset.x + sine * offset.y) / state.std.x[None]
@@ -150,27 +150,27 @@ class GaussianPlume(Plume):
         return jnp.sum(state.sources.strength[None] * exp(-0.5 * square), axis=-1)
 
     def mean(self, state: GaussianState, position_ned: Vec3, wind: Wind) -> Array:
-        """Return the time-averaged concentration at positions (n,); here it is constant in time."""
+        """Return the time-averaged concentration (n,) at positions [m], here the concentration itself."""
         return self.concentration(state, position_ned, wind, None, jnp.zeros((), position_ned.x.dtype))
 
     def scale(self, state: GaussianState) -> Array:
-        """Return the largest strength () of the episode's sources, the scale of concentrations."""
+        """Return the largest strength () of the episode's sources, to scale concentrations."""
         return jnp.max(state.sources.strength)
 
 
 def _offsets(position_ned: Vec3, source_ned: Vec3) -> Vec3:
-    """Return vectors (n, S) [m] from sources (S,) to positions (n,)."""
+    """Return the offsets (n, S) [m] of positions (n,) from sources (S,)."""
     return Vec3(*(getattr(position_ned, axis)[:, None] - getattr(source_ned, axis)[None] for axis in "xyz"))
 
 
 def _reflected(position_ned: Vec3, source_ned: Vec3, spread: Array) -> Array:
-    """Return the vertical factor (n, S) of a Gaussian field: the direct plume plus its reflection at the ground."""
+    """Return the vertical factor (n, S) of a Gaussian plume: the plume itself plus its reflection at the ground."""
     height, source = -position_ned.z[:, None], -source_ned.z[None]
     return exp(-((height - source) ** 2) / spread) + exp(-((height + source) ** 2) / spread)
 
 
 def _spread_at(factor: Array, exponent: Array, along: Array) -> Array:
-    """Return 2 a x'^b [m^2], twice the squared width of a plume, at downwind distances x' clipped to at least 1 mm."""
+    """Return 2 a x'^b [m^2], twice a plume's squared width, at downwind distances x' [m] of at least 1 mm."""
     return 2.0 * factor * exp(exponent * log(jnp.maximum(along, 1e-3)))
 
 
@@ -191,16 +191,16 @@ class DispersionPlume(Plume):
 
     @property
     def ids(self) -> int:
-        """Number of ids for random draws: one for each of at most ``most`` sources."""
+        """Number of random ids that the plume draws for: one for each of at most ``most`` sources."""
         return self.most
 
     def init(self, draw: Draw, area: object) -> Sources:
-        """Return the sources (S,) of an episode."""
+        """Return an episode's random plume sources (S,)."""
         position, there = _placed(draw, area, self.fewest, self.most)
         return Sources(position, jnp.where(there, uniform(draw, 4, self.rate_min, self.rate_max), 0.0))
 
     def concentration(self, state: Sources, position_ned: Vec3, wind: Wind, area: object, since: Array) -> Array:
-        """Return the concentration at positions (n,), zero at positions upwind of all sources."""
+        """Return the concentration (n,) at positions (n,) [m], summed over sources; 0 upwind of all of them."""
         along, across = wind.along_across(_offsets(position_ned, state.position_ned))
         spread = _spread_at(self.spread_factor, self.spread_exponent, along)
         vertical = _reflected(position_ned, state.position_ned, spread)
@@ -208,11 +208,11 @@ class DispersionPlume(Plume):
         return jnp.sum(jnp.where(along > 0.0, field, 0.0), axis=-1)
 
     def mean(self, state: Sources, position_ned: Vec3, wind: Wind) -> Array:
-        """Return the time-averaged concentration at positions (n,); here it is constant in time."""
+        """Return the time-averaged concentration (n,) at positions [m], here the concentration itself."""
         return self.concentration(state, position_ned, wind, None, jnp.zeros((), position_ned.x.dtype))
 
     def scale(self, state: Sources) -> Array:
-        """Return the smallest emission rate () of the episode's sources, the scale of concentrations."""
+        """Return the smallest emission rate () of the episode's sources, to scale concentrations."""
         return jnp.min(jnp.where(state.strength > 0.0, state.strength, jnp.inf))
 
 
@@ -254,11 +254,11 @@ class PuffPlume(Plume):
 
     @property
     def ids(self) -> int:
-        """Number of ids for random draws: one for each of at most ``most`` sources."""
+        """Number of random ids that the plume draws for: one for each of at most ``most`` sources."""
         return self.most
 
     def init(self, draw: Draw, area: object) -> PuffState:
-        """Return the random sources (S,) of an episode, before their first release."""
+        """Return an episode's random sources (S,), before any puff is released."""
         position, there = _placed(draw, area, self.fewest, self.most)
         sources = Sources(position, there.astype(position.x.dtype))
         nothing = jnp.zeros((self.most, self.puffs), position.x.dtype)
@@ -266,7 +266,7 @@ class PuffPlume(Plume):
         return PuffState(sources, wait, jnp.zeros(self.most, jnp.int32), nothing, nothing)
 
     def step(self, state: PuffState, draw: Draw) -> PuffState:
-        """Return the state one period later: puffs older, due ones released."""
+        """Return the plume's state one period later: puffs older, due ones released."""
         state = replace(state, wait=state.wait - self.period, age=state.age + self.period)
         place = jnp.arange(self.puffs, dtype=jnp.int32)[None]
         for number in range(RELEASES_PER_STEP):
@@ -284,7 +284,7 @@ class PuffPlume(Plume):
         return state
 
     def concentration(self, state: PuffState, position_ned: Vec3, wind: Wind, area: object, since: Array) -> Array:
-        """Return the concentration at positions (n,), ``since`` [s] after the last step."""
+        """Return the concentration (n,) at positions (n,) [m], ``since`` [s] after the plume's last step."""
         source = state.sources.position_ned
         along, across = wind.along_across(_offsets(position_ned, source))
         spread = _spread_at(self.spread_factor, self.spread_exponent, along)
@@ -298,17 +298,17 @@ class PuffPlume(Plume):
         return jnp.sum(jnp.where(along > 0.0, field, 0.0), axis=-1)
 
     def mean(self, state: PuffState, position_ned: Vec3, wind: Wind) -> Array:
-        """Return the time-averaged concentration at positions (n,), as if all puffs were of the largest amount."""
+        """Return the time-averaged concentration (n,) at positions [m], as if all puffs were of the largest amount."""
         plume = DispersionPlume(spread_factor=self.spread_factor, spread_exponent=self.spread_exponent)
         rate = state.sources.strength * (self.amount_max / self.gap)
         return plume.mean(Sources(state.sources.position_ned, rate), position_ned, wind)
 
     def scale(self, state: PuffState) -> Array:
-        """Return the scale of concentrations (): 1."""
+        """Return the scale () of concentrations: 1."""
         return jnp.ones((), state.age.dtype)
 
     def _in_box(self, source_ned: Vec3, flown: Array, wind: Wind, area: Any) -> Array:
-        """Return (S, K) bool: a puff that has travelled ``flown`` [m] still reaches into the box."""
+        """Return (S, K) bool: the puff of the source, after ``flown`` [m] of travel, still reaches into the area."""
         tail = flown - trail(self.spread_factor, self.spread_exponent, flown)
         north = source_ned.x[:, None] + wind.north * tail
         east = source_ned.y[:, None] + wind.east * tail
@@ -317,5 +317,5 @@ class PuffPlume(Plume):
 
 
 def trail(factor: Array | float, exponent: Array | float, flown: Array | float) -> Array:
-    """Return the radius [m] of a puff beyond which it is negligible, after ``flown`` [m] of travel."""
+    """Return the radius [m] of a puff, beyond which it is negligible, after ``flown`` [m] of travel."""
     return jnp.sqrt(-2.0 * math.log(NEGLIGIBLE) * factor * exp(exponent * log(jnp.maximum(flown, 1e-3))))

@@ -47,20 +47,20 @@ class PrismObstacle:
     def of(
         corners_ned: npt.ArrayLike, z_min: float, z_max: float = 0.0, holes_ned: Sequence[npt.ArrayLike] = ()
     ) -> PrismObstacle:
-        """Return a prism from the corners (V, 2) [m] of its outline, north and east, and of each of its holes."""
+        """Return a vertical prism from corners (V, 2) [m], north and east, of its outline and of each hole."""
         first, last = edges_of([corners_ned, *holes_ned])
         parts = (first[:, 0], first[:, 1], last[:, 0], last[:, 1], z_min, z_max)
         return record_of(PrismObstacle, *parts)
 
     def rings(self) -> list[Float64]:
-        """Return the corners (V, 2) [m] of the outline, then of each hole."""
+        """Return the corners (V, 2) [m] of the prism's outline, then those of each hole."""
         first = np.column_stack([self.north, self.east]).astype(np.float64)
         last = np.column_stack([self.north_to, self.east_to]).astype(np.float64)
         ends = np.flatnonzero((last[:-1] != first[1:]).any(axis=1)) + 1
         return np.split(first, ends)
 
     def distance(self, position_ned: Vec3) -> Array:
-        """Return the distance [m] of positions (n,) from the prism, 0 inside."""
+        """Return the distance (n,) [m] of positions from the prism, 0 inside it."""
         lib = library_of(position_ned.x)
         column = (-1,) + (1,) * position_ned.x.ndim
         north, east, north_to, east_to = (
@@ -77,13 +77,13 @@ class PrismObstacle:
 
 
 def edges_of(rings: Sequence[npt.ArrayLike]) -> tuple[Float64, Float64]:
-    """Return the first and last points (E, 2) of the edges of rings of corners (V, 2)."""
+    """Return first and last points (E, 2) of the edges of closed rings of corners (V, 2)."""
     corners = [np.asarray(ring, np.float64).reshape(-1, 2) for ring in rings]
     return np.concatenate(corners), np.concatenate([np.roll(ring, -1, axis=0) for ring in corners])
 
 
 def _to_segment(lib: ModuleType, x: Array, y: Array, along_x: Array, along_y: Array) -> Array:
-    """Return the squared distance of points, relative to a segment's start, from the segment (along_x, along_y)."""
+    """Return the squared distance of points (x, y) from a segment that leads from (0, 0) to (along_x, along_y)."""
     square = along_x * along_x + along_y * along_y
     part = lib.clip((x * along_x + y * along_y) / lib.where(square > 0.0, square, 1.0), 0.0, 1.0)
     across_x, across_y = x - part * along_x, y - part * along_y
@@ -91,7 +91,7 @@ def _to_segment(lib: ModuleType, x: Array, y: Array, along_x: Array, along_y: Ar
 
 
 def length_of(lib: ModuleType, square: Array) -> Array:
-    """Return the length of a squared length, with a gradient of 0 at 0; NaN stays NaN."""
+    """Return the square root of squared lengths, with gradient 0 at 0; NaN stays NaN."""
     zero = square <= 0.0
     return lib.where(zero, 0.0, lib.sqrt(lib.where(zero, 1.0, square)))
 
@@ -109,7 +109,7 @@ class Pieces:
     number: Array = quantity(doc="number of the obstacle in the scenario")
 
     def square(self, x: Array, y: Array, z: Array) -> Array:
-        """Return the squared distance [m^2] of places from the pieces, 0 inside; arguments broadcast to one shape."""
+        """Return squared distances [m^2] of points (x, y, z) [m] from trapezoidal solids, 0 inside; all broadcast."""
         (w0, w1), (e0, e1) = self.west, self.east
         tall = self.north - self.south
         part = jnp.clip((x - self.south) / tall, 0.0, 1.0)
@@ -127,7 +127,7 @@ class Pieces:
         return jnp.where(inside, 0.0, flat) + above * above
 
     def over(self, x: Array, y: Array, slack: float = 0.0) -> Array:
-        """Return whether places are inside the vertical sides of the pieces, widened by ``slack`` [m]."""
+        """Return whether points are inside the vertical sides of trapezoidal solids, widened by ``slack`` [m]."""
         (w0, w1), (e0, e1) = self.west, self.east
         part = (x - self.south) / (self.north - self.south)
         level = (x >= self.south - slack) & (x <= self.north + slack)
@@ -135,7 +135,7 @@ class Pieces:
 
 
 def _beyond(value: Array, low: Array, high: Array) -> Array:
-    """Return the distance of values from the interval [low, high]; 0 inside."""
+    """Return the distance of values from the interval [low, high], 0 inside it."""
     return jnp.maximum(jnp.maximum(low - value, value - high), 0.0)
 
 
@@ -156,11 +156,11 @@ class Prisms:
 
     @property
     def count(self) -> int:
-        """Number of trapezoids (T) that the prisms consist of."""
+        """Number T of trapezoidal solids into which the prisms are cut."""
         return int(self.pieces.south.shape[0]) - (self.near is not None)
 
     def nearest(self, position_ned: Vec3) -> tuple[Array, Array]:
-        """Return for positions (n,) the distance [m] of the nearest prism and its number in the scenario.
+        """Return the distance (n,) [m] of positions from the nearest prism, and its number in the scenario.
 
         One that is farther than ``reach`` may be overlooked: then the distance is that of another one.
         """
@@ -172,7 +172,7 @@ class Prisms:
         return length_of(jnp, jnp.min(square, axis=0)), jnp.sum(chosen, axis=0)
 
     def pieces_near(self, position_ned: Vec3) -> Pieces:
-        """Return the pieces (K, n) near positions (n,), or all pieces (K, 1) without a grid."""
+        """Return the trapezoidal solids (K, n) near positions (n,), or all (K, 1) if there is no search grid."""
         import jax
 
         lib = library_of(position_ned.x, self.pieces.south)
@@ -191,12 +191,12 @@ class Prisms:
 
 
 def _finite(lib: ModuleType, value: Array) -> Array:
-    """Return values with 0 in place of NaN and infinities."""
+    """Return values with NaN and infinities replaced by 0."""
     return lib.where(lib.isfinite(value), value, 0.0)
 
 
 def trapezoids(rings: Sequence[npt.ArrayLike]) -> Float64:
-    """Return a polygon with holes cut into trapezoids with their parallel sides along east.
+    """Return a polygon with holes cut into trapezoids (T, 6) with parallel sides along east.
 
     Args:
         rings: corners (V, 2), north and east, of the outline and of each hole.
@@ -235,7 +235,7 @@ def prisms_of(
     reach: float | None = None,
     most_cells: int = MOST_CELLS,
 ) -> Prisms | None:
-    """Return the prisms of a world with their grid, in float64; None without any prism.
+    """Return the prism obstacles of a world with their search grid, in float64; None without any prism.
 
     Args:
         solids: the prisms.
@@ -279,7 +279,7 @@ def prisms_of(
 
 
 def _pieces(flat: Float64, top: Float64, bottom: Float64, number: Float64) -> Pieces:
-    """Return trapezoids (T, 6), with heights and prism numbers (T,), as a record."""
+    """Return trapezoids (T, 6), with top and bottom heights and prism numbers (T,), as a record."""
     column = [np.ascontiguousarray(part) for part in flat.T]
     ends = (top, bottom, number)
     return record_of(Pieces, column[0], column[1], (column[2], column[3]), (column[4], column[5]), *ends)
@@ -288,7 +288,7 @@ def _pieces(flat: Float64, top: Float64, bottom: Float64, number: Float64) -> Pi
 def _near_cells(
     flat: Float64, within: float, corner: tuple[float, float], cell: float, rows: int, columns: int
 ) -> npt.NDArray[np.int32]:
-    """Return the numbers (C, most) of the pieces (T, 6) within a distance [m] of the centre of each grid cell.
+    """Return the indices (C, most) of trapezoids (T, 6) within a distance [m] of each grid cell's centre.
 
     Rows with fewer are filled with T.
     """
@@ -319,7 +319,7 @@ def _near_cells(
 
 
 def _flat_distance(piece: tuple[float, ...], x: Float64, y: Float64) -> Float64:
-    """Return the distance of places from a trapezoid, 0 inside."""
+    """Return the horizontal distance of points from a trapezoid, 0 inside it."""
     south, north, w0, w1, e0, e1 = piece
     corners = [[(south, w0), (north, w1), (north, e1), (south, e0)]]
     first, last = edges_of(corners)

@@ -23,7 +23,7 @@ _ALONG = 1e-12
 
 
 def ray_distance(obstacles: Obstacles, origin_ned: Vec3, direction: Vec3) -> Array:
-    """Return the distance along rays (...) to the first obstacle, as a multiple of the length of ``direction``.
+    """Return the distance along rays (...) to the first obstacle, in multiples of the length of ``direction``.
 
     It is 0 for a ray that begins inside an obstacle, and infinite for one that hits none.
 
@@ -54,23 +54,23 @@ def first_hit(obstacles: Obstacles, ground: Ground, origin_ned: Vec3, direction:
 
 
 def any_of(obstacles: Obstacles) -> bool:
-    """Return whether a world has any obstacle, as a Python bool known at compile time."""
+    """Return whether a world has any obstacle, a Python bool known while a program is compiled."""
     kinds = (obstacles.boxes, obstacles.cylinders, None if obstacles.prisms is None else obstacles.prisms.pieces)
     return any(kind is not None and kind.z_min.shape[0] > 0 for kind in kinds)
 
 
 def can_hide(obstacles: Obstacles, ground: Ground) -> bool:
-    """Return whether obstacles or terrain can block a line of sight, as a Python bool known at compile time."""
+    """Return whether obstacles or terrain can block a line of sight, a Python bool known at compile time."""
     return any_of(obstacles) or not ground.flat
 
 
 def _shape(origin_ned: Vec3, direction: Vec3) -> tuple[int, ...]:
-    """Return the broadcast shape of the rays."""
+    """Return the broadcast shape of rays' origins and directions."""
     return jnp.broadcast_shapes(origin_ned.x.shape, direction.x.shape)
 
 
 def _crossings(obstacles: Obstacles, origin_ned: Vec3, direction: Vec3) -> Iterator[tuple[Array, Array, Array | None]]:
-    """Yield, for each kind of solid, the distances at which rays (...) enter and leave its T solids, and their owners.
+    """Yield, for each kind of solid, the distances at which rays (...) enter and leave its T solids, and owners (T,).
 
     Distances are (T, ...), in lengths of the direction; a ray that misses a solid enters after it leaves. Owners are
     the numbers (T,) of the buildings that the solids belong to, None if each solid is a whole obstacle.
@@ -90,12 +90,12 @@ def _crossings(obstacles: Obstacles, origin_ned: Vec3, direction: Vec3) -> Itera
 
 
 def line_of_sight(obstacles: Obstacles, from_ned: Vec3, to_ned: Vec3) -> Array:
-    """Return (...) bool: no obstacle is between two points (...) [m]; False if a point is inside an obstacle."""
+    """Return (...) bool: no obstacle is between two points (...) [m]; False if a point is inside one."""
     return ray_distance(obstacles, from_ned, to_ned - from_ned) > 1.0
 
 
 def walls_between(obstacles: Obstacles, from_ned: Vec3, to_ned: Vec3) -> Array:
-    """Return the number of obstacles (...) between two points (...) [m]; a building counts once."""
+    """Return the number of obstacles (...) between two points (...) [m]; a building of several parts counts once."""
     direction = to_ned - from_ned
     count = jnp.zeros(_shape(from_ned, direction), jnp.int32)
     for low, high, owner in _crossings(obstacles, from_ned, direction):
@@ -107,7 +107,7 @@ def walls_between(obstacles: Obstacles, from_ned: Vec3, to_ned: Vec3) -> Array:
 
 
 def _met_before(met: Array, owner: Array) -> Array:
-    """Return (T, ...) bool: an earlier piece of the same prism is hit; pieces of a prism are consecutive rows."""
+    """Return (T, ...) bool: an earlier part of the same prism is hit; a prism's parts are consecutive rows."""
     place = jnp.arange(owner.shape[0], dtype=jnp.int32)
     begins = jnp.concatenate([jnp.ones(1, bool), owner[1:] != owner[:-1]])
     first = lax.cummax(jnp.where(begins, place, 0))
@@ -117,14 +117,14 @@ def _met_before(met: Array, owner: Array) -> Array:
 
 
 def _as_columns(solids: object, column: tuple[int, ...]) -> object:
-    """Return the arrays of solids reshaped to ``column``, to broadcast against rays."""
+    """Return the arrays of solids reshaped to the shape ``column``, to broadcast against rays."""
     import jax
 
     return jax.tree.map(lambda leaf: jnp.reshape(jnp.asarray(leaf), column), solids)
 
 
 def _between(start: Array, rate: Array, low: Array, high: Array) -> Span:
-    """Return the first and last t with low <= ``start`` + t ``rate`` <= high; first > last if no t is."""
+    """Return the first and last t for which low <= ``start`` + t ``rate`` <= high; first > last if no t has this."""
     still = jnp.abs(rate) <= _ALONG
     inverse = 1.0 / jnp.where(still, 1.0, rate)
     first, last = (low - start) * inverse, (high - start) * inverse
@@ -136,7 +136,7 @@ def _between(start: Array, rate: Array, low: Array, high: Array) -> Span:
 
 
 def _above(start: Array, rate: Array) -> Span:
-    """Return the first and last t with ``start`` + t ``rate`` >= 0, +/- infinity if unbounded; first > last if none."""
+    """Return the first and last t for which ``start`` + t ``rate`` >= 0, perhaps infinite; first > last if none."""
     still = jnp.abs(rate) <= _ALONG
     root = -start / jnp.where(still, 1.0, rate)
     begin = jnp.where(rate > 0.0, root, -jnp.inf)
@@ -148,7 +148,7 @@ def _above(start: Array, rate: Array) -> Span:
 
 
 def _all(*spans: Span) -> Span:
-    """Return the intersection of intervals (low, high) along each ray; low > high if empty."""
+    """Return the intersection of intervals (low, high) along each ray; low > high if it is empty."""
     low, high = spans[0]
     for first, last in spans[1:]:
         low, high = jnp.maximum(low, first), jnp.minimum(high, last)
@@ -156,7 +156,7 @@ def _all(*spans: Span) -> Span:
 
 
 def _in_boxes(boxes: Any, origin: Vec3, ray: Vec3) -> Span:
-    """Return the span (low, high) of each ray inside each box, low above high if it misses."""
+    """Return the interval (low, high) of each ray that is inside each box; low > high if it misses."""
     return _all(
         _between(origin.x, ray.x, boxes.x_min, boxes.x_max),
         _between(origin.y, ray.y, boxes.y_min, boxes.y_max),
@@ -165,7 +165,7 @@ def _in_boxes(boxes: Any, origin: Vec3, ray: Vec3) -> Span:
 
 
 def _in_cylinders(cylinders: Any, origin: Vec3, ray: Vec3) -> Span:
-    """Return the span (low, high) of each ray inside each upright cylinder, low above high if it misses."""
+    """Return the interval (low, high) of each ray inside each upright cylinder; low > high if it misses."""
     x, y = origin.x - cylinders.x, origin.y - cylinders.y
     square = ray.x * ray.x + ray.y * ray.y
     upright = square <= _ALONG
@@ -181,7 +181,7 @@ def _in_cylinders(cylinders: Any, origin: Vec3, ray: Vec3) -> Span:
 
 
 def _in_pieces(pieces: Any, origin: Vec3, ray: Vec3) -> Span:
-    """Return the span (low, high) of each ray inside each trapezoid of a prism."""
+    """Return the interval (low, high) of each ray inside each trapezoidal solid; low > high if it misses."""
     tall = pieces.north - pieces.south
     spans = [_between(origin.x, ray.x, pieces.south, pieces.north)]
     for (low, high), sign in ((pieces.west, 1.0), (pieces.east, -1.0)):

@@ -18,7 +18,7 @@ LOOKS = 64
 
 
 def obstacle_hit(obstacles: Obstacles, start_ned: Vec3, end_ned: Vec3, radius: Array) -> tuple[Array, Array]:
-    """Return the number of the obstacle to which vehicles (n,) come closer than ``radius``, and (n,) bool: they do.
+    """Return the obstacle number (n,), nearest to the path's end or met on it, and (n,) bool: within ``radius``.
 
     Args:
         obstacles: of the world.
@@ -38,15 +38,15 @@ def obstacle_hit(obstacles: Obstacles, start_ned: Vec3, end_ned: Vec3, radius: A
     near = ~hit & (jnp.minimum(distance, sight) < radius + length)
 
     def walked() -> tuple[Array, Array]:
-        """Return number and hit (n,), found by steps along the ways as long as the free distance."""
+        """Return obstacle number and hit (n,), found by steps along the paths as long as the free distance."""
 
         def goes_on(walk: _Walk) -> Array:
-            """Return whether another step is needed."""
+            """Return whether another step along the paths is needed."""
             look, _, _, _, on = walk
             return (look < LOOKS) & jnp.any(on)
 
         def look_again(walk: _Walk) -> _Walk:
-            """Return the walk after one more step."""
+            """Return the search's state after one more step along the paths."""
             look, at, found, met, on = walk
             free, which = obstacles.nearest(start_ned + way * at)
             touches = on & ((free < radius) | (free <= 0.0))
@@ -63,7 +63,7 @@ def obstacle_hit(obstacles: Obstacles, start_ned: Vec3, end_ned: Vec3, radius: A
 
 
 def closest_squared(start: Vec3, end: Vec3) -> Array:
-    """Return the squared distance (...) [m^2] from the origin to straight ways, their start excluded."""
+    """Return the squared distance (...) [m^2] of the origin from straight paths, their start excluded."""
     way = end - start
     square = way.dot(way)
     part = -start.dot(way) / jnp.where(square > 0.0, square, 1.0)

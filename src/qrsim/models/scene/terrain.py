@@ -26,11 +26,11 @@ class ClearGround(GroundCover):
     random: ClassVar[bool] = False
 
     def class_at(self, state: None, position_ned: Vec3, area: object) -> Array:
-        """Return the class (int32) of the ground below positions of any shape."""
+        """Return the land-cover class (int32) below positions of any shape: clear ground everywhere."""
         return jnp.full(position_ned.x.shape, CLEAR, jnp.int32)
 
     def cells(self, state: None) -> Array:
-        """Return the classes as a grid, (1, 1) int32."""
+        """Return the land-cover classes as a grid (1, 1) int32 of clear ground."""
         return jnp.full((1, 1), CLEAR, jnp.int32)
 
 
@@ -77,12 +77,12 @@ class PatchyGround(GroundCover):
     random: ClassVar[bool] = True
 
     def init(self, draw: Draw) -> TerrainState:
-        """Return the random land cover of an episode; the draw is for one id."""
+        """Return an episode's random land cover; ``draw`` has one id."""
         # Classes have no derivatives, and JAX cannot differentiate a loop of unknown length in reverse.
         return jax.tree.map(lax.stop_gradient, self)._grown(draw)
 
     def _grown(self, draw: Draw) -> TerrainState:
-        """Return land cover with random patches of clutter, then of occlusion, up to their shares of the cells."""
+        """Return land cover with random patches of clutter, then of occlusion, each to its share of all cells."""
         cells = jnp.full((self.side, self.side), CLEAR, jnp.int32)
         first = jnp.int32(0)
         for number, share in ((CLUTTER, self.clutter_share), (OCCLUSION, self.occlusion_share)):
@@ -91,13 +91,13 @@ class PatchyGround(GroundCover):
         return TerrainState(cells)
 
     def _pour(self, draw: Draw, cells: Array, number: int, target: Array, first: Array) -> tuple[Array, Array]:
-        """Return the cells with ``target`` random cells set to class ``number``, and the count of draws so far."""
+        """Return the cells with ``target`` random ones set to class ``number``, and the number of draws made so far."""
         corner = _cell(self._uniforms(draw, first), self.side)
         nothing = jnp.int32(0)
         start = _Pouring(cells, corner, corner, nothing, nothing, first + 1)
 
         def step(now: _Pouring) -> _Pouring:
-            """Return the state after one more draw of random numbers: a drop moves on, or a new drop starts."""
+            """Return the state after one random step: the drop moves to a neighbour cell, or a new one starts."""
             chance = self._uniforms(draw, now.draws)
             place = now.cells[now.drop[0], now.drop[1]] == number
             pouring = now.left > 0
@@ -118,7 +118,7 @@ class PatchyGround(GroundCover):
 
     @staticmethod
     def _uniforms(draw: Draw, index: Array) -> tuple[Array, Array, Array]:
-        """Return three uniform numbers () in (0, 1) for draw number ``index``."""
+        """Return three uniform random numbers () in (0, 1) for draw number ``index``."""
         first, second = draw.stream.words(draw.tick, index)
         # A word gives two: its halves are independent.
         words = (first[0] & 0xFFFF, second[0] >> 9, first[0] >> 16)
@@ -128,20 +128,20 @@ class PatchyGround(GroundCover):
         return found[0], found[1], found[2]
 
     def _jumped(self, centre: Array, chance: tuple[Array, Array, Array]) -> Array:
-        """Return the cell after a random jump from ``centre``, wrapped at the edges; ``chance``: uniforms in (0, 1)."""
+        """Return the cell at a random jump from cell ``centre``, wrapped at the edges, by two uniforms in (0, 1)."""
         length = -self.jump * log(chance[0])
         sine, cosine = sincos(2.0 * math.pi * chance[1])
         steps = jnp.round(jnp.stack([length * cosine, length * sine])).astype(jnp.int32)
         return (centre + steps) % self.side
 
     def class_at(self, state: TerrainState, position_ned: Vec3, area: Any) -> Array:
-        """Return the class (int32) of the ground below positions of any shape; beyond the area that of its edge.
+        """Return the land-cover class (int32) below positions of any shape [m]; beyond the area that of its edge.
 
         The cells are stretched over the area by nearest neighbour in steps of 1 m.
         """
 
         def number(value: Array, low: Array, high: Array) -> Array:
-            """Return the index of the cell that contains a coordinate, clipped to the grid."""
+            """Return the index of the cell along a side [low, high] that contains a coordinate, clipped to the grid."""
             metres = jnp.clip(jnp.floor(value - low), 0.0, jnp.ceil(high - low) - 1.0) + 0.5
             return jnp.clip(jnp.floor(metres * (self.side / (high - low))).astype(jnp.int32), 0, self.side - 1)
 
@@ -150,10 +150,10 @@ class PatchyGround(GroundCover):
         return state.classes[north, east]
 
     def cells(self, state: TerrainState) -> Array:
-        """Return the classes as a grid, (C, C) int32."""
+        """Return the land-cover classes as a grid (C, C) int32."""
         return state.classes
 
 
 def _cell(chance: tuple[Array, Array, Array], side: int) -> Array:
-    """Return row and column (2,) int32 from the first two of three uniform numbers."""
+    """Return a random cell's row and column (2,) int32, from the first two of three uniform numbers."""
     return jnp.stack([jnp.floor(side * part).astype(jnp.int32) for part in chance[:2]])

@@ -23,14 +23,14 @@ class Traffic:
 
     @property
     def count(self) -> int:
-        """Vehicles of the world (N)."""
+        """Number N of vehicles in the world."""
         return sum(self.sizes)
 
     def part(self, first: int, count: int) -> Traffic:
-        """Return the ``count`` vehicles from number ``first`` on, renumbered from 0 as one fleet."""
+        """Return ``count`` vehicles of the traffic from number ``first`` on, renumbered from 0 as one fleet."""
         chosen = jax.tree.map(lambda leaf: leaf[first : first + count], self)
         return replace(chosen, fleets=("",), sizes=(count,), first=0)
 
     def seen_by(self, fleet: str) -> Traffic:
-        """Return the traffic as seen by the sensors of a fleet, with that fleet's first number as ``first``."""
+        """Return the traffic for the sensors of fleet ``fleet``: ``first`` is set to that fleet's first vehicle."""
         return replace(self, first=sum(self.sizes[: self.fleets.index(fleet)]))

@@ -9,7 +9,7 @@ from qrsim.core.noise import Draw
 
 
 def uniform(draw: Draw, index: int | Array, low: Array | float = 0.0, high: Array | float = 1.0) -> Array:
-    """Return one uniform number (n,) in (low, high) for each id of a draw.
+    """Return one uniform random number (n,) in (low, high) for each id of a draw.
 
     Args:
         draw: a stream at a tick.
@@ -23,5 +23,5 @@ def uniform(draw: Draw, index: int | Array, low: Array | float = 0.0, high: Arra
 
 
 def whole(draw: Draw, index: int, least: int, most: int) -> Array:
-    """Return one whole number (n,) int32 from ``least`` to ``most`` for each id of a draw."""
+    """Return one uniform random integer (n,) int32 from ``least`` to ``most``, inclusive, for each id of a draw."""
     return jnp.minimum(least + jnp.floor(uniform(draw, index, 0.0, most - least + 1.0)).astype(jnp.int32), most)

@@ -48,7 +48,7 @@ class Zone:
 
     @cached_property
     def bounds(self) -> tuple[float, float, float, float]:
-        """South, north, west and east limit [m]."""
+        """South, north, west and east limit [m] of the zone."""
         if not self.rings:
             (north, east), radius = self.centre, self.radius
             return north - radius, north + radius, east - radius, east + radius
@@ -57,7 +57,7 @@ class Zone:
 
     @property
     def outline(self) -> tuple[Point, ...]:
-        """Corners (north, east) [m] of the zone for pictures, points on it for a circle."""
+        """Corners (north, east) [m] of the zone for pictures; for a circle, points on it."""
         if self.rings:
             return self.rings[0]
         turns = (2.0 * math.pi * i / CIRCLE_CORNERS for i in range(CIRCLE_CORNERS))
@@ -66,7 +66,7 @@ class Zone:
         )
 
     def over(self, north: float, east: float) -> bool:
-        """Return whether a place [m] is inside the sides of the zone, at any height."""
+        """Return whether a place north and east [m] is inside the zone's sides, at any height."""
         south, top, west, right = self.bounds
         if not (south <= north <= top and west <= east <= right):
             return False
@@ -77,11 +77,11 @@ class Zone:
         )
 
     def level(self, height: float) -> bool:
-        """Return whether a height [m] above the zone's level is between its floor and ceiling."""
+        """Return whether a height [m] above the zone's reference level is between its floor and ceiling."""
         return (self.floor <= 0.0 or height >= self.floor) and height <= self.ceiling
 
     def signed(self, north: float, east: float, height: float) -> float:
-        """Return the distance [m] of a place from the zone's sides, floor and ceiling, negative outside."""
+        """Return the distance [m] of a place inside the zone from its sides, floor and ceiling; negative outside."""
         aside = self._aside(north, east)
         aside = aside if self.over(north, east) else -aside
         below = math.inf if self.floor <= 0.0 else height - self.floor
@@ -89,13 +89,13 @@ class Zone:
         return -math.hypot(aside, gap) if aside < 0.0 and gap < 0.0 else min(aside, gap)
 
     def _aside(self, north: float, east: float) -> float:
-        """Return the distance [m] of a place from the nearest side."""
+        """Return the horizontal distance [m] of a place from the zone's nearest side."""
         if not self.rings:
             return abs(math.hypot(north - self.centre[0], east - self.centre[1]) - self.radius)
         return min(_to_edge(begin, end, north, east) for ring in self.rings for begin, end in _edges(ring))
 
     def along(self, begin: Triple, end: Triple, ground: GroundDown | None = None) -> tuple[float, Triple | None]:
-        """Return the length [m] of the part of a straight way in the zone, and where the part begins, None if empty.
+        """Return the length [m] of the part of a straight path in the zone, and where it begins; None if empty.
 
         Args:
             begin, end: NED [m].
@@ -104,11 +104,11 @@ class Zone:
         return _stretch(begin, end, self.cuts(begin, end), lambda x, y, z: self.holds(x, y, z, ground))
 
     def holds(self, north: float, east: float, down: float, ground: GroundDown | None = None) -> bool:
-        """Return whether a place NED [m] is in the zone."""
+        """Return whether a place NED [m] is in the zone, heights included."""
         return self.over(north, east) and self.level(height_of(self, north, east, down, ground))
 
     def cuts(self, begin: Triple, end: Triple) -> list[float]:
-        """Return the parts of a way (0: begin, 1: end) at which the way may enter or leave the zone."""
+        """Return the fractions of a path (0: begin, 1: end) at which it may enter or leave the zone."""
         (x, y, z), (dx, dy, dz) = begin, (end[0] - begin[0], end[1] - begin[1], end[2] - begin[2])
         found = []
         if self.rings:
@@ -147,10 +147,10 @@ class Zones:
         self._barred = [zone for zone in zones if not zone.keep]
 
     def inside(self, north: float, east: float, down: float | None = None, ground: GroundDown | None = None) -> bool:
-        """Return whether a place NED [m] is allowed by all zones; without ``down`` heights are ignored."""
+        """Return whether all zones allow a place NED [m]; without ``down``, heights are ignored."""
 
         def holds(zone: Zone) -> bool:
-            """Return whether the place is in the zone."""
+            """Return whether the place is in this zone."""
             return zone.over(north, east) if down is None else zone.holds(north, east, down, ground or self.ground)
 
         if self._kept and not any(map(holds, self._kept)):
@@ -158,13 +158,13 @@ class Zones:
         return not any(map(holds, self._barred))
 
     def outside(self, begin: Triple, end: Triple, ground: GroundDown | None = None) -> tuple[float, Triple | None]:
-        """Return the length [m] of a way outside all zones to stay in, and where that part begins NED [m]."""
+        """Return the length [m] of the part of a path outside all keep-in zones, and where that begins, NED [m]."""
         if not self._kept:
             return 0.0, None
         cuts = [cut for zone in self._kept for cut in zone.cuts(begin, end)]
 
         def is_out(north: float, east: float, down: float) -> bool:
-            """Return whether a place is outside all zones to stay in."""
+            """Return whether a place NED [m] is outside all keep-in zones."""
             return not any(zone.holds(north, east, down, ground or self.ground) for zone in self._kept)
 
         return _stretch(begin, end, cuts, is_out)
@@ -172,14 +172,14 @@ class Zones:
     def limit(
         self, north: float, east: float, down: float, ground: GroundDown | None = None
     ) -> tuple[float, Zone | None]:
-        """Return the distance [m] of a place from the zone limit that counts, negative if broken, and that zone.
+        """Return the distance [m] of a place from the most critical zone limit, negative if broken, and that zone.
 
         Negative where the place is not allowed. Of the zones to stay in, the one counts that holds the place best.
         """
         found: list[tuple[float, Zone | None]] = []
 
         def signed(zone: Zone) -> float:
-            """Return the distance [m] of the place from the zone's limits, negative outside."""
+            """Return the distance [m] of the place from this zone's limits, negative outside."""
             return zone.signed(north, east, height_of(zone, north, east, down, ground or self.ground))
 
         if self._kept:
@@ -191,7 +191,7 @@ class Zones:
 def _stretch(
     begin: Triple, end: Triple, cuts: Sequence[float], counts: Callable[[float, float, float], bool]
 ) -> tuple[float, Triple | None]:
-    """Return the length [m] of the parts of a way where ``counts`` holds, and where the first of them begins.
+    """Return the length [m] of a path's parts for which ``counts(north, east, down)``, and where the first begins.
 
     Args:
         begin, end: of the way, NED [m].
@@ -209,12 +209,12 @@ def _stretch(
 
 
 def height_of(zone: Zone, north: float, east: float, down: float, ground: GroundDown | None) -> float:
-    """Return the height [m] of a place NED [m] above the level from which a zone's heights count."""
+    """Return the height [m] of a place NED [m] above the level from which the zone's heights count."""
     return (float(ground(north, east)) if zone.terrain and ground is not None else 0.0) - down
 
 
 def in_polygon(corners: Sequence[Point], north: float, east: float) -> bool:
-    """Return whether a place is inside a polygon (even-odd rule); all in [m]."""
+    """Return whether a place is inside a polygon of corners (north, east), by the even-odd rule; all in [m]."""
     inside = False
     before = corners[-1]
     for corner in corners:
@@ -227,12 +227,12 @@ def in_polygon(corners: Sequence[Point], north: float, east: float) -> bool:
 
 
 def _edges(ring: tuple[Point, ...]) -> list[tuple[Point, Point]]:
-    """Return the edges of a closed ring, each from one corner to the next."""
+    """Return the edges of a closed ring of corners, each as (corner, next corner)."""
     return list(zip(ring, (*ring[1:], ring[0]), strict=True))
 
 
 def _to_edge(begin: Point, end: Point, north: float, east: float) -> float:
-    """Return the distance [m] of a place from an edge."""
+    """Return the distance [m] of a place from an edge (begin, end) [m]."""
     dx, dy, x, y = end[0] - begin[0], end[1] - begin[1], north - begin[0], east - begin[1]
     square = dx * dx + dy * dy
     part = min(max((x * dx + y * dy) / square, 0.0), 1.0) if square else 0.0

@@ -23,7 +23,7 @@ def heights_of(zone: Zone) -> tuple[float, float]:
 
 
 def sides_of(polygons: Sequence[Zone], zones: Sequence[Zone]) -> Floats:
-    """Return the sides (E, 7) of polygons, without the parts that another zone to stay in continues.
+    """Return the sides (E, 7) of polygon zones, without the parts along which another keep-in zone continues.
 
     Args:
         polygons: the zones with these sides.
@@ -49,13 +49,13 @@ def sides_of(polygons: Sequence[Zone], zones: Sequence[Zone]) -> Floats:
 
 
 def _covers(other: Zone, zone: Zone) -> bool:
-    """Return whether the heights of ``other`` contain those of ``zone``, above the same datum; not the outlines."""
+    """Return whether the height range of ``other`` contains that of ``zone``, above the same reference level."""
     (top, bottom), (own_top, own_bottom) = heights_of(other), heights_of(zone)
     return other.terrain == zone.terrain and top <= own_top and bottom >= own_bottom
 
 
 def _limits(zone: Zone, begin: Point, end: Point, others: Sequence[Zone]) -> list[tuple[Point, Point]]:
-    """Return the parts of an edge [m] with none of the other zones just outside, each as (begin, end)."""
+    """Return the parts (begin, end) of an edge [m] that have no other zone just outside."""
     near = [other for other in others if _meets(other, begin, end)]
     if not near:
         return [(begin, end)]
@@ -74,7 +74,7 @@ def _limits(zone: Zone, begin: Point, end: Point, others: Sequence[Zone]) -> lis
 
 
 def _meets(other: Zone, begin: Point, end: Point) -> bool:
-    """Return whether the bounding box of an edge touches the bounding box of a zone."""
+    """Return whether the bounding boxes of an edge and a zone touch."""
     south, north, west, east = other.bounds
     return (
         min(begin[0], end[0]) <= north + BESIDE

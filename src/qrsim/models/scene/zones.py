@@ -46,7 +46,7 @@ class Walls:
     z_max: Array = quantity(unit="m", doc="bottom")
 
     def square(self, x: Array, y: Array, z: Array) -> Array:
-        """Return the squared distance (n,) [m^2] of places (n,) from the nearest side."""
+        """Return the squared distance (n,) [m^2] of places (n,) NED [m] from the nearest side wall."""
         lib = library_of(x, self.north)
         walls = Walls(*(value[:, None] for value in (getattr(self, name) for name in _WALL)))
         north, east = x[None] - walls.north, y[None] - walls.east
@@ -71,7 +71,7 @@ class Circles:
     z_max: Array = quantity(unit="m", doc="bottom")
 
     def spread(self, x: Array, y: Array) -> tuple[Circles, Array]:
-        """Return the circles as columns (C, 1), and the depth (C, n) [m] of places (n,) in each, negative outside."""
+        """Return the circles as columns (C, 1), and how deep [m] places (n,) are in each (C, n), negative outside."""
         lib = library_of(x, self.north)
         circles = Circles(*(value[:, None] for value in (getattr(self, name) for name in _CIRCLE)))
         north, east = x[None] - circles.north, y[None] - circles.east
@@ -92,7 +92,7 @@ class ZoneSet:
     terrain: bool = setting(doc="whether heights count from the ground below")
 
     def holds(self, place: Vec3) -> Array:
-        """Return (n,) bool: a place, down [m] from the level of the set, is in one of the zones."""
+        """Return (n,) bool: a place NED [m], its height from the set's reference level, is in one of the zones."""
         lib = library_of(place.x, *jax.tree.leaves(self))
         slack, found = SLACK if self.keep else 0.0, lib.zeros(place.x.shape, bool)
         z = place.z[None]
@@ -107,7 +107,7 @@ class ZoneSet:
         return found
 
     def distance(self, place: Vec3) -> Array:
-        """Return the distance (n,) [m] of places from the nearest side, floor or ceiling; places as for ``holds``."""
+        """Return the distance (n,) [m] of places from the nearest side, floor or ceiling; places as in ``holds``."""
         lib = library_of(place.x, *jax.tree.leaves(self))
         found = []
         z = place.z[None]
@@ -124,7 +124,7 @@ class ZoneSet:
         return functools.reduce(lib.minimum, found)
 
     def _gap(self, over: Array, z: Array, solids: Pieces | Circles) -> Array:
-        """Return the distance (n,) [m] of places from floors and ceilings of zones (K, n), where ``over`` is true.
+        """Return the distance (n,) [m] from floors and ceilings of those zones ``solids`` that are ``over`` a place.
 
         Of zones to stay in that hold the place, the one counts with the farthest floor and ceiling.
         """
@@ -172,7 +172,7 @@ class ZonesArea(Area):
 
     @property
     def zones(self) -> tuple[Zone, ...]:
-        """Zones as given, on the host."""
+        """Zones as the scenario gives them, in Python numbers."""
         out = self.outlines
         if out is None:
             return ()
@@ -196,19 +196,19 @@ class ZonesArea(Area):
         )
 
     def of(self, zones: Sequence[Zone], ground: object) -> ZonesArea:
-        """Return the area with its zones, in float64; ``ground`` is that of the world."""
+        """Return the area with these zones, in float64; ``ground`` is the world's."""
         needed = ground if any(zone.terrain for zone in zones) else None
         names = tuple(zone.name for zone in zones)
         return replace(self, sets=sets_of(zones), ground=needed, outlines=_outlines(zones), names=names)
 
     def _placed(self, position_ned: Vec3, terrain: bool) -> Vec3:
-        """Return positions (n,), with the down coordinate relative to the ground if ``terrain``."""
+        """Return positions (n,), their down coordinate made relative to the ground if ``terrain``."""
         if not terrain:
             return position_ned
         return Vec3(position_ned.x, position_ned.y, position_ned.z - self.ground.down(position_ned))
 
     def inside(self, position_ned: Vec3) -> Array:
-        """Return (n,) bool: a position [m] is in a zone to stay in, if any, and in no zone to stay out of."""
+        """Return (n,) bool: a position [m] is in a keep-in zone, if there are any, and in no keep-out zone."""
         lib = library_of(position_ned.x, *jax.tree.leaves(self.sets))
         found = [(each.keep, each.holds(self._placed(position_ned, each.terrain))) for each in self.sets]
         kept = [holds for keep, holds in found if keep]
@@ -216,7 +216,7 @@ class ZonesArea(Area):
         return functools.reduce(lib.logical_and, [inside, *(~holds for keep, holds in found if not keep)])
 
     def distance_to_zones(self, position_ned: Vec3, inside: Array | None = None) -> Array:
-        """Return the distance (n,) [m] of positions from the nearest limit of any zone, negative outside.
+        """Return the distance (n,) [m] of positions from the nearest limit of any zone; negative if not allowed.
 
         Args:
             position_ned: (n,) [m].
@@ -230,11 +230,11 @@ class ZonesArea(Area):
         return lib.where(self.inside(position_ned) if inside is None else inside, distance, -distance)
 
     def check(self, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
-        """Return the checks of positions (n,) against zones and heights, each (code, value, broken)."""
+        """Return the checks of positions (n,) against zones and heights, each (reason code, value, broken)."""
         return self._checks(position_ned, lambda inside: ~inside)
 
     def swept(self, before_ned: Vec3, position_ned: Vec3) -> list[tuple[int, Array, Array]]:
-        """Return the checks of positions (n,), with long ways sampled between their ends."""
+        """Return the checks of positions (n,); long paths from ``before_ned`` are sampled in between."""
         north, east = position_ned.x - before_ned.x, position_ned.y - before_ned.y
         far = north * north + east * east > LONG_WAY * LONG_WAY
         return self._checks(
@@ -250,7 +250,7 @@ class ZonesArea(Area):
         )
 
     def _checks(self, position_ned: Vec3, left: Callable[[Array], Array]) -> list[tuple[int, Array, Array]]:
-        """Return the stop conditions (n,) of zones and heights: (code, value, broken)."""
+        """Return the checks (n,) of zones and heights; ``left``: from an inside flag (n,) to a broken flag."""
         z = position_ned.z
         vertical = (reason_code("out_of_area", "position_ned.z"), z, (z < self.z_min) | (z > self.z_max))
         if self.breach == "report" or not self.sets:
@@ -265,7 +265,7 @@ class ZonesArea(Area):
         return [(reason_code("out_of_area", "fence"), value, broken), vertical]
 
     def _leaves(self, before_ned: Vec3, position_ned: Vec3) -> Array:
-        """Return (n,) bool: a straight way is outside the zones at a sample between its ends."""
+        """Return (n,) bool: the straight path is outside the allowed zones at some sample between its ends."""
         part = jnp.arange(1, BETWEEN + 1, dtype=position_ned.x.dtype)[:, None] / (BETWEEN + 1)
         count = position_ned.x.shape[0]
         way = position_ned - before_ned
@@ -278,16 +278,16 @@ class ZonesArea(Area):
         return jnp.any(jnp.reshape(~self.inside(between), (BETWEEN, count)), axis=0)
 
     def margin(self, position_ned: Vec3) -> Array:
-        """Return the distance [m] of positions (n,) from the nearest zone's limit, floor and ceiling."""
+        """Return the distance (n,) [m] of positions from the nearest zone limit, floor or ceiling."""
         sides, ceiling, floor = self.clearances(position_ned)
         return jnp.minimum(sides, jnp.minimum(ceiling, floor))
 
     def clearances(self, position_ned: Vec3) -> tuple[Array, Array, Array]:
-        """Return the distances (n,) [m] of positions from the nearest zone's limit, the area's ceiling and floor."""
+        """Return the distances (n,) [m] of positions from the nearest zone limit, the ceiling and the floor."""
         return self.distance_to_zones(position_ned), position_ned.z - self.z_min, self.z_max - position_ned.z
 
     def farthest_squared(self, position_ned: Vec3) -> Array:
-        """Return the squared distance [m^2] of positions (n,) from the farthest corner of the zones to stay in."""
+        """Return the squared distance (n,) [m^2] of positions from the keep-in zones' farthest corner."""
         out = self.outlines
         if out is None or not any(each.keep for each in self.sets):
             raise UsageError(
@@ -308,12 +308,12 @@ class ZonesArea(Area):
         return most * most + z * z
 
     def height_agl(self, position_ned: Vec3) -> Array:
-        """Return the height above ground [m] of positions (n,)."""
+        """Return the height (n,) [m] of positions above the ground at z = 0."""
         return -position_ned.z
 
 
 def sets_of(zones: Sequence[Zone]) -> tuple[ZoneSet, ...]:
-    """Return zones grouped by kind as records for the tick, in float64."""
+    """Return zones grouped by kind (keep in or out, reference level) as records of arrays, in float64."""
     found = []
     for keep in (True, False):
         for terrain in (False, True):
@@ -328,13 +328,13 @@ def sets_of(zones: Sequence[Zone]) -> tuple[ZoneSet, ...]:
 
 
 def _walls(polygons: Sequence[Zone], zones: Sequence[Zone]) -> Walls | None:
-    """Return the sides of polygons as one record, None without any."""
+    """Return the side walls of polygon zones as one record, None without any."""
     sides = sides_of(polygons, zones)
     return record_of(Walls, *map(np.ascontiguousarray, sides.T)) if len(sides) else None
 
 
 def _circles(circles: Sequence[Zone]) -> Circles | None:
-    """Return circular zones as one record, None without any."""
+    """Return circular zones as one record of arrays, None without any."""
     if not circles:
         return None
     rows = np.array([(*zone.centre, zone.radius, *heights_of(zone)) for zone in circles])
@@ -342,7 +342,7 @@ def _circles(circles: Sequence[Zone]) -> Circles | None:
 
 
 def _outlines(zones: Sequence[Zone]) -> Outlines:
-    """Return the corners, rings and numbers of all zones as arrays, for pictures and logs."""
+    """Return corners, rings and numbers of all zones as arrays, for pictures and logs."""
     rings = [(i, ring) for i, zone in enumerate(zones) for ring in zone.rings]
     corners = np.array([corner for _, ring in rings for corner in ring], np.float64).reshape(-1, 2)
     sizes = [len(ring) for _, ring in rings]

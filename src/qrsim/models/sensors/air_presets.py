@@ -28,10 +28,10 @@ AIRSPEEDS: Presets = {
 
 
 def default_altimeter(name: str) -> object:
-    """Return the value of a parameter, by name, in the default preset of pressure altimeters."""
+    """Return a parameter's value in the default preset of pressure altimeters, by the parameter's name."""
     return ALTIMETERS[DEFAULT_ALTIMETER][name]
 
 
 def default_airspeed(name: str) -> object:
-    """Return the value of a parameter, by name, in the default preset of airspeed sensors."""
+    """Return a parameter's value in the default preset of airspeed sensors, by the parameter's name."""
     return AIRSPEEDS[DEFAULT_AIRSPEED][name]

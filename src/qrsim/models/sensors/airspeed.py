@@ -18,7 +18,7 @@ from qrsim.models.sensors.quantization import quantized
 
 
 def _number(name: str, unit: str, doc: str) -> Array:
-    """Return the declaration of a parameter >= 0, its default taken from the default preset."""
+    """Return the field declaration of a parameter, at least 0, with the default preset's value as default."""
     return parameter(default=default_airspeed(name), unit=unit, doc=doc, minimum=0.0)
 
 
@@ -35,7 +35,7 @@ class AirspeedReading(Explained):
     )
 
     def reason(self, vehicle: int) -> str:
-        """Return the reason why a vehicle has no airspeed, as text."""
+        """Return as text why a vehicle has no airspeed reading, by its number."""
         return "slower than a pitot tube can measure"
 
 
@@ -86,7 +86,7 @@ class Airspeed(Sensor):
     def init(
         self, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, wind_ned: Vec3
     ) -> tuple[AirspeedState, AirspeedReading]:
-        """Return state and first reading of sensors that have just been zeroed."""
+        """Return state and first reading of airspeed sensors that have just been zeroed."""
         white, offset, scale = draw.normals(3)
         state = AirspeedState(self.offset_std * offset, self.scale * scale)
         return state, self._measured(state, white, position_ned, attitude, velocity_body, wind_ned)
@@ -101,7 +101,7 @@ class Airspeed(Sensor):
         velocity_body: Vec3,
         wind_ned: Vec3,
     ) -> tuple[AirspeedState, AirspeedReading]:
-        """Return state and reading of the same sensors on vehicles moved by ``set_state``."""
+        """Return state and reading of the same airspeed sensors after ``set_state`` has moved their vehicles."""
         white, _, _ = draw.normals(3)
         return state, self._measured(state, white, position_ned, attitude, velocity_body, wind_ned)
 
@@ -114,7 +114,7 @@ class Airspeed(Sensor):
         velocity_body: Vec3,
         wind_ned: Vec3,
     ) -> tuple[AirspeedState, AirspeedReading]:
-        """Return the unchanged state and a new reading."""
+        """Return the state unchanged, and a new airspeed reading (n,)."""
         (white,) = draw.normals(1)
         return state, self._measured(state, white, position_ned, attitude, velocity_body, wind_ned)
 
@@ -127,7 +127,7 @@ class Airspeed(Sensor):
         velocity_body: Vec3,
         wind_ned: Vec3,
     ) -> AirspeedReading:
-        """Return the reading for a state and a normal (n,): pressure with its errors, then speed."""
+        """Return the airspeed reading (n,) for a sensor state and a standard normal ``white`` (n,)."""
         speed = _ahead(attitude, velocity_body, wind_ned)
         density = air_above(-position_ned.z, self.site_temperature, self.site_pressure).density
         true = 0.5 * density * (speed * speed) * jnp.where(speed > 0.0, 1.0, -jnp.asarray(self.reverse))
@@ -152,7 +152,7 @@ class IdealAirspeed(Memoryless):
     def init(
         self, draw: Noise, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, wind_ned: Vec3
     ) -> tuple[None, AirspeedReading]:
-        """Return no state, and the true airspeed with its pressure."""
+        """Return None as state, and the reading: the true airspeed and its differential pressure."""
         speed = _ahead(attitude, velocity_body, wind_ned)
         density = air_above(-position_ned.z, self.site_temperature, self.site_pressure).density
         pressure = 0.5 * density * (speed * jnp.abs(speed))
@@ -160,5 +160,5 @@ class IdealAirspeed(Memoryless):
 
 
 def _ahead(attitude: Euler, velocity_body: Vec3, wind_ned: Vec3) -> Array:
-    """Return the forward component (n,) [m/s] of the velocity through the air."""
+    """Return the forward component (n,) [m/s] of a vehicle's velocity through the air."""
     return velocity_body.x - rotation(attitude).forward.dot(wind_ned)

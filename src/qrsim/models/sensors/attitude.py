@@ -40,11 +40,11 @@ class AttitudeEstimator(Sensor):
     normals: ClassVar[int] = 3
 
     def init(self, draw: Noise, attitude: Euler) -> tuple[AttitudeState, AttitudeReading]:
-        """Return stationary first errors and the first estimate of the attitude."""
+        """Return random initial errors, in the steady state, and the first attitude reading (n,)."""
         return self._read(Vec3(*(self.std * normal for normal in draw.normals(3))), attitude)
 
     def step(self, state: AttitudeState, draw: Noise, attitude: Euler) -> tuple[AttitudeState, AttitudeReading]:
-        """Return state and estimate one period later for vehicles at ``attitude`` (n,)."""
+        """Return state and attitude reading one period later, for true attitudes ``attitude`` (n,) [rad]."""
         errors = (state.error.x, state.error.y, state.error.z)
         stepped = [
             ou_step(error, normal, self.period, self.std, self.time_constant)
@@ -54,7 +54,7 @@ class AttitudeEstimator(Sensor):
 
     @staticmethod
     def _read(error: Vec3, attitude: Euler) -> tuple[AttitudeState, AttitudeReading]:
-        """Return state and reading for a true attitude and its errors [rad]; the yaw is wrapped."""
+        """Return state and reading for an attitude error [rad] and a true attitude [rad]; the yaw is wrapped."""
         yaw = wrap_angle(attitude.yaw + error.z)
         estimate = Euler(attitude.roll + error.x, attitude.pitch + error.y, yaw)
         return AttitudeState(error), AttitudeReading(estimate)
@@ -70,5 +70,5 @@ class IdealAttitude(Memoryless):
     reads: ClassVar[tuple[str, ...]] = ("attitude",)
 
     def init(self, draw: Noise, attitude: Euler) -> tuple[None, AttitudeReading]:
-        """Return no state, and the true attitude."""
+        """Return None as state, and the reading: the true attitude."""
         return None, AttitudeReading(attitude)

@@ -46,11 +46,11 @@ class Barometer(Sensor):
     normals: ClassVar[int] = 2
 
     def white_noise(self) -> dict[str, Array]:
-        """Return the standard deviation of the white noise of a reading, by field."""
+        """Return the standard deviation of a reading's white noise, {field: std}."""
         return {"height": self.white_std}
 
     def init(self, draw: Noise, position_ned: Vec3, velocity_ned: Vec3) -> tuple[BarometerState, BarometerReading]:
-        """Return state and first reading with a stationary drift; the first height rate is the true one."""
+        """Return random initial drift, in the steady state, and the first reading; its height rate is the true one."""
         drift_normal, white_normal = draw.normals(2)
         drift = self.drift_std * drift_normal
         height = drift - position_ned.z + self.white_std * white_normal
@@ -59,7 +59,7 @@ class Barometer(Sensor):
     def restart(
         self, state: BarometerState, draw: Noise, since: Array, position_ned: Vec3, velocity_ned: Vec3
     ) -> tuple[BarometerState, BarometerReading]:
-        """Return state and reading of vehicles moved by ``set_state``, ``since`` [s] after a reading."""
+        """Return state and reading after ``set_state`` has moved vehicles, ``since`` [s] after the last reading."""
         fresh, reading = self.init(draw, position_ned, velocity_ned)
         # The height at the time of that reading, because the next rate is that of a whole period.
         return BarometerState(fresh.drift, fresh.height + velocity_ned.z * since), reading
@@ -67,7 +67,7 @@ class Barometer(Sensor):
     def step(
         self, state: BarometerState, draw: Noise, position_ned: Vec3, velocity_ned: Vec3
     ) -> tuple[BarometerState, BarometerReading]:
-        """Return state and reading one period later for vehicles at position_ned (n,)."""
+        """Return state and reading one period later, for vehicles at ``position_ned`` (n,) [m]."""
         drift_normal, white_normal = draw.normals(2)
         drift = ou_step(state.drift, drift_normal, self.period, self.drift_std, self.drift_time_constant)
         height = drift - position_ned.z + self.white_std * white_normal
@@ -84,5 +84,5 @@ class IdealBarometer(Memoryless):
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "velocity_ned")
 
     def init(self, draw: Noise, position_ned: Vec3, velocity_ned: Vec3) -> tuple[None, BarometerReading]:
-        """Return no state, and the true height and its rate."""
+        """Return None as state, and the reading: the true height and height rate."""
         return None, BarometerReading(-position_ned.z, -velocity_ned.z)

@@ -31,7 +31,7 @@ class TakesPictures(Protocol):
     """Method of sensors with ``takes_pictures``, in addition to their contract."""
 
     def develop(self, reading: object, around: Surroundings, stream: Stream, size: Array) -> Picture:
-        """Return the last picture of each vehicle (n,), scores for windows of the ground; see ``Camera.develop``."""
+        """Return the last picture of each vehicle (n,): a score for each window of ground; see ``Camera.develop``."""
         ...
 
 
@@ -101,23 +101,23 @@ class Camera(Sensor):
     takes_pictures: ClassVar[bool] = True
 
     def init(self, draw: Noise, position_ned: Vec3, attitude: Euler) -> tuple[Array, CameraReading]:
-        """Return the number of the first picture, 0, and the reading with the pose at which it was taken."""
+        """Return the number of the first picture, 0, and the reading: this number and the pose of the camera."""
         number = jnp.zeros_like(position_ned.x)
         return number, CameraReading(position_ned, attitude, number)
 
     def restart(
         self, state: Array, draw: Noise, since: Array, position_ned: Vec3, attitude: Euler
     ) -> tuple[Array, CameraReading]:
-        """Return the last picture's number, and a reading taken again at the new poses."""
+        """Return the last picture's number, and a reading with the poses after ``set_state`` has moved vehicles."""
         return state, CameraReading(position_ned, attitude, state)
 
     def step(self, state: Array, draw: Noise, position_ned: Vec3, attitude: Euler) -> tuple[Array, CameraReading]:
-        """Return the next picture's number, and the reading with the pose at which it was taken."""
+        """Return the next picture's number, and the reading: this number and the pose of the camera."""
         number = state + 1.0
         return number, CameraReading(position_ned, attitude, number)
 
     def develop(self, reading: CameraReading, around: Surroundings, stream: Stream, size: Array) -> Picture:
-        """Return the last picture of each vehicle (n,): a score for each window of the ground.
+        """Return the last picture of each vehicle (n,): a person score for each window (about ``size`` [m]) of ground.
 
         Args:
             reading: where and when.
@@ -128,7 +128,7 @@ class Camera(Sensor):
         tick = self.tick_of(reading, around)
 
         def one(camera: Camera, reading: CameraReading, tick: Array, identity: Array) -> Picture:
-            """Return the picture of one vehicle."""
+            """Return the picture of one vehicle, by the random numbers of its tick and identity."""
             noise = jnp.zeros((self.most_rows * self.most_columns, 1), reading.picture.dtype)
             if self.noisy:
                 draw = Draw(Stream(stream.high, stream.low, identity[None]), tick, reading.picture)
@@ -138,7 +138,7 @@ class Camera(Sensor):
         return jax.vmap(one)(self.for_each(reading), reading, tick, stream.ids)
 
     def ratios(self, reading: CameraReading, around: Surroundings, stream: Stream, size: Array, to: Array) -> Array:
-        """Return the log-likelihood ratios (n, R, C) of ``develop`` alone, 0 beyond the grid of windows.
+        """Return only the log-likelihood ratios (n, R, C) of ``develop``, put into ``to``; 0 outside a picture's grid.
 
         Args:
             reading, around, stream, size: see ``develop``.
@@ -147,7 +147,7 @@ class Camera(Sensor):
         return camera_windows.ratios(self, reading, around, stream, size, to)
 
     def frame(self, reading: CameraReading, around: Surroundings, size: Array) -> tuple[Array, Array]:
-        """Return rows and columns (n, 2) int32 of the last pictures, and their corners (n, 4, 2) on the ground [m].
+        """Return each last picture's rows and columns (n, 2) int32, and its corners (n, 4, 2) [m] on the ground.
 
         The grid is rows and columns. Corners are north and east [m] on the ground: upper left, upper right, lower
         right, lower left. Those of a vehicle that has stopped are NaN, and its grid is 0.
@@ -157,7 +157,7 @@ class Camera(Sensor):
         """
 
         def one(camera: Camera, reading: CameraReading) -> tuple[Array, Array]:
-            """Return grid and corners of one vehicle's picture."""
+            """Return one vehicle's picture grid (rows, columns) and its corners on the ground."""
             view = camera.view(reading, around, size)
             zero = jnp.zeros_like(view.rows)
             row = jnp.stack([zero, zero, view.rows, view.rows])
@@ -170,7 +170,7 @@ class Camera(Sensor):
         return jax.vmap(one)(self.for_each(reading), reading)
 
     def for_each(self, reading: CameraReading) -> Camera:
-        """Return the camera with every parameter broadcast to (n,), one value for each vehicle."""
+        """Return the camera with every parameter broadcast to one value for each vehicle (n,)."""
         return jax.tree.map(lambda leaf: jnp.broadcast_to(jnp.asarray(leaf), reading.picture.shape), self)
 
     def tick_of(self, reading: CameraReading, around: Surroundings) -> Array:
@@ -181,7 +181,7 @@ class Camera(Sensor):
         return number * ticks
 
     def _develop(self, reading: CameraReading, around: Surroundings, tick: Array, noise: Array, size: Array) -> Picture:
-        """Return the picture of one vehicle from the normals (R, C) of its windows."""
+        """Return one vehicle's picture, from a standard normal (R, C) for each of its ground windows."""
         view = self.view(reading, around, size)
         row = jnp.arange(self.most_rows + 1).astype(noise.dtype)[:, None]
         column = jnp.arange(self.most_columns + 1).astype(noise.dtype)[None, :]
@@ -203,7 +203,7 @@ class Camera(Sensor):
         )
 
     def middle(self, view: View, row: Array, column: Array) -> tuple[Array, Array]:
-        """Return the pixels (x, y) of the centres of windows; row and column (...) are floating-point numbers."""
+        """Return pixel coordinates (x, y) of windows' centres, for their rows and columns (...) in the grid."""
         return view.left + (column + 0.5) * view.width, view.top + (row + 0.5) * view.height
 
     def ratio(
@@ -234,7 +234,7 @@ class Camera(Sensor):
         return self.classifier.ratio(score, distance, ground, near) + 0.0 * distance
 
     def view(self, reading: CameraReading, around: Surroundings, size: Array) -> View:
-        """Return the projection of one camera onto the ground, with its grid of windows of about ``size`` [m]."""
+        """Return one camera's projection onto the ground, with its grid of windows of about ``size`` [m]."""
         position, direction = around.over_ground(reading.taken_at_ned), rotation(reading.taken_attitude)
         axis = position + direction.down * (-position.z / direction.down.z)
         pixels = [
@@ -247,7 +247,7 @@ class Camera(Sensor):
         side = jnp.sqrt(0.5 * jnp.abs(doubled))
 
         def cut(length: int, most: int) -> tuple[Array, Array, Array]:
-            """Return number and length of windows along one side of the picture, and the margin."""
+            """Return number and length [pixels] of windows along one side of a picture, and the margin."""
             count = jnp.clip(jnp.round(length / side), 1.0, most)
             window = jnp.floor(length / count)
             return count, window, jnp.floor(0.5 * (length - window * jnp.floor(length / window)))
@@ -257,7 +257,7 @@ class Camera(Sensor):
         return View(position, direction, rows, columns, width, height, left, top)
 
     def _in_picture(self, position: Vec3, direction: Rotation, north: Array, east: Array) -> tuple[Array, Array]:
-        """Return the pixels (x, y) of points on the ground."""
+        """Return pixel coordinates (x, y) of points on the ground, north and east [m]."""
         seen = direction.to_body(Vec3(north - position.x, east - position.y, -position.z + 0.0 * north))
         return (
             self.principal_x + self.focal_length * seen.y / seen.z,
@@ -283,12 +283,12 @@ class Camera(Sensor):
         return Vec3(view.position.x + reach * ray.x, view.position.y + reach * ray.y, jnp.zeros_like(reach))
 
     def shows(self, view: View, persons: PersonsState, tick: Array) -> Array:
-        """Return () bool: the centre of a person not found by ``tick`` is in the picture."""
+        """Return () bool: the picture shows the centre of a person who has not been found by ``tick``."""
         here = self._in_frame(*self._in_picture(view.position, view.direction, persons.north, persons.east))
         return jnp.any(here & persons.missing(tick))
 
     def winners(self, view: View, persons: PersonsState, tick: Array, size: Array) -> tuple[Array, Array, Array]:
-        """Return windows (Q,) by row and column, and (Q,) bool: the person nearest its centre is not found yet.
+        """Return windows (Q,) of persons, as row and column, and (Q,) bool: the person nearest its centre is missing.
 
         A window is named for each of nine points of each person; the nearest of them counts.
         """
@@ -298,7 +298,7 @@ class Camera(Sensor):
         return row, column, jnp.isfinite(nearness) & (nearness == nearest) & missing
 
     def _points(self, view: View, persons: PersonsState, tick: Array, size: Array) -> tuple[Array, Array, Array, Array]:
-        """Return row and column int32 of nine points of each person (Q,), squared distance to its centre, missing.
+        """Return row, column, squared distance to the window's centre, and missing (Q,), for nine points a person.
 
         Points that are in no window are infinitely far, in a row and a column beyond the last.
         """
@@ -328,7 +328,7 @@ class Camera(Sensor):
         return row, column, nearness, missing
 
     def _present(self, view: View, persons: PersonsState, tick: Array, size: Array) -> Array:
-        """Return (R, C) bool: the person nearest a window's centre is one not found by ``tick``."""
+        """Return (R, C) bool: the person nearest a window's centre has not been found by ``tick``."""
         row, column, nearness, missing = self._points(view, persons, tick, size)
         window = row, column
         nearest = jnp.full((self.most_rows, self.most_columns), jnp.inf, nearness.dtype)
@@ -338,7 +338,7 @@ class Camera(Sensor):
         return jnp.zeros(nearest.shape, bool).at[window].max(wins, mode="drop")
 
     def _in_frame(self, x: Array, y: Array) -> Array:
-        """Return whether pixel coordinates are inside the picture."""
+        """Return whether pixel coordinates are within the picture."""
         return (x >= 0.0) & (x < self.width) & (y >= 0.0) & (y < self.height)
 
 

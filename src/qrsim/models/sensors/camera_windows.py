@@ -35,7 +35,7 @@ class _Shown(NamedTuple):
 
 
 def ratios(camera: Any, reading: Any, around: Surroundings, stream: Stream, size: Array, to: Array) -> Any:
-    """Return the log-likelihood ratios (n, R, C) of the last pictures, as ``Camera.develop``, but 0 beyond the grid.
+    """Return the log-likelihood ratios (n, R, C) of the last pictures' ground windows; 0 outside a picture's grid.
 
     Args:
         camera: a ``Camera`` of vehicles (n,).
@@ -57,7 +57,7 @@ def ratios(camera: Any, reading: Any, around: Surroundings, stream: Stream, size
     right = jax.vmap(lambda each, seen: each.right(each.middle(seen, 0.0, every)[0]))(own, view)
 
     def turn(now: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
-        """Return the loop's state with one block of one picture's row of windows computed."""
+        """Return the loop's state with one more block of windows computed, a part of a row of one picture."""
         vehicle, row, left, found = now
         # The last piece of the longest row ends with it.
         left_most = jnp.minimum(left, camera.most_columns - wide)
@@ -93,14 +93,14 @@ def _close(classifier: Any, low: Array, distance: Array) -> Close:
 
 
 def _noise(stream: Stream, tick: Array, window: Array, like: Array, count: int) -> Array:
-    """Return the standard normals of windows, any shape, numbered as by ``Draw.normal_rows``."""
+    """Return standard normals for windows by their numbers, any shape, the same as ``Draw.normal_rows`` gives."""
     half = (count + 1) // 2
     pairs = jnp.where(window < half, window, window - half).astype(jnp.uint32)
     return stream.normals_of(tick, pairs, window >= half, like.dtype)
 
 
 def _persons(own: Any, view: Any, around: Surroundings, tick: Array, size: Array) -> _Shown | None:
-    """Return the windows that show missing persons in each picture; None in a world without persons."""
+    """Return the windows in each picture that show persons not found yet; None in a world without persons."""
     persons = around.state.persons
     if persons is None:
         return None
@@ -109,7 +109,7 @@ def _persons(own: Any, view: Any, around: Surroundings, tick: Array, size: Array
     nothing = _Shown(none, none, none > 0, none[:, 0], none[:, 0])
 
     def look() -> _Shown:
-        """Return the windows of all persons."""
+        """Return, for each picture, the windows that show persons."""
         row, column, wins = jax.vmap(lambda each, seen, now: each.winners(seen, persons, now, size))(own, view, tick)
         first = jnp.min(jnp.where(wins, row, own.most_rows), axis=1)
         last = jnp.max(jnp.where(wins, row, -1), axis=1)
@@ -121,10 +121,10 @@ def _persons(own: Any, view: Any, around: Surroundings, tick: Array, size: Array
 
 
 def _present(shown: _Shown, row: Array, column: Array) -> Array:
-    """Return (C,) bool: in a window of row ``row`` () a missing person is the nearest object."""
+    """Return (C,) bool: in this window of row ``row`` () the nearest person has not been found yet."""
 
     def compare() -> Array:
-        """Return (C,) bool by comparing each window with those of all persons."""
+        """Return the flags (C,) of ``_present``, by comparing the row's windows with those of all persons."""
         here = shown.wins & (shown.row == row)
         return jnp.any(here[:, None] & (shown.column[:, None] == column[None]), axis=0)
 

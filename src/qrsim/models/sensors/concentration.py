@@ -32,11 +32,11 @@ class ConcentrationSensor(Memoryless):
     normals: ClassVar[int] = 1
 
     def white_noise(self) -> dict[str, Array]:
-        """Return the standard deviation of the white noise of a reading, by field."""
+        """Return the standard deviation of a reading's white noise, {field: std}."""
         return {"concentration": self.white_std}
 
     def init(self, draw: Noise, position_ned: Vec3, surroundings: Surroundings) -> tuple[None, ConcentrationReading]:
-        """Return no state, and the first reading of vehicles at position_ned (n,)."""
+        """Return None as state, and the plume concentration reading (n,) at ``position_ned`` (n,) [m]."""
         smelt = surroundings.concentration(position_ned)
         return None, ConcentrationReading(smelt + self.white_std * draw.normals(1)[0])
 
@@ -51,5 +51,5 @@ class IdealConcentration(Memoryless):
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "surroundings")
 
     def init(self, draw: Noise, position_ned: Vec3, surroundings: Surroundings) -> tuple[None, ConcentrationReading]:
-        """Return no state, and the true concentration."""
+        """Return None as state, and the reading: the true plume concentration."""
         return None, ConcentrationReading(surroundings.concentration(position_ned))

@@ -37,7 +37,7 @@ class Explained:
     """Base of readings that can say what they lack."""
 
     def reason(self, vehicle: int) -> str:
-        """Return the reason why a vehicle's reading is incomplete, as text."""
+        """Return as text why a vehicle's reading is incomplete, by the vehicle's number."""
         raise NotImplementedError
 
 
@@ -70,49 +70,49 @@ class Sensor(Protocol):
 
     @property
     def wants_traffic(self) -> bool:
-        """True if the sensor uses other vehicles; ``traffic`` in ``reads`` is None if no sensor of the world does."""
+        """True if the sensor measures other vehicles; ``traffic`` is None if no sensor of a world does."""
         return True
 
     @abstractmethod
     def init(self, draw: Any, *args: Any, **reads: Any) -> tuple[object, Record]:
-        """Return the first state and the first reading (n,)."""
+        """Return the sensor's first state and first reading (n,)."""
 
     @abstractmethod
     def step(self, state: Any, draw: Any, *args: Any, **reads: Any) -> tuple[object, Record]:
-        """Return state and reading (n,) one period later."""
+        """Return the sensor's state and reading (n,) one period later."""
 
     def restart(self, state: Any, draw: Any, since: Array, *args: Any, **reads: Any) -> tuple[object, Record]:
-        """Return state and reading of vehicles moved by ``set_state``, ``since`` () [s] after a reading."""
+        """Return state and reading (n,) after ``set_state`` has moved vehicles, ``since`` () [s] after a reading."""
         return self.init(draw, *args, **reads)
 
     def biases(self, state: Any) -> dict[str, Any]:
-        """Return the true slowly varying errors (n,) of the reading, by vector name; empty if unknown."""
+        """Return the true slowly varying errors (n,) of the reading, {field or vector: error}; {} if unknown."""
         return {}
 
     def white_noise(self) -> dict[str, Array]:
-        """Return the standard deviation of white noise by field or vector; only of those with one number.
+        """Return the std of a reading's white noise, {field or vector: std}; only of fields with a constant std.
 
         The fault ``noisy`` can be a multiple of it.
         """
         return {}
 
     def overfull(self, state: Any) -> Array | None:
-        """Return the number (n,) int32 of searches so far with an overflow of the neighbour list; None if impossible.
+        """Return how many neighbour searches (n,) int32 have overflowed so far; None if they cannot.
 
         Room is what ``neighbours`` of core/neighbours.py has for those around a vehicle.
         """
         return None
 
     def placed(self, chosen: Array, fresh: Any, before: Any) -> Any:
-        """Return ``before`` with the ``chosen`` vehicles (n,) taken from ``fresh``."""
+        """Return the state ``before`` with the vehicles ``chosen`` (n,) bool taken from ``fresh``."""
         return select(chosen, fresh, before)
 
     def fresh(self, tick: Array, time_step: float) -> Array:
-        """Return () bool: a new reading is delivered at a tick; between these ticks the last one is held."""
+        """Return () bool: a new reading is delivered at this tick; at other ticks the last one is held."""
         return tick % max(1, round(self.period / time_step)) == 0
 
     def time_of_reading(self, tick: Array, time_step: float) -> Array:
-        """Return the tick () at which the reading held at a tick was taken; 0 before the first delay is over."""
+        """Return the tick () at which the reading held at ``tick`` was taken; 0 before any has been delivered."""
         ticks = max(1, round(self.period / time_step))
         since = tick // ticks - self.delay
         return ticks * since * (since > 0)
@@ -122,5 +122,5 @@ class Memoryless(Sensor):
     """Base of sensors without a state: all readings are made as the first one is."""
 
     def step(self, state: object, draw: object, *args: Any, **reads: Any) -> tuple[object, Record]:
-        """Return the unchanged state, None, and the present reading (n,), as ``init`` does."""
+        """Return the state unchanged, None, and the present reading (n,), by ``init``."""
         return self.init(draw, *args, **reads)

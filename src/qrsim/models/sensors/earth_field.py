@@ -26,17 +26,17 @@ _FILES = {2010: "WMM_2010", 2015: "WMM_2015v2", 2020: "WMM_2020", 2025: "WMM_202
 
 
 def years() -> str:
-    """Return the range of dates of the magnetic models as text."""
+    """Return the range of dates that the magnetic models cover, as text."""
     return f"{FIRST_YEAR}-01-01 to {END_YEAR - 1}-12-31"
 
 
 def covers(when: datetime) -> bool:
-    """Return whether a magnetic model covers a time (with time zone)."""
+    """Return whether a magnetic model covers a time (with time zone), by its year in UTC."""
     return FIRST_YEAR <= when.astimezone(UTC).year < END_YEAR
 
 
 def earth_field_ned(site: Site, when: datetime) -> npt.NDArray[np.float64]:
-    """Return Earth's magnetic field (3,) at a site in NED [uT], by the World Magnetic Model of the time.
+    """Return Earth's magnetic field (3,) NED [uT] at a site on a date, by the World Magnetic Model of that time.
 
     The model has the field of the core, and errs by some 0.15 uT, most of it that of the crust (its own error model).
     The height is above the ellipsoid.
@@ -63,24 +63,24 @@ def earth_field_ned(site: Site, when: datetime) -> npt.NDArray[np.float64]:
 
 
 def _within_half_turn(degrees: float) -> float:
-    """Return an angle [deg] wrapped to [-180, 180)."""
+    """Return an angle [deg] wrapped to the interval [-180, 180)."""
     return (degrees + 180.0) % 360.0 - 180.0
 
 
 def declination(field_ned: npt.ArrayLike) -> float:
-    """Return the declination [rad] of a field (3,) in NED, positive to the east; add it to a magnetic heading."""
+    """Return the magnetic declination [rad] of a field (3,) NED, positive east: true minus magnetic heading."""
     north, east, _ = np.asarray(field_ned, np.float64)
     return float(np.arctan2(east, north))
 
 
 def inclination(field_ned: npt.ArrayLike) -> float:
-    """Return the inclination [rad] of a field (3,) in NED, positive below the horizon."""
+    """Return the magnetic inclination [rad] of a field (3,) NED, positive below the horizon."""
     north, east, down = np.asarray(field_ned, np.float64)
     return float(np.arctan2(down, np.hypot(north, east)))
 
 
 def compass_heading(field_body: Vec3, roll: object, pitch: object, declination: Array | float = 0.0) -> Array:
-    """Return the heading (n,) [rad], from -pi to pi, of a magnetometer with a known tilt: a levelled compass.
+    """Return the heading (n,) [rad], -pi to pi, from a magnetometer and known roll and pitch: a levelled compass.
 
     With a declination it is against true north, else against magnetic north. An error of the tilt turns it by about the
     error times the tangent of the inclination.

@@ -57,12 +57,12 @@ _BOUNDS = {
 
 
 def kind_of(word: str) -> Kind:
-    """Return the current name of a kind of fault, given its current or an old name."""
+    """Return the current name of a kind of sensor fault, for its current or former name."""
     return OLD_NAMES.get(word, word)  # type: ignore[arg-type]
 
 
 def chosen_fields(field: str | None, fields: Sequence[str]) -> tuple[str, ...]:
-    """Return the fields that a name selects, ``position_ned`` all of its axes; () for an unknown name or None."""
+    """Return the reading fields that a name selects (a vector's name selects all axes); () if unknown or None."""
     return tuple(name for name in fields if field is not None and (name == field or name.startswith(f"{field}.")))
 
 
@@ -73,7 +73,7 @@ def number_problems(
     fields: Sequence[str],
     white: Mapping[str, object] | None = None,
 ) -> Iterator[tuple[str, str]]:
-    """Yield (name, problem as text) for each number, and for the field, that does not suit a kind of fault.
+    """Yield (name, problem as text) for the field and each number, given or missing, that does not suit a fault.
 
     ``white`` is the white noise of the sensor, see ``Sensor.white_noise``.
     """
@@ -120,7 +120,7 @@ def fault_numbers(
     ticks: int,
     white: Mapping[str, object] | None = None,
 ) -> FaultNumbers:
-    """Return the numbers of a fault as the tick uses them, missing ones by default.
+    """Return a sensor fault's numbers as the simulation uses them, defaults for missing ones.
 
     Args:
         word: its kind.
@@ -134,7 +134,7 @@ def fault_numbers(
     kind = kind_of(word)
 
     def number(name: str, default: float) -> float:
-        """Return a given number of the fault, or a default."""
+        """Return the fault's number ``name`` as given, or ``default``."""
         value = given.get(name)
         return default if value is None else float(value)
 
@@ -156,7 +156,7 @@ def fault_numbers(
 
 
 def _white(name: str, white: Mapping[str, Any]) -> float | None:
-    """Return the standard deviation of a field's white noise; None unless the sensor states one number."""
+    """Return the std of a field's white noise; None unless the sensor states one number for it."""
     found = next((value for part, value in white.items() if name == part or name.startswith(f"{part}.")), None)
     if found is None or np.ndim(found):
         return None
@@ -165,7 +165,7 @@ def _white(name: str, white: Mapping[str, Any]) -> float | None:
 
 
 def empty_slot(count: int, sensor: str, fields: tuple[str, ...], ticks: int, dt: float, remembered: int) -> FaultSlot:
-    """Return a slot for faults of a sensor of ``count`` vehicles, with no fault in it; see ``FaultSlot``."""
+    """Return an empty slot for faults injected in flight into a sensor of ``count`` vehicles; see ``FaultSlot``."""
     never, nobody = np.full(count, LAST_TICK, np.int32), np.zeros(count, bool)
     numbers = map_tree(lambda leaf: np.full(count, leaf), fault_numbers("off", {}, (), fields, dt, ticks))  # type: ignore
     kinds = np.zeros(count, np.int32)

@@ -89,11 +89,11 @@ class _Fault:
     only: tuple[str, ...] | None = setting(default=None, doc="fields that it changes; None: those with amounts")
 
     def active(self, tick: Array) -> Array:
-        """Return (n,) bool: the fault acts on a vehicle at a tick."""
+        """Return (n,) bool: the fault acts on a vehicle's sensor at a tick."""
         return self.affected & (tick >= self.start_tick) & (tick < self.end_tick)
 
     def begin(self, reading: T) -> FaultMemory | None:
-        """Return the fault's memory at the start, filled with the first reading; None if the kind needs no memory."""
+        """Return the fault's memory at the start, filled with the first reading; None for kinds without memory."""
         if not (self._repeats or self.remembered):
             return None
         return FaultMemory(
@@ -102,7 +102,7 @@ class _Fault:
 
     @property
     def _repeats(self) -> bool:
-        """True if this kind of fault can repeat an earlier reading, so that past ones must be kept."""
+        """True if this kind of fault can repeat an earlier reading, so that past ones must be stored."""
         raise NotImplementedError
 
     def _delivered(
@@ -113,7 +113,7 @@ class _Fault:
         late: Late | None,
         choose: Callable[[FaultMemory | None], T],
     ) -> tuple[T, FaultMemory | None]:
-        """Return the faulty reading computed by ``choose``, and the memory shifted by one reading."""
+        """Return the faulty reading from ``choose(memory)``, and the fault's memory with this reading added."""
         if memory is None:
             return choose(None), None
         if memory.past:
@@ -128,13 +128,13 @@ class _Fault:
 
     @property
     def _order(self) -> int:
-        """Number of the fault among the faults of its sensor, which keeps their random numbers apart."""
+        """Number of the fault among its sensor's faults, to keep their random numbers independent."""
         return 0
 
     # ---- output while it is active ----
 
     def _is(self, kind: Kind) -> bool | Array:
-        """Return whether the fault is of a kind: a Python bool, or (n,) in a slot with its kind as data."""
+        """Return whether the fault is of a kind: a Python bool, or (n,) bool in a slot with a kind per vehicle."""
         raise NotImplementedError
 
     def _output(self, reading: T, memory: FaultMemory | None, tick: Array, draw: Draw | None) -> T:
@@ -157,7 +157,7 @@ class _Fault:
         return output if lost is False else map_tree(lambda x: jnp.where(lost, jnp.nan, x), output)
 
     def _changed(self, reading: T, tick: Array, draw: Draw | None) -> T:
-        """Return the reading with scaled and offset fields: the kinds wrong, drift, noisy and garbage."""
+        """Return the reading with its fields scaled and offset, for the kinds wrong, drift, noisy and garbage."""
         drift, noisy, garbage = (self._is(kind) for kind in ("drift", "noisy", "garbage"))
         if all(kind is False for kind in (drift, noisy, garbage, self._is("wrong"))):
             return reading
@@ -170,7 +170,7 @@ class _Fault:
         seconds = rounded(jnp.maximum(tick - self.start_tick, 0).astype(_dtype(reading)) * self.time_step)
 
         def change(x: Array, i: int) -> Array:
-            """Return field number ``i`` scaled, with the fault's amount added."""
+            """Return the values ``x`` of field number ``i``, scaled and offset by the fault."""
             times = _pick(drift, seconds, 1.0)
             if normals is not None:
                 times = _pick(noisy, normals[i], times)
@@ -186,7 +186,7 @@ class _Fault:
         return _at_fields(reading, "", places, change)
 
     def _of_reading(self, draw: Draw | None, tick: Array) -> Draw:
-        """Return the random numbers of a reading's own tick, the same as long as the reading is held.
+        """Return the random draw for a reading, the same at all ticks at which that reading is held.
 
         Faults that begin at different times draw independently, so do scenario faults of different ``order``.
         """
@@ -207,25 +207,25 @@ class Fault(_Fault):
 
     @property
     def _order(self) -> int:
-        """Number of the fault among those of its sensor, as given."""
+        """Number of the fault among its sensor's faults, as given."""
         return self.order
 
     @property
     def _repeats(self) -> bool:
-        """True if this kind of fault can repeat an earlier reading."""
+        """True if this kind of fault can repeat an earlier reading, so that past ones must be stored."""
         return self.kind in _REPEATING
 
     @property
     def random(self) -> bool:
-        """True for kinds that draw random numbers."""
+        """True for kinds of fault that draw random numbers."""
         return self.kind in RANDOM
 
     def _is(self, kind: Kind) -> bool | Array:
-        """Return whether the fault is of a kind."""
+        """Return whether the fault is of a kind, as a Python bool."""
         return self.kind == kind
 
     def kinds_of(self, count: int) -> list[Kind]:
-        """Return the fault's kind (count,), repeated for each of ``count`` vehicles."""
+        """Return the fault's kind for each of ``count`` vehicles: a list with one entry repeated."""
         return [self.kind] * count
 
     def apply(
@@ -236,7 +236,7 @@ class Fault(_Fault):
         draw: Draw | None = None,
         late: Late | None = None,
     ) -> tuple[T, FaultMemory | None]:
-        """Return the faulty reading and the memory of the fault at a tick.
+        """Return a sensor's reading with the fault applied at a tick, and the fault's new memory.
 
         Args:
             reading: of the sensor at ``tick``, or the output of the fault before this one.
@@ -266,13 +266,13 @@ class FaultSlot(_Fault):
     _repeats = True
 
     def _is(self, kind: Kind) -> bool | Array:
-        """Return (n,) bool: the vehicle's fault is of a kind."""
+        """Return (n,) bool: the fault in the vehicle's slot is of a kind."""
         if kind == "delayed" and not self.remembered:
             return False
         return self.kinds == KINDS.index(kind)
 
     def kinds_of(self, count: int) -> list[Kind]:
-        """Return the kind (count,) of each vehicle's fault."""
+        """Return the kind of fault in the slot of each of ``count`` vehicles."""
         return [KINDS[int(number)] for number in self.kinds]
 
     def apply(
@@ -283,11 +283,11 @@ class FaultSlot(_Fault):
         draw: Draw | None = None,
         late: Late | None = None,
     ) -> tuple[T, FaultMemory | None]:
-        """Return the faulty reading and the memory, see ``Fault.apply``; almost free if no vehicle has a fault."""
+        """Return reading and memory as ``Fault.apply`` does, with almost no cost while no vehicle has a fault."""
         active, of = self.active(tick), tick if late is None else late.taken
 
         def choose(known: FaultMemory | None) -> T:
-            """Return the faulty reading for affected vehicles, computed only if there are any."""
+            """Return the faulty reading, computed only if any vehicle has a fault."""
             output = lambda: select(active, self._output(reading, known, of, draw), reading)  # noqa: E731
             chosen: T = lax.cond(jnp.any(active), output, lambda: reading)
             return chosen
@@ -296,19 +296,19 @@ class FaultSlot(_Fault):
 
 
 def _dtype(reading: object) -> Any:
-    """Return the dtype of the first array in a reading."""
+    """Return the dtype of the first array in a sensor's reading."""
     return jax.tree.leaves(reading)[0].dtype
 
 
 def _pick(condition: bool | Array, yes: Any, no: Any) -> Any:
-    """Return ``yes`` or ``no`` by a condition; without an array operation for a Python bool."""
+    """Return ``yes`` or ``no``, elementwise for an array condition; a Python bool costs no operation."""
     if isinstance(condition, bool):
         return yes if condition else no
     return jnp.where(condition, yes, no)
 
 
 def _at_fields(item: Any, path: str, places: dict[str, int], change: Callable[[Array, int], Array]) -> Any:
-    """Return a record with ``change`` applied to the leaves named in ``places``; a tuple's parts share one path."""
+    """Return a record with ``change(values, index)`` applied to fields in ``places``; a tuple's parts share a name."""
     if isinstance(item, tuple):
         return tuple(_at_fields(part, path, places, change) for part in item)
     if item is None:

@@ -37,15 +37,15 @@ class Fitting:
 
     @property
     def is_late(self) -> bool:
-        """True if readings are delayed."""
+        """True if the sensor's readings are delivered with a delay."""
         return self.delay > 0.0
 
     def slots(self, period: float) -> int:
-        """Return the number of readings to keep: the most that can be in transit, plus the last delivered one."""
+        """Return how many readings are stored: the most that can be in transit, plus the last delivered one."""
         return math.ceil(round(self.delay + LATEST * self.jitter / period, 9)) + 1
 
     def ticks(self, period: float, time_step: float, draw: Any, shape: tuple[int, ...]) -> Array:
-        """Return the random delay (n,) int32 [ticks] of readings taken now."""
+        """Return the delay (n,) int32 [ticks], with random jitter, of readings taken now."""
         mean = self.delay * period
         if self.jitter == 0.0:
             return jnp.full(shape, round(mean / time_step), jnp.int32)
@@ -65,32 +65,32 @@ class Transit:
 
     @staticmethod
     def starting(reading: Record, slots: int, tick: Array, like: Array) -> Transit:
-        """Return a transit with ``slots`` slots, all holding the first reading, delivered at ``tick``."""
+        """Return a store of ``slots`` delayed readings, all the first reading, delivered at ``tick``."""
         now = jnp.broadcast_to(jnp.asarray(tick, jnp.int32), like.shape)
         return Transit((reading,) * slots, (now,) * slots, (now,) * slots)
 
     def sent(self, reading: Record, tick: Array, ticks: Array) -> Transit:
-        """Return the transit with a reading added at ``tick``, due ``ticks`` (n,) later, never before earlier ones."""
+        """Return the store with a reading added, to be delivered ``ticks`` (n,) later, not before earlier ones."""
         now = jnp.broadcast_to(jnp.asarray(tick, jnp.int32), ticks.shape)
         due = jnp.maximum(now + ticks, self.due[-1])
         return Transit((*self.readings[1:], reading), (*self.taken[1:], now), (*self.due[1:], due))
 
     def delivered(self, tick: Array) -> Record:
-        """Return the newest reading (n,) that a delay has let through by this tick."""
+        """Return the newest reading (n,) that has been delivered by a tick."""
         newest = self.readings[0]
         for reading, due in zip(self.readings[1:], self.due[1:], strict=True):
             newest = select(due <= tick, reading, newest)
         return newest
 
     def time_of_reading(self, tick: Array) -> Array:
-        """Return the tick (n,) at which the reading that ``delivered`` returns was taken."""
+        """Return the tick (n,) at which the reading of ``delivered`` was taken."""
         newest = self.taken[0]
         for taken, due in zip(self.taken[1:], self.due[1:], strict=True):
             newest = jnp.where(due <= tick, taken, newest)
         return newest
 
     def fresh(self, tick: Array) -> Array:
-        """Return (n,) bool: a reading is delivered exactly at this tick."""
+        """Return (n,) bool: a reading is delivered at exactly this tick."""
         arrives = self.due[0] == tick
         for due in self.due[1:]:
             arrives = arrives | (due == tick)
@@ -110,7 +110,7 @@ class Fitted:
 def start_fitted(
     fitting: Fitting, reads: tuple[str, ...], reading: Record, period: float, tick: Array, rates_body: Vec3
 ) -> Fitted:
-    """Return a fitting's state at the start, from the first reading and the true body rates (n,) [rad/s]."""
+    """Return a fitting's (mounting and delay) state at the start, from first reading and body rates (n,) [rad/s]."""
     transit = None
     if fitting.is_late:
         transit = Transit.starting(reading, fitting.slots(period), tick, rates_body.x)
@@ -121,7 +121,7 @@ def start_fitted(
 def mounted(
     fitting: Fitting, scene: Mapping[str, Any], reads: tuple[str, ...], before: Vec3 | None, dt: float
 ) -> object:
-    """Return the true inputs ``reads`` of a sensor by name, at its mounting position and in its own axes.
+    """Return a sensor's true inputs ``reads`` by name, moved to its mounting position and into its own axes.
 
     With r from the centre of mass: position + D^T r, velocity + omega x r, and for the mean specific force of a step
     + omega' x r + omega x (omega x r), with the mean rates of the step and omega' their change over it.
@@ -162,7 +162,7 @@ def mounted(
 
 
 def _euler(axes: Rotation, body: Rotation) -> Euler:
-    """Return the Euler angles of sensor axes that are rotated relative to a body."""
+    """Return the Euler angles [rad] of sensor axes, given their rotation relative to the body, and the body's."""
     forward, right, down = (body.to_ned(axis) for axis in (axes.forward, axes.right, axes.down))
     pitch = arctan2(-forward.z, jnp.sqrt(forward.x * forward.x + forward.y * forward.y))
     return Euler(arctan2(right.z, down.z), pitch, arctan2(forward.y, forward.x))

@@ -47,12 +47,12 @@ Six = tuple[Array, ...]
 
 
 def _number(name: str, unit: str, doc: str) -> Array:
-    """Return the declaration of a parameter >= 0, its default taken from the default preset."""
+    """Return the field declaration of a parameter, at least 0, with the default preset's value as default."""
     return parameter(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
 def _structure(name: str, unit: str, doc: str) -> float:
-    """Return the declaration of a setting >= 0, its default taken from the default preset."""
+    """Return the field declaration of a setting, at least 0, with the default preset's value as default."""
     return setting(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
@@ -141,22 +141,22 @@ class Imu(Sensor):
 
     @computed
     def normals(self) -> int:
-        """Number of standard normals of a step for each vehicle: white noise, and one axis' slow errors."""
+        """Number of standard normals that a step draws per vehicle: white noise, and slow errors of one axis."""
         return AXES * self.subsamples + _SLOW
 
     @computed
     def first_normals(self) -> int:
-        """Number of standard normals of a start for each vehicle."""
+        """Number of standard normals that the start draws per vehicle."""
         return _START + AXES * self.subsamples
 
     @property
     def bias_scale(self) -> Six:
-        """Standard deviation of each bias-instability process, by axis, in [rad/s] and [m/s^2]."""
+        """Std of each bias-instability process: three gyroscope axes [rad/s], three accelerometer axes [m/s^2]."""
         found = (self.gyroscope_bias_instability,) * 3 + (self.accelerometer_bias_instability,) * 3
         return tuple(SHARE * b for b in found)
 
     def bias(self, state: ImuState) -> tuple[Vec3, Vec3]:
-        """Return the true bias (n,) of gyroscope [rad/s] and accelerometer [m/s^2]."""
+        """Return the true present bias (n,) of gyroscope [rad/s] and accelerometer [m/s^2]."""
         found = [
             scale * reduce(add, slow) + walk
             for scale, slow, walk in zip(self.bias_scale, state.wandering, state.walk, strict=True)
@@ -164,7 +164,7 @@ class Imu(Sensor):
         return Vec3(*found[:3]), Vec3(*found[3:])
 
     def biases(self, state: ImuState) -> dict[str, Vec3]:
-        """Return the error of the readings of a level vehicle at rest: bias, and the effect of 1 g by E and G."""
+        """Return the readings' errors for a level vehicle at rest, {field: (n,)}: bias, and errors caused by 1 g."""
         gyroscope, accelerometer = self.bias(state)
         return {
             "rates_body": gyroscope + Vec3(*(row.z * AT_REST for row in state.g_sensitivity)),
@@ -172,14 +172,14 @@ class Imu(Sensor):
         }
 
     def white_noise(self) -> dict[str, Array]:
-        """Return the standard deviation of the white noise of a reading, by field."""
+        """Return the standard deviation of a reading's white noise, {field: std}."""
         return {
             "rates_body": self.gyroscope_noise / math.sqrt(self.period),
             "specific_force": self.accelerometer_noise / math.sqrt(self.period),
         }
 
     def init(self, draw: Noise, rates_body: Vec3, specific_force: Vec3, load: Load) -> tuple[ImuState, ImuReading]:
-        """Return state and first reading of chips that have just been switched on."""
+        """Return state and first reading of IMUs that have just been switched on."""
         normals = draw.normals(self.first_normals)
         given = iter(normals)
         turned_on = (self.gyroscope_turn_on_bias,) * 3 + (self.accelerometer_turn_on_bias,) * 3
@@ -209,7 +209,7 @@ class Imu(Sensor):
     def restart(
         self, state: ImuState, draw: Noise, since: Array, rates_body: Vec3, specific_force: Vec3, load: Load
     ) -> tuple[ImuState, ImuReading]:
-        """Return state and reading of the same chips at new places: they stay switched on and keep their bias."""
+        """Return state and reading of the same IMUs after ``set_state`` has moved their vehicles; biases are kept."""
         zero = jnp.zeros_like(rates_body.x)
         moved = replace(state, rates=rates_body, angle=Vec3(zero, zero, zero))
         normals = draw.normals(self.first_normals)[_START:]
@@ -218,7 +218,7 @@ class Imu(Sensor):
     def step(
         self, state: ImuState, draw: Noise, rates_body: Vec3, specific_force: Vec3, load: Load
     ) -> tuple[ImuState, ImuReading]:
-        """Return state and reading one period later, with the bias drifted."""
+        """Return state and reading one period later, with the biases drifted."""
         normals = draw.normals(self.normals)
         wandering, walk = self._moved_on(state, normals[AXES * self.subsamples :])
         last = state.turn > AXES - 1.5
@@ -226,7 +226,7 @@ class Imu(Sensor):
         return self._measure(state, normals, rates_body, specific_force, load)
 
     def _moved_on(self, state: ImuState, normals: tuple[Array, ...]) -> tuple[tuple[Six, ...], Six]:
-        """Return bias instability and random walk, with the axis due this period advanced by six periods."""
+        """Return bias-instability and random-walk states, with one axis (in turn) advanced by six periods."""
         span = AXES * self.period
         root = math.sqrt(span)
         steps = (self.gyroscope_random_walk,) * 3 + (self.accelerometer_random_walk,) * 3
@@ -245,7 +245,7 @@ class Imu(Sensor):
 
     @property
     def _shakes(self) -> bool:
-        """True if vibration is simulated."""
+        """True if vibration of the vehicle is simulated."""
         return self.vibration != "none"
 
     def _measure(
@@ -257,7 +257,7 @@ class Imu(Sensor):
         load: Load,
         settled: bool = False,
     ) -> tuple[ImuState, ImuReading]:
-        """Return state and reading over a period; ``settled``: the low-pass filter starts at steady state."""
+        """Return state and reading over a period; ``settled``: the low-pass filter starts in the steady state."""
         parts = self.subsamples
         dt = self.period / parts
         levels = measured() if self.vibration == "measured" else self.vibration_levels
@@ -294,7 +294,7 @@ class Imu(Sensor):
         return replace(state, rates=rates_body, angle=last, low_pass=low_pass, phase=phase), reading
 
     def _spreads(self, levels: Vibration, thrust: Array, dt: float) -> Six:
-        """Return the standard deviation of white noise of each axis over dt [s], broadband vibration included."""
+        """Return the std of each axis' white noise over dt [s], with broadband vibration at a relative thrust (n,)."""
         rate = 1.0 / math.sqrt(dt)
         white = [rate * jnp.asarray(self.gyroscope_noise)] * 3 + [rate * jnp.asarray(self.accelerometer_noise)] * 3
         if not self._shakes:
@@ -303,20 +303,20 @@ class Imu(Sensor):
         return tuple(jnp.sqrt(a * a + b * b) for a, b in zip(white, shaken, strict=True))
 
     def _low_pass(self, dt: float) -> tuple[float, float, float]:
-        """Return b0, a1, a2 of the second-order low-pass filter (bilinear transform, -3 dB at ``bandwidth_hz``)."""
+        """Return b0, a1, a2 of the second-order low-pass filter (bilinear transform), -3 dB at ``bandwidth_hz``."""
         k = math.tan(math.pi * self.bandwidth_hz * dt)
         norm = 1.0 / (1.0 + math.sqrt(2.0) * k + k * k)
         return k * k * norm, 2.0 * (k * k - 1.0) * norm, (1.0 - math.sqrt(2.0) * k + k * k) * norm
 
     def _at_rest(self, values: Six) -> tuple[tuple[Array, Array], ...]:
-        """Return the state of the low-pass filter in steady state, for six constant inputs."""
+        """Return the low-pass filter's steady state for six constant inputs."""
         b0, _, a2 = self._low_pass(self.period / self.subsamples)
         return tuple((x * (1.0 - b0), x * (b0 - a2)) for x in values)
 
     def _filtered(
         self, values: Six, memory: tuple[tuple[Array, Array], ...], dt: float
     ) -> tuple[Six, tuple[tuple[Array, Array], ...]]:
-        """Return the six low-pass outputs (transposed direct form II), and the new state of the filter."""
+        """Return the six low-pass outputs (transposed direct form II) after dt [s], and the filter's new state."""
         b0, a1, a2 = self._low_pass(dt)
         passed, after = [], []
         for x, (first, second) in zip(values, memory, strict=True):
@@ -326,7 +326,7 @@ class Imu(Sensor):
         return tuple(passed), tuple(after)
 
     def _converted(self, values: Six, dt: float) -> Six:
-        """Return values (n,) clipped to the range and rounded to the resolution."""
+        """Return six measured values (n,) clipped to the sensor's range and rounded to its resolution."""
         samples = max(1.0, self.sample_rate * dt)
         kinds = [(self.gyroscope_range, self.gyroscope_resolution)] * 3
         kinds += [(self.accelerometer_range, self.accelerometer_resolution)] * 3
@@ -346,20 +346,20 @@ class IdealImu(Sensor):
     reads: ClassVar[tuple[str, ...]] = ("rates_body", "specific_force", "load")
 
     def init(self, draw: Noise, rates_body: Vec3, specific_force: Vec3, load: Load) -> tuple[Vec3, ImuReading]:
-        """Return the true rates as state, and the first reading."""
+        """Return the true body rates as state, and the first reading without errors."""
         return self.step(rates_body, draw, rates_body, specific_force, load)
 
     def step(
         self, state: Vec3, draw: Noise, rates_body: Vec3, specific_force: Vec3, load: Load
     ) -> tuple[Vec3, ImuReading]:
-        """Return the true rates as state, and the true reading, for rates that changed linearly over the period."""
+        """Return the true body rates as state, and the true reading; its angle is that of linearly changing rates."""
         angle = (state + rates_body) * (0.5 * self.period)
         angle = angle + state.cross(rates_body) * (self.period * self.period / 12.0)
         return rates_body, ImuReading(rates_body, specific_force, angle, specific_force * self.period)
 
 
 def _rows(given: Iterator[Array], diagonal: Array, off_diagonal: Array) -> tuple[Vec3, Vec3, Vec3]:
-    """Return the rows of a random 3 x 3 matrix, standard deviation ``diagonal``, or ``off_diagonal``."""
+    """Return the rows of a random 3 x 3 matrix, its entries of std ``diagonal`` or ``off_diagonal``."""
     rows = [Vec3(*((diagonal if i == j else off_diagonal) * next(given) for j in range(3))) for i in range(3)]
     return cast(tuple[Vec3, Vec3, Vec3], tuple(rows))
 

@@ -38,7 +38,7 @@ def _chip(
     steps: tuple[float, float],
     sample_rate: float = 1000.0,
 ) -> dict[str, object]:
-    """Return the parameters of an IMU chip in SI units, from the numbers of its data sheet.
+    """Return an IMU chip's parameters in SI units, from data sheet numbers in degrees, g, mg and ug.
 
     Args:
         gyroscope_density_deg, accelerometer_density_ug: one-sided [deg/s/sqrt(Hz)], [ug/sqrt(Hz)].
@@ -109,5 +109,5 @@ PRESETS: Presets = {
 
 
 def default(name: str) -> object:
-    """Return the value of a parameter, by name, in the default preset of IMUs."""
+    """Return a parameter's value in the default preset of IMUs, by the parameter's name."""
     return PRESETS[DEFAULT][name]

@@ -27,7 +27,7 @@ class AccelerometerReading:
 
 
 def _with_white(value: Vec3, std: Array, draw: Noise) -> Vec3:
-    """Return a vector with white noise of a standard deviation added to each axis."""
+    """Return a vector with white noise of standard deviation ``std`` added to each axis."""
     x, y, z = draw.normals(3)
     return Vec3(value.x + std * x, value.y + std * y, value.z + std * z)
 
@@ -44,15 +44,15 @@ class Gyroscope(Memoryless):
     normals: ClassVar[int] = 3
 
     def biases(self, state: None) -> dict[str, float]:
-        """Return {}: all errors are white."""
+        """Return {"rates_body": 0.0}: this gyroscope has only white noise."""
         return {"rates_body": 0.0}
 
     def white_noise(self) -> dict[str, Array]:
-        """Return the standard deviation of the white noise of a reading, by field."""
+        """Return the standard deviation of a reading's white noise, {field: std}."""
         return {"rates_body": self.white_std}
 
     def init(self, draw: Noise, rates_body: Vec3) -> tuple[None, GyroscopeReading]:
-        """Return no state, and the first reading."""
+        """Return None as state, and the reading: true body rates plus white noise."""
         return None, GyroscopeReading(_with_white(rates_body, self.white_std, draw))
 
 
@@ -66,7 +66,7 @@ class IdealGyroscope(Memoryless):
     reads: ClassVar[tuple[str, ...]] = ("rates_body",)
 
     def init(self, draw: Noise, rates_body: Vec3) -> tuple[None, GyroscopeReading]:
-        """Return no state, and the true rates."""
+        """Return None as state, and the reading: the true body rates."""
         return None, GyroscopeReading(rates_body)
 
 
@@ -82,15 +82,15 @@ class Accelerometer(Memoryless):
     normals: ClassVar[int] = 3
 
     def biases(self, state: None) -> dict[str, float]:
-        """Return {}: all errors are white."""
+        """Return {"specific_force": 0.0}: this accelerometer has only white noise."""
         return {"specific_force": 0.0}
 
     def white_noise(self) -> dict[str, Array]:
-        """Return the standard deviation of the white noise of a reading, by field."""
+        """Return the standard deviation of a reading's white noise, {field: std}."""
         return {"specific_force": self.white_std}
 
     def init(self, draw: Noise, specific_force: Vec3) -> tuple[None, AccelerometerReading]:
-        """Return no state, and the first reading."""
+        """Return None as state, and the reading: true specific force plus white noise."""
         return None, AccelerometerReading(_with_white(specific_force, self.white_std, draw))
 
 
@@ -104,5 +104,5 @@ class IdealAccelerometer(Memoryless):
     reads: ClassVar[tuple[str, ...]] = ("specific_force",)
 
     def init(self, draw: Noise, specific_force: Vec3) -> tuple[None, AccelerometerReading]:
-        """Return no state, and the true specific force."""
+        """Return None as state, and the reading: the true specific force."""
         return None, AccelerometerReading(specific_force)

@@ -35,12 +35,12 @@ Rows = tuple[Vec3, Vec3, Vec3]
 
 
 def _number(name: str, unit: str, doc: str) -> Array:
-    """Return the declaration of a parameter >= 0, its default taken from the default preset."""
+    """Return the field declaration of a parameter, at least 0, with the default preset's value as default."""
     return parameter(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
 def _structure(name: str, unit: str, doc: str) -> float:
-    """Return the declaration of a setting >= 0, its default taken from the default preset."""
+    """Return the field declaration of a setting, at least 0, with the default preset's value as default."""
     return setting(default=default(name), unit=unit, doc=doc, minimum=0.0)
 
 
@@ -59,7 +59,7 @@ class Steel:
     radius: Array = quantity(unit="m", doc="(m,) radii")
 
     def field_ned(self, earth: Vec3, position_ned: Vec3) -> Vec3:
-        """Return the field that the source adds (n,) to Earth's at positions (n,) [m], in the unit of ``earth``.
+        """Return the field (n,) NED that steel objects add to Earth's at positions (n,) [m], in the unit of Earth's.
 
         Outside of a sphere that conducts a magnetic field far better than air that is the field of a dipole,
         (a/r)^3 (3 (B r) r/r^2 - B) (Jackson, Classical Electrodynamics, 3rd ed., 5.11). Inside it is held.
@@ -137,13 +137,13 @@ class Magnetometer(Sensor):
     presets: ClassVar[Presets] = PRESETS
 
     def white_noise(self) -> dict[str, Array]:
-        """Return the standard deviation of the white noise of a reading, by field."""
+        """Return the standard deviation of a reading's white noise, {field: std}."""
         return {"field_body": self.noise / math.sqrt(self.period)}
 
     def init(
         self, draw: Noise, position_ned: Vec3, attitude: Euler, load: Load
     ) -> tuple[MagnetometerState, MagnetometerReading]:
-        """Return state and first reading of chips that have just been switched on."""
+        """Return state and first reading of magnetometers that have just been switched on."""
         normals = draw.normals(self.first_normals)
         given = iter(normals)
         offset = _vector(given, self.hard_iron)
@@ -158,14 +158,14 @@ class Magnetometer(Sensor):
     def restart(
         self, state: MagnetometerState, draw: Noise, since: Array, position_ned: Vec3, attitude: Euler, load: Load
     ) -> tuple[MagnetometerState, MagnetometerReading]:
-        """Return state and reading of the same chips on vehicles at new places."""
+        """Return state and reading of the same magnetometers after ``set_state`` has moved their vehicles."""
         normals = draw.normals(self.first_normals)[_ONCE:]
         return state, self._measured(state, normals, position_ned, attitude, load)
 
     def step(
         self, state: MagnetometerState, draw: Noise, position_ned: Vec3, attitude: Euler, load: Load
     ) -> tuple[MagnetometerState, MagnetometerReading]:
-        """Return state and reading one period later, with the slow error drifted."""
+        """Return state and reading one period later, with the slowly varying error drifted."""
         normals = draw.normals(self.normals)
         drift = Vec3(
             *(
@@ -177,7 +177,7 @@ class Magnetometer(Sensor):
         return state, self._measured(state, normals, position_ned, attitude, load)
 
     def _errors(self, given: Iterator[Array]) -> Rows:
-        """Return the rows of a random error matrix: symmetric soft iron, plus the chip's scale and misalignment."""
+        """Return the rows of a random 3 x 3 error matrix: soft iron, scale and misalignment, from normals ``given``."""
         xx, yy, zz, xy, xz, yz = (self.soft_iron * next(given) for _ in range(6))
         rows = []
         for i, soft in enumerate(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))):
@@ -188,7 +188,7 @@ class Magnetometer(Sensor):
     def _measured(
         self, state: MagnetometerState, normals: tuple[Array, ...], position_ned: Vec3, attitude: Euler, load: Load
     ) -> MagnetometerReading:
-        """Return the reading for a state and normals: field in body axes [uT] with all its errors."""
+        """Return the reading, the field in body axes [uT] with all errors, for a sensor state and normals (n,)."""
         field = true_field_body(self.earth_field_ned, self.steel, position_ned, attitude)
         thrust = load.per_weight(position_ned.x)
         spread = self.noise * (1.0 / math.sqrt(self.period))
@@ -220,12 +220,12 @@ class IdealMagnetometer(Memoryless):
     reads: ClassVar[tuple[str, ...]] = ("position_ned", "attitude", "load")
 
     def init(self, draw: Noise, position_ned: Vec3, attitude: Euler, load: Load) -> tuple[None, MagnetometerReading]:
-        """Return no state, and the true field."""
+        """Return None as state, and the reading: the true field in body axes."""
         return None, MagnetometerReading(true_field_body(self.earth_field_ned, self.steel, position_ned, attitude))
 
 
 def true_field_body(earth: Vec3, steel: Steel | None, position_ned: Vec3, attitude: Euler) -> Vec3:
-    """Return the magnetic field (n,) at vehicles in body axes, in the unit of Earth's."""
+    """Return the true magnetic field (n,) in body axes, Earth's plus that of steel, in the unit of ``earth``."""
     like = position_ned.x
     field = earth.map(lambda axis: jnp.broadcast_to(jnp.asarray(axis, like.dtype), like.shape))
     if steel is not None:
@@ -234,5 +234,5 @@ def true_field_body(earth: Vec3, steel: Steel | None, position_ned: Vec3, attitu
 
 
 def _vector(given: Iterator[Array], std: Array | float) -> Vec3:
-    """Return a vector of the next three normals of ``given`` times a standard deviation."""
+    """Return a vector of the next three normals of ``given``, times a standard deviation."""
     return Vec3(*(std * next(given) for _ in range(_AXES)))

@@ -18,7 +18,7 @@ _MILLIGAUSS = 0.1
 def _chip(
     rms: float, rate: float, step: float, largest: float, scale: float, cross_axis: float, drift: float
 ) -> dict[str, object]:
-    """Return the parameters of a ``Magnetometer`` from the numbers of a chip's data sheet.
+    """Return a magnetometer chip's parameters, by name, from the numbers of its data sheet.
 
     Args:
         rms, rate: noise of a sample [uT], and samples a second [Hz].
@@ -50,5 +50,5 @@ PRESETS: Presets = {
 
 
 def default(name: str) -> object:
-    """Return the value of a parameter, by name, in the default preset of magnetometers."""
+    """Return a parameter's value in the default preset of magnetometers, by the parameter's name."""
     return PRESETS[DEFAULT][name]

@@ -49,17 +49,17 @@ class NeighboursReading(Explained):
     )
 
     def reason(self, vehicle: int) -> str:
-        """Return the number of neighbours that a vehicle sees, and of slots for them, as text."""
+        """Return as text how many neighbours a vehicle sees, by its number, and how many fit in a reading."""
         return f"sees {float(self.count[vehicle]):.0f}, and has room for {len(self.distance)}"
 
 
 def _slots() -> int:
-    """Return the declaration of the setting K, the largest number of neighbours in a reading."""
+    """Return the field declaration of the setting ``slots``, the largest number of neighbours in a reading."""
     return setting(default=4, unit="1", doc="largest number of neighbours in a reading (K)", minimum=1, maximum=MOST)
 
 
 def _velocity() -> bool:
-    """Return the declaration of the setting that adds relative velocities to readings."""
+    """Return the field declaration of the setting ``velocity``: readings have relative velocities too."""
     return setting(default=False, doc="readings contain the relative velocity of neighbours")
 
 
@@ -75,7 +75,7 @@ class Looking(Sensor):
     def init(
         self, draw: object, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground, traffic: Traffic
     ) -> tuple[Array | None, NeighboursReading]:
-        """Return state and neighbours in view of vehicles (n,); the state counts overflows, None if none can occur."""
+        """Return overflow counts as state, None if impossible, and the reading: neighbours in view of vehicles (n,)."""
         start = None
         if not always_room(traffic.count, self.slots, ROOM):
             start = jnp.zeros(position_ned.x.shape, jnp.int32)
@@ -91,25 +91,25 @@ class Looking(Sensor):
         ground: Ground,
         traffic: Traffic,
     ) -> tuple[Array | None, NeighboursReading]:
-        """Return state and neighbours in view of vehicles (n,)."""
+        """Return overflow counts as state, and the reading: neighbours in view of vehicles (n,)."""
         reading, crowded = self.look(draw, position_ned, attitude, obstacles, ground, traffic)
         return None if state is None else state + crowded.astype(jnp.int32), reading
 
     def restart(
         self, state: Array | None, draw: object, since: Array, *args: Any, **scene: Any
     ) -> tuple[Array | None, NeighboursReading]:
-        """Return the neighbours of vehicles (n,) that were moved; the count of overflows continues."""
+        """Return state and reading after ``set_state`` has moved vehicles; the count of overflows continues."""
         return self.step(state, draw, *args, **scene)
 
     def overfull(self, state: Array | None) -> Array | None:
-        """Return the number (n,) int32 of readings so far with an overflow of the search; None if it cannot."""
+        """Return how many neighbour searches (n,) int32 have overflowed so far; None if they cannot."""
         return state
 
     @abstractmethod
     def look(
         self, draw: Any, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground, traffic: Traffic
     ) -> tuple[NeighboursReading, Array]:
-        """Return the neighbours, and a flag (n,) for each vehicle whose search overflowed."""
+        """Return the reading, neighbours in view of vehicles (n,), and (n,) bool: the search overflowed."""
 
 
 @record
@@ -157,7 +157,7 @@ class NeighbourSensor(Looking):
     def look(
         self, draw: Draw, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground, traffic: Traffic
     ) -> tuple[NeighboursReading, Array]:
-        """Return the neighbours, and a flag (n,) for each vehicle whose search overflowed."""
+        """Return the reading, neighbours with measurement errors, and (n,) bool: the search overflowed."""
         direction = rotation(attitude)
         reach = jnp.asarray(self.range_max)
         who, there, crowded = _nearest(self.slots, jnp.max(reach), position_ned, traffic)
@@ -207,7 +207,7 @@ class IdealNeighbours(Looking):
     def look(
         self, draw: object, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground, traffic: Traffic
     ) -> tuple[NeighboursReading, Array]:
-        """Return the neighbours, and a flag (n,) for each vehicle whose search overflowed."""
+        """Return the reading, true neighbours in view, and (n,) bool: the search overflowed."""
         reach, direction = jnp.asarray(self.range_max), rotation(attitude)
         who, there, crowded = _nearest(self.slots, jnp.max(reach), position_ned, traffic)
         apart = _relative_positions(who, direction, position_ned, traffic)
@@ -222,7 +222,7 @@ class IdealNeighbours(Looking):
 
 
 def _nearest(slots: int, reach: Array, position_ned: Vec3, traffic: Traffic) -> tuple[Array, Array, Array]:
-    """Return the indices (K, n) int32 of the nearest others, a mask (K, n) of used ones, and overflow flags (n,)."""
+    """Return the nearest vehicles' indices (K, n) int32, a mask (K, n) of valid ones, and overflow flags (n,)."""
     place = traffic.position_ned.map(lambda axis: jnp.where(traffic.flies, axis, jnp.nan))
     near = neighbours(*place.axes, reach, slots, ROOM)
     mine, crowded = near.index, near.overfull
@@ -235,19 +235,19 @@ def _nearest(slots: int, reach: Array, position_ned: Vec3, traffic: Traffic) -> 
 
 
 def _rows(position_ned: Vec3, traffic: Traffic) -> Array:
-    """Return the indices (n,) of the observing vehicles in the traffic."""
+    """Return the indices (n,) of the sensors' own vehicles in the traffic (all vehicles of the world)."""
     own = jnp.arange(position_ned.x.shape[0], dtype=jnp.int32) + traffic.first
     return jnp.minimum(own, traffic.count - 1)
 
 
 def _own_velocity(position_ned: Vec3, traffic: Traffic) -> Vec3:
-    """Return the velocity over ground (n,) [m/s] of the observing vehicles."""
+    """Return the ground velocity NED (n,) [m/s] of the sensors' own vehicles."""
     row = _rows(position_ned, traffic)
     return traffic.velocity_ned.map(lambda axis: jnp.asarray(axis).at[row].get(mode="promise_in_bounds"))
 
 
 def _relative_positions(who: Array, direction: Rotation, position_ned: Vec3, traffic: Traffic) -> Vec3:
-    """Return the positions (K, n) [m] of others relative to the sensors of vehicles (n,), in the sensors' axes.
+    """Return positions (K, n) [m] of vehicles with indices ``who``, relative to the sensors, in the sensors' axes.
 
     Args:
         who: (K, n) int32 indices of the others in ``traffic``.
@@ -260,23 +260,23 @@ def _relative_positions(who: Array, direction: Rotation, position_ned: Vec3, tra
 
 
 def _relative_velocities(who: Array, direction: Rotation, velocity_ned: Vec3, traffic: Traffic) -> Vec3:
-    """Return the velocities (K, n) [m/s] of others relative to the observing vehicles; see ``_relative_positions``."""
+    """Return velocities (K, n) [m/s] of vehicles with indices ``who`` relative to the sensors, in their axes."""
     pairs = zip(traffic.velocity_ned.axes, velocity_ned.axes, strict=True)
     return _in_axes(direction, Vec3(*(axis[who] - own[None, :] for axis, own in pairs)))
 
 
 def _in_axes(direction: Rotation, vector_ned: Vec3) -> Vec3:
-    """Return NED vectors (K, n) in the sensor's axes."""
+    """Return NED vectors (K, n) in the axes of the sensors."""
     return _for_rows(direction).to_body(vector_ned)
 
 
 def _joined(one: Vec3, other: Vec3) -> Vec3:
-    """Return two vectors of arrays concatenated, array by array."""
+    """Return two vectors of arrays concatenated along the first axis."""
     return Vec3(*(jnp.concatenate(both) for both in zip(one.axes, other.axes, strict=True)))
 
 
 def _for_rows(direction: Rotation) -> Rotation:
-    """Return rotations (n,) reshaped to broadcast against rows (K, n)."""
+    """Return rotations (n,) reshaped to (1, n), to broadcast against rows (K, n)."""
     return map_tree(lambda part: part[None, :], direction)
 
 
@@ -291,7 +291,7 @@ def _in_view(
     ground: Ground,
     traffic: Traffic,
 ) -> tuple[Array, Vec3, Array]:
-    """Return which candidates (K, n) are in view, unit vectors to them in the sensor's axes, and distances [m]."""
+    """Return (K, n) bool: candidate in view, unit vectors to it in the sensor's axes, and its distance [m]."""
     apart = _relative_positions(who, direction, position_ned, traffic)
     distance = root(apart.dot(apart))
     unit = apart * (1.0 / jnp.where(distance > 0.0, distance, 1.0))
@@ -303,7 +303,7 @@ def _in_view(
 
 
 def _deflected(unit: Vec3, first: Array, second: Array) -> Vec3:
-    """Return unit vectors rotated by two small angles [rad] about perpendicular axes."""
+    """Return unit vectors rotated by two small angles [rad] about axes perpendicular to them."""
     # Any direction across: of forward, unless it is about along that, then of right.
     ahead = jnp.abs(unit.x) < 0.9
     zero = jnp.zeros_like(unit.x)
@@ -315,7 +315,7 @@ def _deflected(unit: Vec3, first: Array, second: Array) -> Vec3:
 
 
 def _random_places(chances: Array, field_of_view_rad: float, reach: Array) -> Vec3:
-    """Return random places (n,) [m] in the sensor's axes, uniform in direction within its cone and in distance."""
+    """Return random positions (n,) [m] for false detections: uniform direction in the cone, uniform distance."""
     lowest = math.cos(0.5 * field_of_view_rad)
     ahead = lowest + (1.0 - lowest) * chances[0]
     side = jnp.sqrt(jnp.maximum(1.0 - ahead * ahead, 1e-12))
@@ -324,7 +324,7 @@ def _random_places(chances: Array, field_of_view_rad: float, reach: Array) -> Ve
 
 
 def _in_order(slots: int, distance: Array, place: Vec3, number: Array, velocity: Vec3 | None) -> NeighboursReading:
-    """Return the reading of vehicles (n,): the nearest of M candidates, sorted by measured distance.
+    """Return the reading (n,) of the nearest of M candidates (M, n), sorted by measured distance.
 
     The loop takes the minimum once a slot; of equal distances the lower row comes first.
 
@@ -343,7 +343,7 @@ def _in_order(slots: int, distance: Array, place: Vec3, number: Array, velocity:
         selected, valid = row == first[None, :], nearest < jnp.inf
 
         def chosen(rows: Array, selected: Array = selected, valid: Array = valid) -> Array:
-            """Return the row of the selected candidate, NaN for vehicles without one."""
+            """Return the row (n,) of values (M, n) of the candidate selected, NaN for vehicles without one."""
             return jnp.where(valid, jnp.sum(jnp.where(selected, rows, 0.0), axis=0), jnp.nan)
 
         places.append(place.map(chosen))

@@ -38,7 +38,7 @@ PRESETS: Presets = {
 
 
 def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
-    """Return the declaration of a parameter, its default that of the PMW3901."""
+    """Return the field declaration of a parameter, its default that of the PMW3901 sensor."""
     return parameter(default=PRESETS["pmw3901"][name], unit=unit, doc=doc, **bounds)
 
 
@@ -55,7 +55,7 @@ class OpticalFlowReading(Explained):
     )
 
     def reason(self, vehicle: int) -> str:
-        """Return the reason why a vehicle has no flow, as text."""
+        """Return as text why a vehicle has no flow reading, by the vehicle's number."""
         return WHY.get(float(self.status[vehicle]), "not available")
 
 
@@ -81,13 +81,13 @@ class _Flow(Sensor):
 
     @abstractmethod
     def _reach(self, position_ned: Vec3) -> Array:
-        """Return the longest distance (n,) [m] that is seen, or () for all vehicles."""
+        """Return the longest distance [m] at which flow is measured, (n,) or () for all vehicles."""
 
     @abstractmethod
     def _reading(
         self, state: OpticalFlowState, draw: Noise, distance: Array, now: tuple[Array, Array], rates_body: Vec3
     ) -> OpticalFlowReading:
-        """Return the reading for a distance (n,) [m] to the surface and present rates (n,) [rad/s] of flow and body."""
+        """Return the reading for a distance (n,) [m] to the surface, and rates (n,) [rad/s] of flow and body now."""
 
     def init(
         self,
@@ -99,7 +99,7 @@ class _Flow(Sensor):
         obstacles: Obstacles,
         ground: Ground,
     ) -> tuple[OpticalFlowState, OpticalFlowReading]:
-        """Return state and first reading, as if the present motion had lasted a period."""
+        """Return state and first reading, as if the present motion had lasted one period."""
         distance = distance_along_z(obstacles, ground, position_ned, attitude, self._reach(position_ned))
         state = OpticalFlowState(flow_rates(distance, velocity_body, rates_body), rates_body)
         return self.step(state, draw, position_ned, attitude, velocity_body, rates_body, obstacles, ground)
@@ -115,7 +115,7 @@ class _Flow(Sensor):
         obstacles: Obstacles,
         ground: Ground,
     ) -> tuple[OpticalFlowState, OpticalFlowReading]:
-        """Return state and reading: flow and rotation (n,) [rad] integrated since the last one."""
+        """Return state and reading: optical flow and body rotation (n,) [rad], summed since the last reading."""
         distance = distance_along_z(obstacles, ground, position_ned, attitude, self._reach(position_ned))
         now = flow_rates(distance, velocity_body, rates_body)
         return OpticalFlowState(now, rates_body), self._reading(state, draw, distance, now, rates_body)
@@ -157,13 +157,13 @@ class OpticalFlow(_Flow):
     presets: ClassVar[Presets] = PRESETS
 
     def _reach(self, position_ned: Vec3) -> Array:
-        """Return the longest distance (n,) [m] that is seen."""
+        """Return the longest distance [m], (n,) or () for all, at which flow is measured."""
         return self.range_max
 
     def _reading(
         self, state: OpticalFlowState, draw: Noise, distance: Array, now: tuple[Array, Array], rates_body: Vec3
     ) -> OpticalFlowReading:
-        """Return flow and rotation (n,) [rad] integrated since the last reading."""
+        """Return the reading, flow and body rotation (n,) [rad] since the last one, with measurement errors."""
         normals = draw.normals(5)
         seen = jnp.isfinite(distance)
         away = jnp.where(seen, distance, 0.0)
@@ -196,13 +196,13 @@ class IdealOpticalFlow(_Flow):
     )
 
     def _reach(self, position_ned: Vec3) -> Array:
-        """Return the longest distance (n,) [m] that is seen."""
+        """Return the longest distance [m], (n,) or () for all, at which flow is measured."""
         return jnp.full_like(position_ned.x, FARTHEST)
 
     def _reading(
         self, state: OpticalFlowState, draw: Noise, distance: Array, now: tuple[Array, Array], rates_body: Vec3
     ) -> OpticalFlowReading:
-        """Return flow and rotation (n,) [rad] integrated since the last reading."""
+        """Return the reading, true flow and body rotation (n,) [rad] since the last one."""
         flow = [(a + b) * (0.5 * self.period) for a, b in zip(state.flow, now, strict=True)]
         seen = jnp.isfinite(flow[0])
         status = jnp.where(seen, MEASURED, NOTHING).astype(distance.dtype)
@@ -217,7 +217,7 @@ def distance_along_z(obstacles: Obstacles, ground: Ground, position_ned: Vec3, a
 
 
 def flow_rates(distance: Array, velocity_body: Vec3, rates_body: Vec3) -> tuple[Array, Array]:
-    """Return the rates (n,) [rad/s] of the flow about x and y in the middle of the picture, NaN without a distance."""
+    """Return optical flow (n,) [rad/s] about the sensor's x and y at the picture's centre; NaN without a distance."""
     seen = jnp.isfinite(distance) & (distance > 0.0)
     inverse = 1.0 / jnp.where(seen, distance, 1.0)
     about_x, about_y = rates_body.x - velocity_body.y * inverse, rates_body.y + velocity_body.x * inverse

@@ -23,7 +23,7 @@ from qrsim.models.vehicles.contracts import Load
 
 
 def _port(side: str) -> Array:
-    """Return the declaration of the static port's pressure coefficient for air from one side."""
+    """Return the field declaration of the static port's pressure coefficient for air from side ``side``."""
     return parameter(
         default=-0.1, unit="1", doc=f"pressure at the port relative to the dynamic pressure, for air {side}"
     )
@@ -124,7 +124,7 @@ class PressureAltimeter(Sensor):
         load: Load,
         ground: Ground,
     ) -> tuple[PressureState, PressureReading]:
-        """Return state and first reading with a stationary drift and a chip's offset; the height rate is true."""
+        """Return state and first reading, with random drift and chip offset; the height rate is the true one."""
         white, drift, offset = draw.normals(3)
         state = PressureState(self.drift_std * drift, self.offset_std * offset, drift, drift)
         flow = (position_ned, attitude, velocity_body, wind_ned, load, ground)
@@ -145,7 +145,7 @@ class PressureAltimeter(Sensor):
         load: Load,
         ground: Ground,
     ) -> tuple[PressureState, PressureReading]:
-        """Return state and reading of the same altimeters in the same weather, on vehicles at new places."""
+        """Return state and reading after ``set_state`` has moved vehicles; each altimeter keeps drift and offset."""
         white, _, _ = draw.normals(3)
         flow = (position_ned, attitude, velocity_body, wind_ned, load, ground)
         height, pressure, warmth = self._measured(state, white, *flow)
@@ -166,7 +166,7 @@ class PressureAltimeter(Sensor):
         load: Load,
         ground: Ground,
     ) -> tuple[PressureState, PressureReading]:
-        """Return state and reading one period later."""
+        """Return state and reading one period later: pressure height, height rate, pressure and temperature."""
         white, normal = draw.normals(2)
         drift = ou_step(state.drift, normal, self.period, self.drift_std, self.drift_time_constant)
         flow = (position_ned, attitude, velocity_body, wind_ned, load, ground)
@@ -201,14 +201,14 @@ class PressureAltimeter(Sensor):
         return height, air.pressure + felt + state.offset, base - LAPSE * above + warmer
 
     def _ports(self, flow: Vec3) -> Array:
-        """Return the static port's pressure error (n,) over half the air density, by the flow (n,) [m/s]."""
+        """Return the static port's pressure error (n,) over half the air density, for an air flow (n,) [m/s]."""
         x, y, z = flow.axes
         along = jnp.where(x > 0.0, self.port_forward, self.port_backward) * (x * x)
         across = jnp.where(y > 0.0, self.port_right, self.port_left) * (y * y)
         return along + across + self.port_vertical * (z * jnp.abs(z))
 
     def _by_rotors(self, clearance: Array) -> Array:
-        """Return the pressure (n,) [Pa] caused by rotors in hover at a height (n,) [m] above ground."""
+        """Return the pressure (n,) [Pa] that rotors in hover cause at a clearance (n,) [m] above ground."""
         diameter = jnp.asarray(self.rotor_diameter)
         diameter = jnp.where(diameter > 0.0, diameter, self.vehicle_rotor)
         near = jnp.clip(1.0 - clearance / diameter, 0.0, 1.0)
@@ -236,6 +236,6 @@ class IdealPressureAltimeter(Memoryless):
         wind_ned: Vec3,
         load: Load,
     ) -> tuple[None, PressureReading]:
-        """Return no state, and the true height, its rate, and the air's pressure and temperature."""
+        """Return None as state, and the reading: true height, height rate, pressure and temperature."""
         air = air_above(-position_ned.z, self.site_temperature, self.site_pressure)
         return None, PressureReading(-position_ned.z, -velocity_ned.z, air.pressure, air.temperature)

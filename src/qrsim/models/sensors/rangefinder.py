@@ -35,7 +35,7 @@ Axis = Literal["down", "up", "forward", "backward", "right", "left"]
 
 
 def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
-    """Return the declaration of a parameter, its default taken from the default preset."""
+    """Return the field declaration of a parameter, its default the value in the default preset."""
     return parameter(default=default_rangefinder(name), unit=unit, doc=doc, **bounds)
 
 
@@ -47,7 +47,7 @@ class RangefinderReading(Explained):
     status: Array = quantity(unit="1", doc="0: measured, 1: too near, 2: nothing within reach, 3: lost")
 
     def reason(self, vehicle: int) -> str:
-        """Return the reason why a vehicle has no range, as text."""
+        """Return as text why a vehicle has no range reading, by the vehicle's number."""
         return WHY.get(float(self.status[vehicle]), "not available")
 
 
@@ -92,13 +92,13 @@ class Rangefinder(Memoryless):
     presets: ClassVar[Presets] = RANGEFINDERS
 
     def white_noise(self) -> dict[str, Array]:
-        """Return the standard deviation of the white noise of a reading, by field."""
+        """Return the standard deviation of a reading's white noise, {field: std}."""
         return {"range": self.noise_std}
 
     def init(
         self, draw: Noise, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground
     ) -> tuple[None, RangefinderReading]:
-        """Return no state, and a reading of vehicles (n,)."""
+        """Return None as state, and the range reading (n,), with measurement errors."""
         noise, a, b = draw.normals(3)
         beam, *others = axes_along(rotation(attitude), self.axis)
         distance, cosine = met_by(obstacles, ground, position_ned, beam, others, self.range_max)
@@ -129,7 +129,7 @@ class IdealRangefinder(Memoryless):
     def init(
         self, draw: Noise, position_ned: Vec3, attitude: Euler, obstacles: Obstacles, ground: Ground
     ) -> tuple[None, RangefinderReading]:
-        """Return no state, and the true distance."""
+        """Return None as state, and the reading: the true distance."""
         beam = axes_along(rotation(attitude), self.axis)[0]
         distance = first_hit(obstacles, ground, position_ned, beam, jnp.full_like(beam.x, FARTHEST))
         near = jnp.isfinite(distance)
@@ -138,7 +138,7 @@ class IdealRangefinder(Memoryless):
 
 
 def axes_along(direction: Rotation, axis: str) -> tuple[Vec3, Vec3, Vec3]:
-    """Return the unit vector along a body axis such as "down", and two unit vectors across it."""
+    """Return the unit vector NED along a body axis such as "down", and two unit vectors across it."""
     forward, right, down = direction.forward, direction.right, direction.down
     found = {
         "down": (down, forward, right),
@@ -154,7 +154,7 @@ def axes_along(direction: Rotation, axis: str) -> tuple[Vec3, Vec3, Vec3]:
 def met_by(
     obstacles: Obstacles, ground: Ground, origin_ned: Vec3, beam: Vec3, others: list[Vec3], reach: Array
 ) -> tuple[Array, Array]:
-    """Return the length [m] of beams (n,) to the first surface, and the cosine of the angle of incidence on it.
+    """Return the length [m] of beams (n,) to the first surface, and the cosine of their angle of incidence.
 
     The slant of an obstacle is that between the beam and two next to it; an edge between them is a wall along the beam.
 

@@ -45,10 +45,10 @@ SCANS: Presets = {
 
 
 def default_rangefinder(name: str) -> object:
-    """Return the value of a parameter, by name, in the default preset of rangefinders."""
+    """Return a parameter's value in the default preset of rangefinders, by the parameter's name."""
     return RANGEFINDERS["generic"][name]
 
 
 def default_scan(name: str) -> Any:
-    """Return the value of a parameter, by name, in the default preset of laser scanners."""
+    """Return a parameter's value in the default preset of laser scanners, by the parameter's name."""
     return SCANS["generic"][name]

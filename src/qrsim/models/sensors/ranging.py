@@ -34,7 +34,7 @@ _STEEPEST = 30.0
 
 
 def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
-    """Return the declaration of a parameter, its default taken from the default preset."""
+    """Return the field declaration of a parameter, its default the value in the default preset."""
     return parameter(default=default(name), unit=unit, doc=doc, **bounds)
 
 
@@ -51,7 +51,7 @@ class RangingReading(Explained):
     )
 
     def reason(self, vehicle: int) -> str:
-        """Return the number of missing ranges of a vehicle, as text."""
+        """Return as text how many ranges of a vehicle are missing, by the vehicle's number."""
         ranges = [*(self.beacon_range or ()), *(self.vehicle_range or ())]
         lacking = sum(not math.isfinite(float(found[vehicle])) for found in ranges)
         # To itself it needs none.
@@ -109,13 +109,13 @@ class Ranging(Sensor):
 
     @property
     def wants_traffic(self) -> bool:
-        """True if the sensor measures ranges to other vehicles."""
+        """True if the radio measures ranges to other vehicles, not only to beacons."""
         return self.vehicles != "none"
 
     def init(
         self, draw: Draw, position_ned: Vec3, obstacles: Obstacles, ground: Ground, traffic: Traffic | None
     ) -> tuple[RangingState, RangingReading]:
-        """Return state and first ranges of vehicles (n,), the error processes in their steady state."""
+        """Return state and first reading (n,) of ranging radios, their error processes in the steady state."""
         rows = len(_partners(self, position_ned, traffic))
         paths = None
         if can_hide(obstacles, ground):
@@ -133,7 +133,7 @@ class Ranging(Sensor):
         ground: Ground,
         traffic: Traffic | None,
     ) -> tuple[RangingState, RangingReading]:
-        """Return state and ranges of vehicles (n,) one period later."""
+        """Return state and reading of ranging radios one period later."""
         paths = state.paths
         if paths is not None:
             rows = len(paths[0])
@@ -155,7 +155,7 @@ class Ranging(Sensor):
         ground: Ground,
         traffic: Traffic | None,
     ) -> tuple[RangingState, RangingReading]:
-        """Return the state with the turn advanced, and the ranges of vehicles (n,) to P partners, NaN if missing.
+        """Return the state after one period, and the reading: ranges to P beacons and vehicles, NaN if missing.
 
         All arrays are (P, n): beacons first, then vehicles. ``heard`` is the probability that an exchange succeeds. On
         a shared channel, only the ``exchanges`` from ``turn`` on take place in a period.
@@ -199,20 +199,20 @@ class IdealRanging(Memoryless):
 
     @property
     def wants_traffic(self) -> bool:
-        """True if the sensor measures ranges to other vehicles."""
+        """True if the radio measures ranges to other vehicles, not only to beacons."""
         return self.vehicles != "none"
 
     def init(
         self, draw: object, position_ned: Vec3, obstacles: Obstacles, ground: Ground, traffic: Traffic | None
     ) -> tuple[None, RangingReading]:
-        """Return no state, and the true distances."""
+        """Return None as state, and the reading: the true distances."""
         partners = _partners(self, position_ned, traffic)
         ranges = jnp.where(partners.there | partners.itself, partners.distance, jnp.nan)
         return None, partners.reading(ranges)
 
 
 def noisy_ranges(distance: Any, noise: Any, taken: Any) -> Any:
-    """Return ``distance`` + ``noise`` [m] where ``taken``, NaN elsewhere, for NumPy and JAX arrays."""
+    """Return ``distance`` + ``noise`` [m] where ``taken`` is True, else NaN, for NumPy and JAX arrays."""
     return library_of(distance).where(taken, distance + noise, math.nan)
 
 
@@ -231,7 +231,7 @@ class Partners:
         return int(self.distance.shape[0])
 
     def exchange(self) -> tuple[Array, int]:
-        """Return the turn (P, n) at which each vehicle ranges to each partner, and the number of turns of a round."""
+        """Return each exchange's turn (P, n) within a round, and the number of turns in a round."""
         rows, vehicles = self.distance.shape
         others = rows - self.beacons
         each = self.beacons + max(others - 1, 0)
@@ -242,13 +242,13 @@ class Partners:
         return number + each * jnp.arange(vehicles, dtype=jnp.int32)[None, :], each * vehicles
 
     def reading(self, ranges: Array) -> RangingReading:
-        """Return ranges (P, n) [m] as a reading, split into beacons and vehicles."""
+        """Return ranges (P, n) [m] as a reading, split into those to beacons and those to vehicles."""
         found, count = _tuple(ranges), self.beacons
         return RangingReading(found[:count] or None, found[count:] or None)
 
 
 def _partners(sensor: Ranging | IdealRanging, position_ned: Vec3, traffic: Traffic | None) -> Partners:
-    """Return the beacons and vehicles to which vehicles (n,) measure ranges."""
+    """Return the P ranging partners of vehicles (n,): beacons, then other vehicles, with distances."""
     like, places, flies = position_ned.x, [], []
     own = jnp.arange(like.shape[0], dtype=jnp.int32)
     beacons = 0 if sensor.beacon_ned is None else sensor.beacon_ned.x.shape[0]
@@ -277,7 +277,7 @@ def _partners(sensor: Ranging | IdealRanging, position_ned: Vec3, traffic: Traff
 
 
 def behind(obstacles: Obstacles, ground: Ground, position_ned: Vec3, partners: Partners) -> Array:
-    """Return (P, n) bool: an obstacle or the ground is between the antennas."""
+    """Return (P, n) bool: an obstacle or the ground is between the antennas of vehicle and partner."""
     up = record_of(Vec3, 0.0, 0.0, -ANTENNA)
     origin = (position_ned + up).map(lambda axis: axis[None, :])
     way = partners.place_ned.map(lambda axis: axis[:, None]) + up - origin

@@ -24,5 +24,5 @@ PRESETS: Presets = {
 
 
 def default(name: str) -> Any:
-    """Return the value of a parameter, by name, in the default preset of ranging radios."""
+    """Return a parameter's value in the default preset of ranging radios, by the parameter's name."""
     return PRESETS["generic"][name]

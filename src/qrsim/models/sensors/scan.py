@@ -31,17 +31,17 @@ MOST_RAYS = 720
 
 
 def _number(name: str, unit: str, doc: str, **bounds: Unpack[Bounds]) -> Array:
-    """Return the declaration of a parameter, its default taken from the default preset."""
+    """Return the field declaration of a parameter, its default the value in the default preset."""
     return parameter(default=default_scan(name), unit=unit, doc=doc, **bounds)
 
 
 def _rays(default: int) -> int:
-    """Return the declaration of the setting for the number of rays."""
+    """Return the field declaration of the setting ``rays``, the number of rays of a scan."""
     return setting(default=default, unit="1", doc="rays of a scan", minimum=1, maximum=MOST_RAYS)
 
 
 def _field_of_view(default: float) -> float:
-    """Return the declaration of the setting for the total angle of the scan [rad]."""
+    """Return the field declaration of the setting for the scan's total angle [rad]."""
     return setting(
         default=default,
         unit="rad",
@@ -52,7 +52,7 @@ def _field_of_view(default: float) -> float:
 
 
 def _sees_vehicles(default: bool) -> bool:
-    """Return the declaration of the setting that lets scans include vehicles."""
+    """Return the field declaration of the setting ``sees_vehicles``: scans show other vehicles."""
     return setting(default=default, doc="scans include other vehicles, as spheres of their radius")
 
 
@@ -63,7 +63,7 @@ class ScanReading(Explained):
     range: tuple[Array, ...] = quantity(unit="m", doc="distance along a ray, NaN where nothing comes back")
 
     def reason(self, vehicle: int) -> str:
-        """Return the number of rays without an echo, as text."""
+        """Return as text how many rays of a vehicle's scan have no echo, by the vehicle's number."""
         lacking = sum(not math.isfinite(float(ray[vehicle])) for ray in self.range)
         return f"nothing came back along {lacking} of {len(self.range)} rays"
 
@@ -92,7 +92,7 @@ class Scan(Memoryless):
 
     @property
     def wants_traffic(self) -> bool:
-        """True if scans include other vehicles."""
+        """True if scans show other vehicles."""
         return self.sees_vehicles
 
     def init(
@@ -104,7 +104,7 @@ class Scan(Memoryless):
         ground: Ground,
         traffic: Traffic | None,
     ) -> tuple[None, ScanReading]:
-        """Return no state, and a scan of vehicles (n,)."""
+        """Return None as state, and the laser scan (n,) with measurement errors."""
         seen = traffic if self.sees_vehicles else None
         beam = beams(attitude, self.rays, self.field_of_view_rad)
         distance = met_by(obstacles, ground, seen, position_ned, beam, self.range_max)
@@ -131,7 +131,7 @@ class IdealScan(Memoryless):
 
     @property
     def wants_traffic(self) -> bool:
-        """True if scans include other vehicles."""
+        """True if scans show other vehicles."""
         return self.sees_vehicles
 
     def init(
@@ -143,7 +143,7 @@ class IdealScan(Memoryless):
         ground: Ground,
         traffic: Traffic | None,
     ) -> tuple[None, ScanReading]:
-        """Return no state, and the true scan."""
+        """Return None as state, and the true laser scan (n,)."""
         seen = traffic if self.sees_vehicles else None
         beam = beams(attitude, self.rays, self.field_of_view_rad)
         distance = met_by(obstacles, ground, seen, position_ned, beam, jnp.full_like(position_ned.x, FARTHEST))
@@ -151,12 +151,12 @@ class IdealScan(Memoryless):
 
 
 def ray_angles(rays: int, field_of_view_rad: float) -> NumpyArray:
-    """Return the angles (R,) [rad] of rays against forward, to the right positive: the middles of even sectors."""
+    """Return the angles (R,) [rad] of a scan's rays from forward, right positive: middles of even sectors."""
     return (np.arange(rays) + 0.5 - 0.5 * rays) * (field_of_view_rad / rays)
 
 
 def beams(attitude: Euler, rays: int, field_of_view_rad: float) -> Vec3:
-    """Return unit vectors (R, n) NED along the rays of vehicles (n,)."""
+    """Return unit vectors (R, n) NED along the scan rays of vehicles (n,)."""
     direction, angles = rotation(attitude), ray_angles(rays, field_of_view_rad)
     dtype = attitude.roll.dtype
     ahead, aside = (jnp.asarray(part[:, None], dtype) for part in (np.cos(angles), np.sin(angles)))
@@ -167,7 +167,7 @@ def beams(attitude: Euler, rays: int, field_of_view_rad: float) -> Vec3:
 def met_by(
     obstacles: Obstacles, ground: Ground, traffic: Traffic | None, position_ned: Vec3, beam: Vec3, reach: Array
 ) -> Array:
-    """Return the distance (R, n) [m] along rays to the first hit; infinite beyond ``reach``."""
+    """Return the distance (R, n) [m] along scan rays to the first hit, infinite beyond ``reach``."""
     limit = jnp.broadcast_to(jnp.asarray(reach, beam.x.dtype), position_ned.x.shape)[None, :]
     origin = position_ned.map(lambda axis: axis[None, :])
     distance = first_hit(obstacles, ground, origin, beam, limit)
@@ -178,7 +178,7 @@ def met_by(
 
 
 def spheres_met(traffic: Traffic, position_ned: Vec3, beam: Vec3) -> Array:
-    """Return the distance (R, n) [m] along rays to the nearest other vehicle; infinite if none is hit."""
+    """Return the distance (R, n) [m] along scan rays to the nearest other vehicle (a sphere); infinite if none."""
     to_centre = Vec3(
         *(
             (other[:, None] - own[None, :])[:, None, :]
@@ -197,5 +197,5 @@ def spheres_met(traffic: Traffic, position_ned: Vec3, beam: Vec3) -> Array:
 
 
 def _reading(rows: Array) -> ScanReading:
-    """Return distances (R, n) [m] as a reading."""
+    """Return distances (R, n) [m] along the rays as a scan reading."""
     return ScanReading(tuple(rows[i] for i in range(rows.shape[0])))

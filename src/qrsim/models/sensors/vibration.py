@@ -37,21 +37,21 @@ class Vibration:
 
     @property
     def gyroscope(self) -> Vec3:
-        """Root mean square of the vibration at the gyroscope in hover [rad/s]."""
+        """Root mean square of the vibration that the gyroscope feels in hover [rad/s], by axis."""
         return Vec3(self.gyroscope_x, self.gyroscope_y, self.gyroscope_z)
 
     @property
     def accelerometer(self) -> Vec3:
-        """Root mean square of the vibration at the accelerometer in hover [m/s^2]."""
+        """Root mean square of the vibration that the accelerometer feels in hover [m/s^2], by axis."""
         return Vec3(self.accelerometer_x, self.accelerometer_y, self.accelerometer_z)
 
     def turned(self, phase: Array, thrust: Array, dt: float) -> Array:
-        """Return the rotor phase (n,) [turns] dt [s] later at a thrust (n,) per weight, wrapped to +/- half a turn."""
+        """Return the rotor phase (n,) [turns] dt [s] later at a thrust over weight (n,), wrapped to +/- 0.5."""
         after = phase + self.rotor_frequency * jnp.sqrt(jnp.maximum(thrust, 0.0)) * dt
         return after - jnp.round(after)
 
     def harmonics(self, phase: Array, thrust: Array) -> tuple[Vec3, Vec3]:
-        """Return the harmonic vibration (n,) at gyroscope [rad/s] and accelerometer [m/s^2] at a phase [turns]."""
+        """Return the harmonic vibration (n,) of gyroscope [rad/s], accelerometer [m/s^2] at a rotor phase [turns]."""
         scale = jnp.sqrt(2.0 * (1.0 - jnp.asarray(self.broadband))) * (_WEIGHT * thrust)
         # The axes are a third of a turn apart, so that they do not peak together.
         waves = Vec3(*(scale * _summed(phase + third / 3.0) for third in range(3)))
@@ -60,7 +60,7 @@ class Vibration:
         return gyroscope, accelerometer
 
     def spreads(self, thrust: Array) -> tuple[Vec3, Vec3]:
-        """Return the standard deviation (n,) of broadband noise at gyroscope [rad/s] and accelerometer [m/s^2]."""
+        """Return the std (n,) of broadband vibration of gyroscope [rad/s] and accelerometer [m/s^2]."""
         scale = jnp.sqrt(jnp.asarray(self.broadband)) * jnp.maximum(thrust, 0.0)
         return self.gyroscope * scale, self.accelerometer * scale
 
@@ -71,7 +71,7 @@ MEASURED = {"gyroscope_x": 0.110, "gyroscope_y": 0.098, "gyroscope_z": 0.043}
 
 
 def measured() -> Vibration:
-    """Return the vibration fitted to the recording of the real vehicle."""
+    """Return the vibration levels fitted to the flight recording of a real quadrotor."""
     still = dict.fromkeys(("accelerometer_x", "accelerometer_y", "accelerometer_z"), 0.0)
     return record_of(Vibration, broadband=1.0, **MEASURED, **still)
 
@@ -82,7 +82,7 @@ def _by_axes(level: Vec3, wave: Vec3) -> Vec3:
 
 
 def _summed(phase: Array) -> Array:
-    """Return the sum (n,) of sin(2 pi h phase)/h over the harmonics h, for a phase [turns]."""
+    """Return the sum (n,) of sin(2 pi h phase)/h over the harmonics h of a rotor phase [turns]."""
     sine, cosine = sincos_turns(phase)
     before, now = jnp.zeros_like(sine), sine
     total = sine

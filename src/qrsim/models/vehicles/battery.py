@@ -25,15 +25,15 @@ class GivenVoltage(Battery):
     """The commanded voltage: that of the controller, or of your command."""
 
     def init(self, like: Array) -> NoCharge:
-        """Return the empty state."""
+        """Return the empty state of a battery that is not simulated."""
         return NoCharge()
 
     def step(self, state: NoCharge, load: Load, dt: float) -> NoCharge:
-        """Return the empty state."""
+        """Return the empty state of a battery that is not simulated."""
         return state
 
     def voltage(self, state: NoCharge, load: Load) -> None:
-        """Return None: the command's own voltage applies."""
+        """Return None: each command gives the voltage itself."""
 
 
 @record
@@ -69,16 +69,16 @@ class LithiumPolymer(Battery):
     drains: ClassVar[bool] = True
 
     def init(self, like: Array) -> Charge:
-        """Return the state (n,) at the initial charge; ``like`` is any array (n,)."""
+        """Return the state (n,) at the initial charge; ``like``: any array (n,), for the shape."""
         return Charge(jnp.broadcast_to(jnp.asarray(self.initial_charge), like.shape))
 
     def step(self, state: Charge, load: Load, dt: float) -> Charge:
-        """Return the state after dt [s] of discharge at the load's thrust (n,)."""
+        """Return the state after dt [s] of discharge by the thrust in ``load`` (n,)."""
         drain = _current(load) * (dt / self.endurance)
         return Charge(jnp.maximum(state.charge - drain, 0.0))
 
     def voltage(self, state: Charge, load: Load) -> Array:
-        """Return the voltage under load (n,) [V].
+        """Return the battery voltage (n,) [V] under a load.
 
         Of packs of three cells within the range that the thrust model is identified for; of others the sag ends in
         proportion, at 0.9375 of the voltage of the empty pack.
@@ -91,11 +91,11 @@ class LithiumPolymer(Battery):
 
 
 def _within(voltage: Array) -> Array:
-    """Return whether a voltage [V] is within the range for which the thrust model was identified."""
+    """Return whether a voltage [V] is in the range for which the quadrotor's thrust model was identified."""
     return (jnp.asarray(voltage) >= LOWEST) & (jnp.asarray(voltage) <= HIGHEST)
 
 
 def _current(load: Load) -> Array:
-    """Return the current as a multiple of the current in hover at sea level."""
+    """Return the battery current over that in hover at sea level, for a load (n,)."""
     current = exp(1.5 * log(jnp.maximum(load.thrust / load.weight, 1e-6)))
     return current if load.density_ratio is None else current / jnp.sqrt(load.density_ratio)

@@ -41,7 +41,7 @@ class CarriedPoint(Uncommanded):
     def initial_state(
         self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
     ) -> CarriedPointState:
-        """Return the state at a place on the carrier, with the path's velocity at time 0."""
+        """Return the state at a position on the path's carrier, with the carrier's velocity at time 0."""
         like = jnp.asarray(position_ned.x)
         place = self.path.at(jnp.int32(0), jnp.zeros((), like.dtype))
         lever = position_ned - place.position_ned
@@ -50,7 +50,7 @@ class CarriedPoint(Uncommanded):
         return replace(still, velocity_ned=_velocity(place.velocity_ned, place.turn_rate, lever))
 
     def pose(self, state: CarriedPointState) -> Pose:
-        """Return a level pose (n,), moving and turning with the path's carrier."""
+        """Return a level pose (n,) that moves and turns with the path's carrier."""
         zero = jnp.zeros_like(state.heading)
         velocity = _turned(state.velocity_ned, -state.heading)
         return Pose(state.position_ned, Euler(zero, zero, state.heading), velocity, Vec3(zero, zero, state.turn_rate))
@@ -64,7 +64,7 @@ class CarriedPoint(Uncommanded):
         dt: float,
         around: Around | None = None,
     ) -> tuple[CarriedPointState, Vec3]:
-        """Return the state one step along the path, and the mean specific force (n,) [m/s^2] in body axes."""
+        """Return the state one step further along the path, and the mean specific force (n,) [m/s^2], body axes."""
         # The counter of a stopped vehicle no longer advances, so the time on the path is that of the others.
         tick, dtype = jnp.max(state.ticks), state.heading.dtype
         old, new = (self.path.at(*split_time(each, dt, dtype)) for each in (tick, tick + 1))
@@ -86,17 +86,17 @@ class CarriedPoint(Uncommanded):
         return moved, force
 
     def stopped(self, state: CarriedPointState) -> CarriedPointState:
-        """Return the state at rest."""
+        """Return the state with zero velocity."""
         zero = jnp.zeros_like(state.heading)
         return replace(state, velocity_ned=Vec3(zero, zero, zero), turn_rate=zero)
 
 
 def _turned(vector: Vec3, angle: Array) -> Vec3:
-    """Return a horizontal vector (n,) rotated about down by an angle [rad], clockwise from above."""
+    """Return a horizontal vector (n,) rotated about down by an angle [rad], clockwise seen from above."""
     sine, cosine = sincos(angle)
     return Vec3(cosine * vector.x - sine * vector.y, sine * vector.x + cosine * vector.y, vector.z)
 
 
 def _velocity(velocity: Vec3, turn_rate: Array, lever: Vec3) -> Vec3:
-    """Return the velocity (n,) [m/s] of a point at ``lever`` [m] on a body that moves and turns about down."""
+    """Return the velocity (n,) [m/s] of a point at offset ``lever`` [m] on a body that moves and yaws."""
     return Vec3(velocity.x - turn_rate * lever.y, velocity.y + turn_rate * lever.x, velocity.z + 0.0 * lever.z)

@@ -16,12 +16,12 @@ C = TypeVar("C")
 
 
 def fields_of(command_type: type) -> tuple[str, ...]:
-    """Return the field names of a command record, in their order."""
+    """Return the field names of a command record class, in order."""
     return tuple(field.name for field in dataclasses.fields(command_type))
 
 
 def limits_of(command_type: type) -> dict[str, tuple[float, float]]:
-    """Return lowest and highest value of each field of a command record; infinite where it has none."""
+    """Return {field: (lowest, highest value)} of a command record class; infinite for fields without limits."""
     found = {}
     for field in dataclasses.fields(command_type):
         info = field_info(field)
@@ -31,7 +31,7 @@ def limits_of(command_type: type) -> dict[str, tuple[float, float]]:
 
 
 def clipped(command: C, without: tuple[str, ...] = ()) -> tuple[C, Array]:
-    """Return a command clipped to the limits of its fields, and (n,) bool: clipping changed it.
+    """Return a command clipped to its fields' limits, except fields ``without``, and (n,) bool: it was changed.
 
     Args:
         command: record of arrays (n,).

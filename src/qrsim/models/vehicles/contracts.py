@@ -46,7 +46,7 @@ class Load:
     )
 
     def per_weight(self, like: Array) -> Array:
-        """Return the thrust (n,) over the weight, 1 where either is unknown (NaN); ``like`` is any array (n,)."""
+        """Return thrust over weight (n,), 1 where either is unknown (NaN); ``like``: any array (n,), for the shape."""
         ratio = jnp.broadcast_to(jnp.asarray(self.thrust / self.weight, like.dtype), like.shape)
         return jnp.where(jnp.isfinite(ratio), ratio, 1.0)
 
@@ -79,7 +79,7 @@ class Handling:
     )
 
     def throttle(self, thrust: Array) -> Array:
-        """Return the throttle (n,), 0 to 1, of a steady thrust (n,) [N]: the inverse of the throttle curve."""
+        """Return the throttle (n,), 0 to 1, for a steady thrust (n,) [N]: the inverse of the throttle curve."""
         c0, c1, c2 = self.throttle_curve
         missing = thrust - c0
         # Of the two forms of the root the one that also solves a straight line.
@@ -88,12 +88,12 @@ class Handling:
 
 
 def smaller(a: object, b: object) -> Any:
-    """Return the elementwise minimum of two numbers or arrays, by NumPy unless one is a JAX array."""
+    """Return the elementwise minimum of two numbers or arrays, as JAX arrays if one of them is."""
     return (jnp if isinstance(a, Array) or isinstance(b, Array) else np).minimum(a, b)
 
 
 def velocity_of(pose: Pose) -> Vec3:
-    """Return the velocity over ground (n,) [m/s] in NED."""
+    """Return the velocity over ground (n,) [m/s] NED of a pose, which has it in body axes."""
     return rotation(pose.attitude).to_ned(pose.velocity_body)
 
 
@@ -119,7 +119,7 @@ class VehicleState(Protocol):
 
     @property
     def position_ned(self) -> Vec3:
-        """Position (n,) [m]; in single precision its first part."""
+        """Position (n,) [m] NED, in single precision without its remainder."""
         ...
 
 
@@ -181,7 +181,7 @@ class Vehicle(Protocol):
     downwash: Any = "felt"
 
     def prepared(self, duration: float) -> Vehicle:
-        """Return the vehicle ready for a run of ``duration`` [s], with the files that it names read.
+        """Return the vehicle model for a run of ``duration`` [s], with the files that it names read.
 
         Raises:
             UsageError: a file cannot be used.
@@ -189,28 +189,28 @@ class Vehicle(Protocol):
         return self
 
     def in_air(self, air: SiteAir) -> Vehicle:
-        """Return the vehicle in the air of a site, changed if its model depends on air density."""
+        """Return the vehicle model in the air of a site, changed if it depends on air density."""
         return self
 
     @abstractmethod
     def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> VehicleState:
-        """Return the state of vehicles (n,) placed at a pose: [m], [rad], [m/s], [rad/s]."""
+        """Return the state of vehicles (n,) at a position [m], attitude [rad], velocity [m/s] and rates [rad/s]."""
 
     def with_wrapped_yaw(self, state: Any) -> VehicleState:
-        """Return the state with its yaw wrapped to -pi to pi; states with quaternions need no change."""
+        """Return the state with its yaw wrapped to [-pi, pi]; quaternion states need no change."""
         found: VehicleState = state
         return found
 
     def with_thrust(self, state: Any, thrust: Array) -> VehicleState:
-        """Return the state with its thrust set to (n,) [N]; NaN, or a state without thrust, is left unchanged."""
+        """Return the state with a thrust (n,) [N]; unchanged where that is NaN, or if the model has no thrust state."""
         return state
 
     @abstractmethod
     def idle_command(self, like: Array) -> object:
-        """Return the command (n,) before the first one: hover, trim or zero; ``like`` is any array (n,)."""
+        """Return the command (n,) before the first one: hover, trim or zero; ``like``: any array (n,)."""
 
     def clip(self, command: Any, powered: bool = False) -> tuple[object, Array]:
-        """Return a command clipped to the limits of its fields, and (n,) bool: clipping changed it.
+        """Return a command clipped to its fields' limits, and (n,) bool: it was changed.
 
         Args:
             command: one of ``actions``.
@@ -219,19 +219,19 @@ class Vehicle(Protocol):
         return clipped(command)
 
     def powered(self, command: Any, voltage: Array | None) -> object:
-        """Return a command with a battery's voltage (n,) [V] set; None keeps the command's own voltage."""
+        """Return a command with a battery's voltage (n,) [V] put in; None keeps the command's own voltage."""
         return command
 
     def shown(self, command: object) -> object:
-        """Return any command as the one record that a world's state keeps, NaN in fields that it lacks."""
+        """Return a command of any type as the one record that a world's state keeps, NaN in fields that it lacks."""
         return command
 
     def handling(self) -> Handling | None:
-        """Return the numbers that a tilt-and-throttle controller needs, None if the vehicle takes no such commands."""
+        """Return mass, thrust and command responses for a tilt-and-throttle controller; None for other vehicles."""
         return None
 
     def tilt_command(self, pitch: Array, roll: Array, throttle: Array, yaw_rate: Array) -> object:
-        """Return the vehicle's command (n,) for tilt [rad], throttle [0, 1] and yaw rate [rad/s], if it has handling.
+        """Return the vehicle's command (n,) for tilt [rad], throttle [0, 1] and yaw rate [rad/s].
 
         Raises:
             TypeError: it has none.
@@ -239,30 +239,30 @@ class Vehicle(Protocol):
         raise TypeError(f"{type(self).__name__} takes no tilt and throttle; it has no tilt_command")
 
     def leaning(self, tilt: NumpyArray) -> tuple[npt.ArrayLike, npt.ArrayLike] | None:
-        """Return the airspeed [m/s] and thrust [N] of steady flight at a tilt (n,) [rad], None without a formula.
+        """Return airspeed [m/s] and thrust [N] (n,) of steady flight at a tilt (n,) [rad]; None without a formula.
 
         None where no formula says so; then envelope.py looks for them. Arguments and results are NumPy's.
         """
         return None
 
     def wake(self) -> Wake | None:
-        """Return the parameters of the vehicle's wake, None without a wake; the thrust comes from ``load``."""
+        """Return the parameters of the vehicle's rotor wake, None without a wake; its thrust comes from ``load``."""
         return None
 
     def wake_points(self) -> tuple[Point, ...]:
-        """Return points in body axes [m] over which the wakes of other vehicles are averaged."""
+        """Return the points in body axes [m] over which the wakes of other vehicles are averaged."""
         return ((0.0, 0.0, 0.0),)
 
     @abstractmethod
     def load(self, state: Any) -> Load:
-        """Return the load on the vehicle's battery: thrust, weight, power."""
+        """Return the load on the vehicle's battery: thrust, weight and power, each (n,)."""
 
     @abstractmethod
     def pose(self, state: Any) -> Pose:
-        """Return position, attitude, velocity and body rates (n,)."""
+        """Return position, attitude, velocity and body rates (n,) of a state."""
 
     def draw_noise(self, draw: Noise, dt: float) -> object:
-        """Return the random process noise of one step of dt [s], from ``normals`` standard normals."""
+        """Return the random process noise of a step of dt [s], from the ``normals`` standard normals of ``draw``."""
         return None
 
     @abstractmethod
@@ -275,7 +275,7 @@ class Vehicle(Protocol):
         dt: float,
         around: Around | None = None,
     ) -> tuple[VehicleState, Vec3]:
-        """Return the state one step later, and the mean specific force (n,) [m/s^2] in body axes.
+        """Return the state dt [s] later for a command (n,), and the mean specific force (n,) [m/s^2], body axes.
 
         Args:
             state: before it, arrays (n,).
@@ -304,41 +304,41 @@ class Vehicle(Protocol):
 
     @abstractmethod
     def stopped(self, state: Any) -> VehicleState:
-        """Return the state with all motion set to zero, for vehicles that are stopped in place."""
+        """Return the state with all motion set to zero, as for vehicles that have been stopped."""
 
     def upright_share(self, command: Any) -> Array | float:
-        """Return the vertical share (n,) of the thrust at the tilt to which a command settles, 0 to 1."""
+        """Return the vertical share of the thrust, 0 to 1 (n,), at the tilt at which a command settles."""
         return 1.0
 
     def on_ground(self, state: Any) -> Array | None:
-        """Return (n,) bool: a vehicle is on the ground by its contact model; None without a contact model."""
+        """Return (n,) bool: the vehicle is on the ground by its contact model; None without a contact model."""
         return None
 
     def standing_height(self) -> Array | float:
-        """Return the height [m], () or (n,), of the origin above level ground when standing on its feet."""
+        """Return the height [m], () or (n,), of the vehicle's origin above level ground when it is parked."""
         return 0.0
 
     def stood(self, state: Any, ground: Callable[[Vec3], tuple[Array, Vec3]]) -> VehicleState:
-        """Return the state at a start with vehicles that have a contact model put on the ground; see ``Around``."""
+        """Return the start state with vehicles that have a contact model put on the ground, given by ``ground``."""
         found: VehicleState = state
         return found
 
     def launched(self, state: Any, air_ned: Vec3) -> VehicleState:
-        """Return the start state for a mean wind (n,) [m/s] NED, changed for vehicles that start in flight."""
+        """Return the start state in a mean wind ``air_ned`` (n,) [m/s], changed for vehicles that start in flight."""
         found: VehicleState = state
         return found
 
     def pushed(self, state: Any, change_body: Vec3) -> VehicleState:
-        """Return the state after a velocity change (n,) [m/s] in body axes, 0 along axes not ``pushable``."""
+        """Return the state after a velocity change (n,) [m/s] in body axes, which is 0 along axes not ``pushable``."""
         found: VehicleState = replace(state, velocity_body=state.velocity_body + change_body)
         return found
 
     def outline(self) -> Outline | None:
-        """Return the outline for pictures, None for a default quadrotor with a rotor ahead."""
+        """Return the vehicle's outline for pictures; None means a quadrotor with a rotor in front."""
         return None
 
     def own_checks(self, state: Any) -> list[Check]:
-        """Return the vehicle's own stop conditions (n,), each (code, value, broken)."""
+        """Return the model's own stop conditions (n,), each (reason code, value, broken)."""
         return []
 
 
@@ -367,18 +367,18 @@ class Battery(Protocol):
 
     @abstractmethod
     def init(self, like: Array) -> object:
-        """Return the state at the start; ``like`` is any array (n,)."""
+        """Return the battery's state at the start; ``like``: any array (n,), for the shape."""
 
     @abstractmethod
     def step(self, state: Any, load: Load, dt: float) -> object:
-        """Return the state after dt [s] under a load (n,)."""
+        """Return the battery's state after dt [s] under a load (n,)."""
 
     @abstractmethod
     def voltage(self, state: Any, load: Load) -> Array | None:
-        """Return the voltage under load (n,) [V]; None: the command's own voltage applies."""
+        """Return the battery voltage (n,) [V] under load; None: each command gives the voltage itself."""
 
     def own_checks(self, state: Any) -> list[Check]:
-        """Return the battery's stop conditions (n,), without that of an empty battery."""
+        """Return the battery's stop conditions (n,), each (reason code, value, broken), without an empty battery's."""
         return []
 
 
@@ -387,6 +387,6 @@ handling_of = on_host(lambda vehicle: vehicle.handling())
 
 
 def has_contact(vehicle: object) -> bool:
-    """Return whether a vehicle, or a class of vehicles, has its own contact model."""
+    """Return whether a vehicle model, or its class, computes ground contact itself."""
     kind: type[Vehicle] = vehicle if isinstance(vehicle, type) else type(vehicle)
     return kind.on_ground is not Vehicle.on_ground

@@ -40,7 +40,7 @@ class Envelope:
 
 
 def envelope(vehicle: Vehicle, tilt_limit: npt.ArrayLike, thrust_limit: npt.ArrayLike | None = None) -> Envelope | None:
-    """Return the largest steady airspeed [m/s] of vehicles (n,) at tilts up to ``tilt_limit`` (n,) [rad].
+    """Return the largest steady airspeed [m/s] of vehicles (n,) at tilts up to ``tilt_limit`` [rad], or None.
 
     Args:
         vehicle: with numbers, or arrays (n,).
@@ -93,7 +93,7 @@ class _Balance:
         return airspeed, self._lifting(low, tilt)
 
     def _lifting(self, airspeed: Floats, tilt: Floats) -> Floats:
-        """Return the thrust (n,) [N] that balances the weight vertically at an airspeed and a tilt."""
+        """Return the thrust (n,) [N] with which the vertical forces balance at an airspeed [m/s] and a tilt [rad]."""
         known = handling_of(self.vehicle)
         assert known is not None
         weight = np.broadcast_to(np.asarray(known.mass * known.gravity, np.float64), tilt.shape)
@@ -109,11 +109,11 @@ class _Balance:
         return now
 
     def _north(self, airspeed: Floats, tilt: Floats, thrust: Floats) -> Floats:
-        """Return the specific force (n,) [m/s^2] to the north in a north wind of ``airspeed``; 0 in steady flight."""
+        """Return the specific force (n,) [m/s^2] to the north at rest in a north wind; 0 in steady flight."""
         return self._at(airspeed, tilt, thrust)[0]
 
     def _at(self, airspeed: Floats, tilt: Floats, thrust: Floats) -> tuple[Floats, Floats]:
-        """Return the specific force (n,) [m/s^2] to the north and down, in a north wind of ``airspeed``."""
+        """Return the specific force (n,) [m/s^2], north and down, at rest in a north wind of ``airspeed`` [m/s]."""
         if self._force is None:
             self._force = jax.jit(lambda *given: _specific_force(self.vehicle, *given))
         north, down = self._force(airspeed, tilt, thrust)
@@ -121,7 +121,7 @@ class _Balance:
 
 
 def _specific_force(vehicle: Vehicle, airspeed: Array, tilt: Array, thrust: Array) -> tuple[Array, Array]:
-    """Return the specific force (n,) [m/s^2], north and down, of a vehicle at rest in a wind from the north."""
+    """Return the specific force (n,) [m/s^2], north and down, of a tilted vehicle at rest in a north wind."""
     zero = jnp.zeros_like(airspeed)
     none = Vec3(zero, zero, zero)
     vehicle = map_tree(jnp.asarray, vehicle)

@@ -49,13 +49,13 @@ class ExpressionQuadrotor(Quadrotor):
                 checked(name, law, leaves)
 
     def wanted_thrust(self, throttle: Array) -> Array:
-        """Return the steady thrust [N] at a throttle [0, 1]."""
+        """Return the steady thrust (n,) [N] at a throttle (n,) [0, 1], by the user's law if there is one."""
         if not self.thrust_law:
             return Quadrotor.wanted_thrust(self, throttle)
         return evaluated(self.thrust_law, {"throttle": throttle})
 
     def handling(self) -> Handling | None:
-        """Return the handling by the laws linearised at rest; None if a law does not follow its command there."""
+        """Return the handling from the user's laws linearised at rest; None if one does not follow its command."""
         found = Quadrotor.handling(self)
         assert found is not None
         if self.thrust_law:
@@ -76,7 +76,7 @@ class ExpressionQuadrotor(Quadrotor):
         return found
 
     def angular_acceleration(self, state: QuadrotorState, command: Command) -> Vec3:
-        """Return the stabilised body's angular acceleration [rad/s^2]."""
+        """Return the angular acceleration (n,) [rad/s^2] of the stabilised quadrotor, by the user's laws."""
         found = Quadrotor.angular_acceleration(self, state, command)
         rates, attitude = state.rates_body, state.attitude
         roll, pitch, yaw = found.x, found.y, found.z
@@ -92,7 +92,7 @@ class ExpressionQuadrotor(Quadrotor):
 
 @functools.cache
 def checked(name: str, law: str, leaves: tuple[str, ...]) -> ast.expr:
-    """Return a law parsed to a syntax tree.
+    """Return a user's law (a formula as text) parsed to a syntax tree; ``leaves`` are the names it may use.
 
     Raises:
         UsageError: it is no expression of the allowed kind; says what is wrong.
@@ -118,7 +118,7 @@ def checked(name: str, law: str, leaves: tuple[str, ...]) -> ast.expr:
 
 
 def _quadratic(law: str) -> tuple[Array, Array, Array] | None:
-    """Return c0, c1, c2 of the fit c0 + c1 u + c2 u^2 to a law of throttle u; None if undefined or not increasing."""
+    """Return c0, c1, c2 fitting c0 + c1 u + c2 u^2 to a law of throttle u; None if undefined or not increasing."""
     throttle = np.linspace(0.0, 1.0, 41)
     thrust = np.array([value_at(law, {"throttle": float(u)}) for u in throttle])
     if not np.isfinite(thrust).all():
@@ -129,7 +129,7 @@ def _quadratic(law: str) -> tuple[Array, Array, Array] | None:
 
 
 def _settled(law: str, leaves: tuple[str, ...]) -> float | None:
-    """Return the steady-state gain from command to angle (or rate) of a law at rest, None unless it is positive."""
+    """Return the steady gain from command to angle (or rate) of a user's law at rest, None unless positive."""
     slope, step = {}, 1e-4
     for leaf in ("command", leaves[1]):
         ends = [value_at(law, dict.fromkeys(leaves, 0.0) | {leaf: x}) for x in (-step, step)]
@@ -139,18 +139,18 @@ def _settled(law: str, leaves: tuple[str, ...]) -> float | None:
 
 
 def _whole(node: ast.expr) -> bool:
-    """Return whether a syntax node is an integer constant from 0 to 9."""
+    """Return whether a syntax node is an integer constant from 0 to 9, as exponents must be."""
     return isinstance(node, ast.Constant) and isinstance(node.value, int) and 0 <= node.value <= 9
 
 
 def evaluated(law: str, leaves: Mapping[str, Array]) -> Array:
-    """Return the value (n,) of a law, with arrays (n,) for its names."""
+    """Return the value (n,) of a user's law for arrays (n,) given by its names."""
     like = next(iter(leaves.values()))
     return jnp.broadcast_to(jnp.asarray(_value(checked("law", law, tuple(leaves)), leaves), like.dtype), like.shape)
 
 
 def value_at(law: str, leaves: dict[str, Any]) -> float:
-    """Return the value of a law, with numbers for its names; NaN if undefined, as a division by zero."""
+    """Return the value of a user's law for numbers given by its names; NaN if undefined, such as 1/0."""
     try:
         return float(_value(checked("law", law, tuple(leaves)), leaves))
     except (OverflowError, ZeroDivisionError):
@@ -158,7 +158,7 @@ def value_at(law: str, leaves: dict[str, Any]) -> float:
 
 
 def _value(node: ast.expr, leaves: Mapping[str, Array]) -> Any:
-    """Return the value of an expression's node, with ``leaves`` as the values of its names."""
+    """Return the value of a syntax node of a user's law, with ``leaves`` as the values of its names."""
     if isinstance(node, ast.Constant):
         return float(node.value)  # type: ignore[arg-type]
     if isinstance(node, ast.Name):

@@ -27,7 +27,7 @@ WEAKEST_BATTERY = 0.05
 
 
 def number_of(what: str, kind: object, numbers: Mapping[str, Any]) -> float:
-    """Return the number that a kind of fault needs, 0 for a kind without one.
+    """Return the number that a kind of fault of a part such as "rotor" needs; 0 for kinds without a number.
 
     Args:
         what: "rotor", "battery", "radio" or "link".
@@ -56,7 +56,7 @@ def number_of(what: str, kind: object, numbers: Mapping[str, Any]) -> float:
 
 
 def push_numbers(kind: object, numbers: Mapping[str, Any]) -> dict[str, list[float]]:
-    """Return the accelerations [m/s^2] of a push as lists of 3, by the names in ``PUSH``.
+    """Return the accelerations [m/s^2] of a push, each a list of 3 numbers, by the names in ``PUSH``.
 
     Args:
         kind: ``push``.

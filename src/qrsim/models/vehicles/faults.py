@@ -32,13 +32,13 @@ class RotorFault:
 
     @staticmethod
     def empty(count: int, rotor: int, noticed_ticks: Any) -> RotorFault:
-        """Return a fault record for one rotor of ``count`` vehicles, none of them affected."""
+        """Return a fault record for rotor number ``rotor`` of ``count`` vehicles that affects none of them."""
         never, nobody = np.full(count, LAST_TICK, np.int32), np.zeros(count, bool)
         free = np.full(count, FREE)
         return record_of(RotorFault, never, noticed_ticks, never, nobody, np.ones(count), rotor, speed=free)
 
     def active(self, tick: Array) -> Array:
-        """Return (n,) bool: the fault acts on a vehicle at a tick."""
+        """Return (n,) bool: the fault acts on a vehicle's rotor at a tick."""
         return self.affected & (tick < self.end_tick) & (tick >= self.start_tick)
 
 
@@ -54,23 +54,23 @@ class BatteryFault:
 
     @staticmethod
     def empty(count: int) -> BatteryFault:
-        """Return a fault record for ``count`` batteries, none of them affected."""
+        """Return a fault record for the batteries of ``count`` vehicles that affects none of them."""
         never, full = np.full(count, LAST_TICK, np.int32), np.ones(count)
         return record_of(BatteryFault, never, never, np.zeros(count, bool), full, full)
 
     def apply(self, before: Any, battery: Any, tick: Array) -> Any:
-        """Return the battery state after a tick with the fault's extra discharge, from the states before and after."""
+        """Return the battery state after a tick, ``battery``, with the fault's extra discharge since ``before``."""
         used = before.charge - battery.charge
         charge = jnp.where(self._weak(tick), jnp.maximum(before.charge - used / self.health, 0.0), battery.charge)
         happens = self.affected & (tick == self.start_tick)
         return replace(battery, charge=jnp.where(happens, jnp.minimum(self.charge, charge), charge))
 
     def sagged(self, voltage: Array | None, tick: Array) -> Array | None:
-        """Return the voltage (n,) [V] reduced by the fault at a tick; None for a battery without voltage."""
+        """Return the battery voltage (n,) [V] reduced by the fault at a tick; None for a battery without voltage."""
         return None if voltage is None else jnp.where(self._weak(tick), voltage * self.health, voltage)
 
     def _weak(self, tick: Array) -> Array:
-        """Return (n,) bool: the battery is weak at a tick."""
+        """Return (n,) bool: the fault makes the battery weak at a tick."""
         return self.affected & (tick >= self.start_tick) & (tick < self.end_tick) & (self.health < 1.0)
 
 
@@ -86,19 +86,19 @@ class Push:
 
     @staticmethod
     def empty(count: int) -> Push:
-        """Return a push record for ``count`` vehicles, none of them pushed."""
+        """Return a push record for ``count`` vehicles that pushes none of them."""
         never, nobody = np.full(count, LAST_TICK, np.int32), np.zeros(count, bool)
         return record_of(Push, never, never, nobody, *(Vec3(*np.zeros((3, count))) for _ in range(2)))
 
     def at(self, tick: Array) -> tuple[Vec3, Vec3]:
-        """Return the accelerations (n,) [m/s^2] at a tick: those given in NED, and those given in body axes."""
+        """Return a push's accelerations (n,) [m/s^2] at a tick: those in NED, and those in body axes."""
         acts = self.affected & (tick >= self.start_tick) & (tick < self.end_tick)
         ned, body = (part.map(lambda axis: jnp.where(acts, axis, 0.0)) for part in (self.ned, self.body))
         return ned, body
 
 
 def failed_rotors(faults: tuple[RotorFault, ...], tick: Array) -> tuple[tuple[int, Array, Array], ...]:
-    """Return (number, health (n,), known (n,) bool) of each rotor that a fault can weaken; known: fault noticed."""
+    """Return (number, health (n,) 0 to 1, noticed (n,) bool) of each rotor that a fault can weaken."""
     found: dict[int, tuple[Array, Array]] = {}
     for fault in faults:
         lasts = fault.affected & (tick < fault.end_tick)
@@ -112,7 +112,7 @@ def failed_rotors(faults: tuple[RotorFault, ...], tick: Array) -> tuple[tuple[in
 
 
 def stuck_rotors(faults: tuple[RotorFault, ...], tick: Array) -> tuple[tuple[int, Array], ...]:
-    """Return (number, speed (n,) as a share of the largest) of each rotor that can be stuck; negative: it is free.
+    """Return (rotor number, speed (n,) as a share of the largest) of each rotor that can be stuck; negative if free.
 
     Of two faults of a rotor the later one in the order of ``faults`` counts.
     """

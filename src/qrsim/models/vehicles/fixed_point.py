@@ -35,7 +35,7 @@ class FixedPoint(Uncommanded):
     adds_position: ClassVar[bool] = True
 
     def prepared(self, duration: float) -> Vehicle:
-        """Return this point, or a moving point (``CarriedPoint``) if it has the file of a path.
+        """Return this point or, if a path file is given, a point that moves along it.
 
         Raises:
             UsageError: the file of the path cannot be used.
@@ -45,11 +45,11 @@ class FixedPoint(Uncommanded):
     def initial_state(
         self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
     ) -> FixedPointState:
-        """Return the state at a place with the heading of ``attitude``; velocity and rates are ignored."""
+        """Return the state at a position with the yaw of ``attitude``; velocity and rates are ignored."""
         return FixedPointState(position_ned, attitude.yaw)
 
     def pose(self, state: FixedPointState) -> Pose:
-        """Return a level pose at rest (n,)."""
+        """Return a level pose (n,) at rest."""
         zero = jnp.zeros_like(state.heading)
         rest = Vec3(zero, zero, zero)
         return Pose(state.position_ned, Euler(zero, zero, state.heading), rest, rest)
@@ -63,10 +63,10 @@ class FixedPoint(Uncommanded):
         dt: float,
         around: Around | None = None,
     ) -> tuple[FixedPointState, Vec3]:
-        """Return the state unchanged, and the specific force at rest (0, 0, -g) [m/s^2]."""
+        """Return the state unchanged, and the specific force at rest, (0, 0, -g) [m/s^2]."""
         zero = jnp.zeros_like(state.heading)
         return state, Vec3(zero, zero, zero - self.gravity)
 
     def stopped(self, state: FixedPointState) -> FixedPointState:
-        """Return the state unchanged."""
+        """Return the state unchanged: the point never moves."""
         return state

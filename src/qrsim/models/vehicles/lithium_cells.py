@@ -40,18 +40,18 @@ class LithiumCells(Battery):
     needs_power: ClassVar[bool] = True
 
     def init(self, like: Array) -> CellsState:
-        """Return the state (n,) at the initial charge; ``like`` is any array (n,)."""
+        """Return the state (n,) at the initial charge; ``like``: any array (n,), for the shape."""
         zero = jnp.zeros_like(like)
         return CellsState(jnp.broadcast_to(jnp.asarray(self.initial_charge), like.shape), zero, zero)
 
     def open_circuit(self, charge: Array) -> Array:
-        """Return the voltage (n,) [V] without a load, at a state of charge (n,) (V26)."""
+        """Return the open-circuit voltage (n,) [V] of the pack at a state of charge (n,), 0 to 1 (eq. V26)."""
         s = charge
         cell = 3.685 - 1.031 * exp(-35.0 * s) + s * (0.2156 + s * (-0.1178 + s * 0.3201))
         return self.cells * cell
 
     def step(self, state: CellsState, load: Load, dt: float) -> CellsState:
-        """Return the state after dt [s] of discharge at the power of a load (n,) (V27)."""
+        """Return the state after dt [s] of discharge at the electric power of a load (n,) (eq. V27)."""
         asked = _power(load)
         current = asked / self.voltage(state, load)
         charge = state.charge - current * (dt / 3600.0) / self.capacity
@@ -59,24 +59,24 @@ class LithiumCells(Battery):
         return CellsState(jnp.maximum(charge, 0.0), current, overload)
 
     def voltage(self, state: CellsState, load: Load) -> Array:
-        """Return the voltage (n,) [V] under load; half the open-circuit voltage beyond the largest power."""
+        """Return the voltage (n,) [V] under load; half the open-circuit voltage if the power demanded is too large."""
         open_circuit = self.open_circuit(state.charge)
         resistance = self.cells * self.cell_resistance
         root = jnp.sqrt(jnp.maximum(open_circuit * open_circuit - 4.0 * resistance * _power(load), 0.0))
         return 0.5 * (open_circuit + root)
 
     def own_checks(self, state: CellsState) -> list[Check]:
-        """Return the stop condition (n,) of a pack that cannot deliver the demanded power."""
+        """Return the stop condition (n,) of a pack that cannot deliver the power demanded: (code, value, broken)."""
         return [(reason_code("brown_out", "power"), state.overload, state.overload > 0.0)]
 
     def _most(self, state: CellsState) -> Array:
-        """Return the largest power (n,) [W] that the pack can deliver."""
+        """Return the largest power (n,) [W] that the pack can deliver now."""
         open_circuit = self.open_circuit(state.charge)
         return open_circuit * open_circuit / (4.0 * self.cells * self.cell_resistance)
 
 
 def _power(load: Load) -> Array:
-    """Return the electric power [W] of a load, which must state one."""
+    """Return the electric power (n,) [W] of a load; raise an error for a load without power."""
     # A scenario with another vehicle is refused.
     assert load.power is not None
     return load.power

@@ -23,7 +23,7 @@ def move(
     dt: float,
     around: Around | None = None,
 ) -> tuple[VehicleState, Vec3 | None, Vec3]:
-    """Return the state after one step, the remainder of its position (None without one), and the specific force.
+    """Return the vehicle's state dt [s] later, the remainder of its position or None, and the specific force.
 
     A model that only adds to its position is given the second part in place of it: that is a small number, to which a
     small step can be added. The result is added to the first part without loss.
@@ -38,7 +38,7 @@ def move(
     """
 
     def step(position_ned: Vec3) -> tuple[VehicleState, Vec3]:
-        """Return the state one step later from this position, and the specific force."""
+        """Return the state one step later from ``position_ned`` (n,) [m], and the specific force."""
         # Vehicles without ``reads`` have no argument for their surroundings.
         more = () if around is None else (around,)
         return vehicle.step(replace(state, position_ned=position_ned), command, air_velocity, noise, dt, *more)
@@ -58,7 +58,7 @@ def move(
 
 
 def _displacement(vehicle: Vehicle, before: VehicleState, after: VehicleState, dt: float) -> Vec3:
-    """Return the displacement (n,) [m] in a step, for models that depend on their position.
+    """Return the displacement (n,) [m] in a step, for vehicle models that depend on their position.
 
     It is the mean velocity times the step, clipped to the difference of the two positions give or take their rounding.
     """

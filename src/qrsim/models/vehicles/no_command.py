@@ -24,15 +24,15 @@ class Uncommanded(Vehicle):
     default_controller: ClassVar[str] = "none"
 
     def idle_command(self, like: Array) -> NoCommand:
-        """Return the command, which has no fields."""
+        """Return the empty command of a vehicle that takes no commands."""
         return NoCommand()
 
     def clip(self, command: NoCommand, powered: bool = False) -> tuple[NoCommand, Array]:
-        """Return the command unchanged, and False: it has no limits."""
+        """Return the command unchanged, and () False: a command without fields has no limits."""
         return command, jnp.zeros((), bool)
 
     def load(self, state: Any) -> Load:
-        """Return a load of NaN: no thrust, and no weight that thrust would carry."""
+        """Return a battery load of NaN: the vehicle has no thrust, and no weight that thrust would carry."""
         nothing = jnp.full_like(state.heading, jnp.nan)
         return Load(nothing, nothing)
 

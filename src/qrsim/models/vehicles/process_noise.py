@@ -24,7 +24,7 @@ class ProcessNoise:
 
 
 def white_accelerations(draw: Noise, std: Array | float, dt: float) -> ProcessNoise:
-    """Return one step's random process noise: a white spectral density, sigma(T) = sigma sqrt(0.02/T).
+    """Return a step's random accelerations, as white noise of a fixed spectral density: std sigma sqrt(0.02/dt).
 
     Args:
         draw: source of NORMALS normals.

@@ -124,24 +124,24 @@ class Quadrotor(Vehicle):
         return replace(state, attitude=replace(state.attitude, yaw=wrap_angle(state.attitude.yaw)))
 
     def with_thrust(self, state: QuadrotorState, thrust: Array) -> QuadrotorState:
-        """Return the state with its thrust set to (n,) [N]; NaN leaves it unchanged."""
+        """Return the state with a thrust (n,) [N]; unchanged where that is NaN."""
         return replace(state, thrust=jnp.where(jnp.isfinite(thrust), thrust, state.thrust))
 
     def idle_command(self, like: Array) -> Command:
-        """Return the command for level hover at the published throttle and voltage."""
+        """Return the command for level hover, at the published throttle and voltage; ``like``: any array (n,)."""
         zero = jnp.zeros_like(like)
         return Command(zero, zero, jnp.full_like(like, IDLE_THROTTLE), zero, jnp.full_like(like, IDLE_BATTERY))
 
     def clip(self, command: Command, powered: bool = False) -> tuple[Command, Array]:
-        """Return a command clipped to its limits, and (n,) bool: clipping changed it; a battery's voltage is kept."""
+        """Return a command clipped to its limits, but for a battery's voltage, and (n,) bool: it was changed."""
         return clipped(command, ("battery",) if powered else ())
 
     def powered(self, command: Command, voltage: Array | None) -> Command:
-        """Return a command with a battery's voltage (n,) [V] set; None keeps the commanded one."""
+        """Return a command with a battery's voltage (n,) [V] put in; None keeps the commanded voltage."""
         return command if voltage is None else replace(command, battery=voltage)
 
     def handling(self) -> Handling | None:
-        """Return mass, thrust and the settled answers to commands, from the identified constants (eqs. 1-5 at rest)."""
+        """Return mass, thrust and steady command responses, from the identified constants (eqs. 1-5 at rest)."""
         raw = THROTTLE_RAW_PER_UNIT
         curve = (self.cth0, self.cth1 * raw, self.cth2 * raw * raw)
         return Handling(
@@ -159,7 +159,7 @@ class Quadrotor(Vehicle):
         return Command(pitch, roll, throttle, yaw_rate, jnp.full_like(pitch, IDLE_BATTERY))
 
     def leaning(self, tilt: NumpyArray) -> tuple[npt.ArrayLike, npt.ArrayLike]:
-        """Return airspeed [m/s] and thrust [N] of steady flight at a tilt (n,) [rad] (eq. 6 in equilibrium).
+        """Return airspeed [m/s] and thrust [N] (n,) of steady flight at a tilt (n,) [rad] (eq. 6 in equilibrium).
 
         Drag across the body pushes it down as well: kw w is larger than kuv u.
         """
@@ -171,7 +171,7 @@ class Quadrotor(Vehicle):
         return airspeed, self.mass * (self.gravity + down) / np.cos(tilt)
 
     def wake(self) -> Wake:
-        """Return the wake of the Pelican: 10-inch rotors, 0.42 m apart."""
+        """Return the wake parameters of the Pelican: 10-inch rotors, 0.42 m apart."""
         one = jnp.ones_like(jnp.asarray(self.mass))
         return Wake(SIZE * one, 4.0 * math.pi * 0.127**2 * one)
 
@@ -181,16 +181,16 @@ class Quadrotor(Vehicle):
         return ((arm, 0.0, 0.0), (0.0, arm, 0.0), (-arm, 0.0, 0.0), (0.0, -arm, 0.0))
 
     def upright_share(self, command: Command) -> Array:
-        """Return the cosine of the tilt at which a command settles."""
+        """Return the cosine of the tilt (n,) at which a command settles: the thrust's vertical share."""
         gain = self.kpq0 * (1.0 / PITCH_ROLL_RAD_PER_RAW)
         return sincos(gain * command.pitch)[1] * sincos(gain * command.roll)[1]
 
     def load(self, state: QuadrotorState) -> Load:
-        """Return thrust and weight as load; the model has no power."""
+        """Return thrust and weight as battery load; this model has no power."""
         return Load(state.thrust, self.mass * self.gravity)
 
     def pose(self, state: QuadrotorState) -> Pose:
-        """Return position, attitude, velocity and body rates (n,)."""
+        """Return position, attitude, velocity and body rates (n,) of a state."""
         return Pose(state.position_ned, state.attitude, state.velocity_body, state.rates_body)
 
     def stopped(self, state: QuadrotorState) -> QuadrotorState:
@@ -207,11 +207,11 @@ class Quadrotor(Vehicle):
         dt: float,
         around: Around | None = None,
     ) -> Vec3:
-        """Return the specific force (n,) [m/s^2] in body axes at an instant."""
+        """Return the specific force (n,) [m/s^2] in body axes at an instant; arguments as of ``step``."""
         return self.derivative(state, command, air_velocity, noise, dt)[1]
 
     def draw_noise(self, draw: Noise, dt: float) -> ProcessNoise:
-        """Return one step's random process noise: a white spectral density, sigma(T) = sigma sqrt(0.02/T)."""
+        """Return a step's random accelerations, as white noise of a fixed spectral density: std sigma sqrt(0.02/dt)."""
         return white_accelerations(draw, self.process_noise, dt)
 
     def step(
@@ -223,7 +223,7 @@ class Quadrotor(Vehicle):
         dt: float,
         around: Around | None = None,
     ) -> tuple[QuadrotorState, Vec3]:
-        """Return the state one step later, and the mean specific force (n,) [m/s^2] in body axes.
+        """Return the state dt [s] later for a command (n,), and the mean specific force (n,) [m/s^2], body axes.
 
         Args:
             state: arrays of shape (n,).
@@ -238,7 +238,7 @@ class Quadrotor(Vehicle):
         """
 
         def slope(current: QuadrotorState) -> tuple[QuadrotorState, Vec3]:
-            """Return the time derivative of a state, and the specific force."""
+            """Return the time derivative of a state, and the specific force (n,) [m/s^2]."""
             return self.derivative(current, command, air_velocity, noise, dt)
 
         return INTEGRATORS[self.integrator](slope, state, dt)  # type: ignore[return-value]
@@ -251,7 +251,7 @@ class Quadrotor(Vehicle):
         noise: ProcessNoise,
         dt: float,
     ) -> tuple[QuadrotorState, Vec3]:
-        """Return the time derivative of the state, and the specific force [m/s^2] (eqs. 1-6)."""
+        """Return the state's time derivative, and the specific force (n,) [m/s^2] in body axes (eqs. 1-6)."""
         trig = AttitudeTrig.of(state.attitude)
         direction = trig.rotation()
         thrust_rate = self.thrust_rate(state.thrust, command.throttle, command.battery, dt)
@@ -273,7 +273,7 @@ class Quadrotor(Vehicle):
         return slope, force
 
     def thrust_rate(self, thrust: Array, throttle: Array, battery: Array, dt: float) -> Array:
-        """Return dF/dt [N/s] (eqs. 1-3) from thrust [N], throttle [0, 1] and battery [V]."""
+        """Return the thrust's rate dF/dt [N/s] from thrust [N], throttle [0, 1] and battery [V] (eqs. 1-3)."""
         raw = throttle * THROTTLE_RAW_PER_UNIT
         wanted = self.wanted_thrust(throttle)
         ceiling = self.cvb0 + self.cvb1 * battery
@@ -282,12 +282,12 @@ class Quadrotor(Vehicle):
         return jnp.where(raw < self.throttle_min_raw, self.tau0 * missing, limited)
 
     def wanted_thrust(self, throttle: Array) -> Array:
-        """Return the steady thrust [N] at a throttle [0, 1]."""
+        """Return the steady thrust (n,) [N] at a throttle (n,) [0, 1]."""
         raw = throttle * THROTTLE_RAW_PER_UNIT
         return self.cth0 + raw * (self.cth1 + raw * self.cth2)
 
     def angular_acceleration(self, state: QuadrotorState, command: Command) -> Vec3:
-        """Return the stabilised body's angular acceleration [rad/s^2] (eqs. 4-5)."""
+        """Return the angular acceleration (n,) [rad/s^2] of the stabilised body for a command (eqs. 4-5)."""
         rates, attitude = state.rates_body, state.attitude
         roll_raw = command.roll * (1.0 / PITCH_ROLL_RAD_PER_RAW)
         pitch_raw = command.pitch * (1.0 / PITCH_ROLL_RAD_PER_RAW)
@@ -301,13 +301,13 @@ class Quadrotor(Vehicle):
         )
 
     def _rate_limited(self, acceleration: Array, rate: Array) -> Array:
-        """Return the angular acceleration, 0 where it would drive a rate further beyond ``rate_max``."""
+        """Return the angular acceleration, set to 0 where it would increase a rate beyond ``rate_max``."""
         outward = (jnp.abs(rate) >= self.rate_max) & (acceleration * rate > 0.0)
         return jnp.where(outward, 0.0, acceleration)
 
 
 def raw_to_command(pitch: Array, roll: Array, throttle: Array, yaw: Array, battery: Array) -> Command:
-    """Return a command in SI units from recorded raw units (docs/howto/identify_from_logs.md)."""
+    """Return a command in SI units from the raw units of flight recordings (docs/howto/identify_from_logs.md)."""
     return Command(
         pitch * PITCH_ROLL_RAD_PER_RAW,
         roll * PITCH_ROLL_RAD_PER_RAW,

@@ -32,7 +32,7 @@ class PathFile:
     )
 
     def at(self, duration: float) -> RecordedPath:
-        """Return the path for a run of ``duration`` [s] from the file, in float64.
+        """Return the path for a run of ``duration`` [s], read from the file, in float64.
 
         Args:
             duration: length of the run [s], which the path must cover from 0 on.
@@ -78,7 +78,7 @@ class RecordedPath:
     turn_rate: Array = quantity(unit="rad/s", doc="(K,) its slope")
 
     def carried(self, position_ned: list[float]) -> Iterator[tuple[float, list[float], float]]:
-        """Yield time, position and speed of a point rigidly attached to the path, at each row from time 0 on.
+        """Yield time, position and speed of a point fixed to the path's carrier, at each row from time 0 on.
 
         Args:
             position_ned: of the point at time 0 (3,) [m]; its offset from the path turns with the heading.
@@ -101,7 +101,7 @@ class RecordedPath:
             yield float(times[i]), place[:, i].tolist(), float(speeds[i])
 
     def at(self, seconds: Array, fraction: Array) -> Place:
-        """Return the place at a time [s], int32 whole seconds plus fraction; beyond the ends, the ends at rest."""
+        """Return position, heading and velocity on the path at a time [s]; before and after it, its ends at rest."""
         rows, parts = jnp.asarray(self.seconds), jnp.asarray(self.fraction)
         before, since, interval = interval_at(rows, parts, seconds, fraction)
         along = since / interval
@@ -109,7 +109,7 @@ class RecordedPath:
         moves = jnp.where((along >= 0.0) & (along <= 1.0), 1.0, 0.0).astype(s.dtype)
 
         def cubic(values: Array, slopes: Array) -> tuple[Array, Array]:
-            """Return value and slope of the Hermite cubic between two samples."""
+            """Return value and slope of the Hermite cubic between two samples of the path."""
             values, slopes = jnp.asarray(values), jnp.asarray(slopes)
             start, way = values[before], values[before + 1] - values[before]
             first, second = slopes[before] * interval, slopes[before + 1] * interval

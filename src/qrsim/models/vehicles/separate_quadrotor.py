@@ -22,13 +22,13 @@ class SeparateQuadrotor(Quadrotor):
     adds_position: ClassVar[bool] = True
 
     def handling(self) -> Handling | None:
-        """Return the handling of the quadrotor, with a separate gain for pitch."""
+        """Return the quadrotor's handling data, with a separate gain for pitch."""
         both = Quadrotor.handling(self)
         assert both is not None
         return replace(both, pitch_gain=self.kq0 * (1.0 / PITCH_ROLL_RAD_PER_RAW))
 
     def angular_acceleration(self, state: QuadrotorState, command: Command) -> Vec3:
-        """Return the stabilised body's angular acceleration [rad/s^2] (eqs. 4-5)."""
+        """Return the angular acceleration (n,) [rad/s^2] of the stabilised body for a command (eqs. 4-5)."""
         both = Quadrotor.angular_acceleration(self, state, command)
         pitch_raw = command.pitch / PITCH_ROLL_RAD_PER_RAW
         pitch = self.kq1 * (self.kq0 * pitch_raw - state.attitude.pitch) + self.kq2 * state.rates_body.y

@@ -37,7 +37,7 @@ class Wake:
 
 
 def jet_axis(wake: Wake, thrust: Array, down_ned: Vec3, relative_wind_ned: Vec3) -> Vec3:
-    """Return the unit vector (n,) NED along which a wake flows: rotor outflow plus relative wind.
+    """Return the unit vectors (n,) NED along which rotor wakes flow: rotor outflow plus relative wind.
 
     Args:
         wake: of the upper vehicle.
@@ -50,7 +50,7 @@ def jet_axis(wake: Wake, thrust: Array, down_ned: Vec3, relative_wind_ned: Vec3)
 
 
 def jet_share(wake: Wake, thrust: Array, down_ned: Vec3, relative_wind_ned: Vec3) -> Array:
-    """Return the share of a vehicle's thrust, 0 to 1, that forms a jet; arguments as of ``jet_axis``.
+    """Return the share of a vehicle's thrust, 0 to 1 (n,), that forms a jet; arguments as of ``jet_axis``.
 
     All of it down to a descent at half of the induced velocity of a hover. There the vortex ring state begins, in which
     the flow returns to the rotors, and at the whole of it nothing goes away as a jet (Leishman 2006, section 2.13.6).
@@ -60,7 +60,7 @@ def jet_share(wake: Wake, thrust: Array, down_ned: Vec3, relative_wind_ned: Vec3
 
 
 def jet_speed(wake: Wake, thrust: Array, along: Array, beside_squared: Array) -> Array:
-    """Return the speed [m/s] of a wake along its axis (V32); its momentum flow equals the thrust at every distance.
+    """Return a rotor wake's speed [m/s] (eq. V32); its momentum flow equals the thrust all along the axis.
 
     Args:
         wake: of the upper vehicle.
@@ -73,34 +73,34 @@ def jet_speed(wake: Wake, thrust: Array, along: Array, beside_squared: Array) ->
 
 
 def jet_strength(thrust: Array) -> Array:
-    """Return axis speed times half width of a wake [m^2/s], constant along the wake."""
+    """Return a wake's speed on its axis times its half width [m^2/s], constant along it, for a thrust [N]."""
     return jnp.sqrt(jnp.maximum(thrust, 0.0) * (3.0 * _PROFILE / (AIR_DENSITY * math.pi)))
 
 
 def half_width(wake: Wake, along: Array) -> Array:
-    """Return the half width [m] of a wake at a distance along it, at least that right behind the rotors."""
+    """Return a wake's half width [m] at a distance along its axis [m], at least that right behind the rotors."""
     return jnp.maximum(SPREAD * along, jnp.sqrt(wake.disc_area * (1.5 * _PROFILE / math.pi)))
 
 
 def edge(wake: Wake, thrust: Array, along: Array) -> Array:
-    """Return the radius [m] at which a wake's speed falls to ``SLOWEST``; -infinity where its axis is slower."""
+    """Return the radius [m] at which a wake's speed falls to ``SLOWEST``, by distance along it; -inf if slower."""
     width = half_width(wake, along)
     faster = jnp.sqrt(jet_strength(thrust) / (SLOWEST * width)) - 1.0
     return jnp.where(faster > 0.0, width * jnp.sqrt(jnp.maximum(faster, 0.0) * (1.0 / _PROFILE)), -jnp.inf)
 
 
 def widest(thrust: Array) -> Array:
-    """Return the largest radius [m] that ``edge`` reaches anywhere along a wake."""
+    """Return the largest radius [m], anywhere along a wake, at which its speed is ``SLOWEST``, for a thrust [N]."""
     return jet_strength(thrust) * (9.0 / 16.0 / SLOWEST * math.sqrt(1.0 / (3.0 * _PROFILE)))
 
 
 def length(thrust: Array) -> Array:
-    """Return the distance [m] along its axis at which a wake's speed falls to ``SLOWEST``."""
+    """Return the distance [m] along a wake's axis at which its speed falls to ``SLOWEST``, for a thrust [N]."""
     return jet_strength(thrust) * (1.0 / (SLOWEST * SPREAD))
 
 
 def first_jet_speed(wake: Wake, thrust: Array, along: Array, beside_squared: Array) -> Array:
-    """Return the speed [m/s] of a wake by the older law of ``downwash: at_centre``.
+    """Return a wake's speed [m/s] along its axis by the older law, of ``downwash: at_centre``.
 
     Arguments as those of ``jet_speed``. Near the rotors its momentum is only a third of the thrust.
     """
@@ -111,11 +111,11 @@ def first_jet_speed(wake: Wake, thrust: Array, along: Array, beside_squared: Arr
 
 
 def _exhaust(wake: Wake, thrust: Array) -> Array:
-    """Return the speed [m/s] of the air far behind the rotor disc for a thrust [N], by momentum theory."""
+    """Return the speed [m/s] of the air far behind a rotor disc with a thrust [N], by momentum theory."""
     return jnp.sqrt(2.0 * jnp.maximum(thrust, 0.0) / (AIR_DENSITY * wake.disc_area))
 
 
 def _profile(middle: Array, width: Array, along: Array, beside_squared: Array) -> Array:
-    """Return the speed [m/s] in a jet at a squared distance [m^2] from its axis; 0 upstream."""
+    """Return the speed [m/s] in a jet at a squared distance [m^2] from its axis; 0 upstream (``along`` < 0)."""
     shape = 1.0 + _PROFILE * beside_squared / (width * width)
     return jnp.where(along > 0.0, middle / (shape * shape), 0.0)

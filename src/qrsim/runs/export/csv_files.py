@@ -14,7 +14,7 @@ from qrsim.runs.layout import EVENTS
 
 
 def write_stream(run: Run, stream: str, path: Path, every: int) -> Written:
-    """Write a stream as recorded: one row per time and vehicle, or per event.
+    """Write a stream to a CSV file: one row per vehicle at every ``every``-th tick, or one row for each event.
 
     The header says ``name [unit]``. Numbers have all their digits: read back, they are the same. "nan" is a value
     that is not there at that time, an empty field one that the event does not have.
@@ -44,13 +44,13 @@ def write_stream(run: Run, stream: str, path: Path, every: int) -> Written:
 
 
 def _thinned(table: pa.Table, every: int) -> pa.Table:
-    """Return the rows of a table at every n-th tick."""
+    """Return the rows of a table at ticks that ``every`` divides."""
     ticks = table["tick"].to_numpy()
     return table.filter(pa.array(ticks % every == 0))
 
 
 def _plain(table: pa.Table) -> pa.Table:
-    """Return the table with text in place of dictionary codes."""
+    """Return an Arrow table with dictionary-encoded columns as plain text."""
     for i, item in enumerate(table.schema):
         if pa.types.is_dictionary(item.type):
             table = table.set_column(i, item.name, pc.cast(table[item.name], pa.string()))

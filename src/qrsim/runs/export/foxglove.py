@@ -13,12 +13,12 @@ NUMBER, INTEGER, TEXT = {"type": "number"}, {"type": "integer"}, {"type": "strin
 
 
 def _object_schema(doc: str = "", **properties: Schema) -> Schema:
-    """Return the JSON schema of an object with properties."""
+    """Return the JSON schema of an object with the given properties, name -> schema."""
     return {"type": "object", **({"description": doc} if doc else {}), "properties": properties}
 
 
 def _vector_schema(doc: str = "", **extra: object) -> Schema:
-    """Return the JSON schema of a vector."""
+    """Return the JSON schema of an object with numbers x, y, z; ``extra`` adds keywords to the schema."""
     return {**_object_schema(doc, x=NUMBER, y=NUMBER, z=NUMBER), **extra}
 
 
@@ -29,7 +29,7 @@ COLOUR = _object_schema(r=NUMBER, g=NUMBER, b=NUMBER, a=NUMBER)
 
 
 def _list_schema(items: Schema) -> Schema:
-    """Return the JSON schema of a list."""
+    """Return the JSON schema of a list with entries of the schema ``items``."""
     return {"type": "array", "items": items}
 
 

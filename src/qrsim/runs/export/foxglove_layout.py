@@ -20,7 +20,7 @@ def layout_path(path: Path) -> Path:
 
 
 def write_layout(run: Run, path: Path) -> None:
-    """Write the layout: the scene and the map, plots of height and wind, and the events.
+    """Write the Foxglove layout for a run's MCAP file: scene, map, plots of height and wind, and the events.
 
     Raises:
         RunError: the file cannot be written.
@@ -30,7 +30,7 @@ def write_layout(run: Run, path: Path) -> None:
 
 
 def layout(run: Run) -> dict[str, object]:
-    """Return the Foxglove layout as a dict for JSON."""
+    """Return a Foxglove layout for a run, as a dict for JSON: scene, map, plots of height and wind, events."""
     topics = [f"/{quote(name, safe='')}" for name in run.vehicles]
     shown = topics[:MOST_PLOTTED]
     drawn = {"/scene": {"visible": True}} | {f"{topic}/pose": {"visible": True, "type": "arrow"} for topic in topics}
@@ -75,7 +75,7 @@ def layout(run: Run) -> dict[str, object]:
 
 
 def _plot_panel(title: str, paths: list[str]) -> dict[str, object]:
-    """Return the configuration of a plot of some message paths, at the times of the file.
+    """Return the configuration of a Foxglove plot panel of some message paths over the file's time.
 
     The messages have no ``header``, which the stamp of a header would need.
     """

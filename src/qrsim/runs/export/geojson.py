@@ -14,7 +14,7 @@ from qrsim.runs.export.tracks import Mark, Segment, Track, Tracks
 
 
 def write(content: Tracks, path: Path) -> Written:
-    """Write one feature per unbroken piece of a track, with a time for every position, and one per event.
+    """Write tracks and events as GeoJSON: a feature per unbroken piece of a track, with times, and one per event.
 
     Positions are longitude and latitude [deg] to 0.1 mm, and height above the WGS-84 ellipsoid [m]. A piece of a
     single position is a Point; an event of unknown place has no geometry.
@@ -42,7 +42,7 @@ def _features(content: Tracks) -> Iterator[dict[str, object]]:
 
 
 def _segment_feature(track: Track, number: int, segment: Segment) -> dict[str, object]:
-    """Return a segment of a track as a feature."""
+    """Return the ``number``-th unbroken piece of a vehicle's track as a GeoJSON feature, with a time per position."""
     line = [_coordinates(place) for place in segment.geodetic]
     geometry: dict[str, object] = {"type": "LineString", "coordinates": line}
     if len(line) == 1:  # a LineString has two positions or more
@@ -72,6 +72,6 @@ def _event_feature(mark: Mark) -> dict[str, object]:
 
 
 def _coordinates(geodetic: Floats) -> list[float]:
-    """Return longitude, latitude [degrees] and height [m], rounded."""
+    """Return a GeoJSON position: longitude, latitude [deg] and height [m], rounded."""
     latitude, longitude, height = geodetic.tolist()
     return [round(longitude, 9), round(latitude, 9), round(height, 4)]

@@ -13,7 +13,8 @@ from qrsim.runs.export.tracks import Tracks, said_in_xml
 
 
 def write(content: Tracks, path: Path) -> Written:
-    """Write one track per vehicle and source (true, receiver), one trkseg per unbroken piece, events as waypoints.
+    """Write a GPX file: a track per vehicle and source (true, receiver), a trkseg per unbroken piece, events as
+    waypoints.
 
     ``ele`` is the height above mean sea level, by the geoid of the scenario, EGM96 by default.
     A GPX waypoint has a place, so an event of unknown place is left out with a warning.
@@ -47,11 +48,11 @@ def write(content: Tracks, path: Path) -> Written:
 
 
 def _place(geodetic: NumpyArray) -> tuple[float, float, float]:
-    """Return latitude, longitude [deg] rounded to 1e-9, and height [m]."""
+    """Convert a geodetic position (3,) to latitude, longitude [deg] rounded to 1e-9, and height [m]."""
     latitude, longitude, height = (float(value) for value in geodetic)
     return round(latitude, 9), round(longitude, 9), round(height, 4)
 
 
 def _parsed_time(utc: str) -> datetime:
-    """Return a UTC text as a datetime."""
+    """Parse a UTC time in ISO 8601 to a datetime."""
     return datetime.fromisoformat(utc)

@@ -29,7 +29,7 @@ DATUMS: dict[Heights, str] = {
 
 
 def write(content: Tracks, path: Path, heights: Heights = "ground") -> Written:
-    """Write a folder per vehicle with its tracks, which play over time, and a folder of events.
+    """Write a KML file: a folder per vehicle with tracks that play over time, and a folder of events.
 
     Args:
         content: what to write.
@@ -64,7 +64,7 @@ def write(content: Tracks, path: Path, heights: Heights = "ground") -> Written:
 
 
 def _track_style(simplekml: ModuleType, number: int, kind: str) -> object:
-    """Return the line style of a vehicle's track."""
+    """Return the KML line style of a track: the colour of vehicle ``number``, and a width for true or GNSS tracks."""
     red, green, blue = VEHICLES[number % len(VEHICLES)].tolist()
     style = simplekml.Style()
     style.iconstyle.scale = 0.6
@@ -74,7 +74,7 @@ def _track_style(simplekml: ModuleType, number: int, kind: str) -> object:
 
 
 def _add_track(folder: simplekml.Folder, track: Track, style: object, heights: Heights) -> None:
-    """Add the segments of a vehicle's track to a folder."""
+    """Add the pieces of a vehicle's track to a KML folder, animated over time; ``heights`` is their reference."""
     found = folder.newgxmultitrack(name=said_in_xml(track.title), gxinterpolate=0)
     found.style = style
     for segment in track.segments:
@@ -84,7 +84,7 @@ def _add_track(folder: simplekml.Folder, track: Track, style: object, heights: H
 
 
 def _add_event(folder: simplekml.Folder, mark: Mark, heights: Heights) -> None:
-    """Add an event as a point to a folder."""
+    """Add an event to a KML folder as a point; ``heights`` selects the height's reference."""
     said = {"name": said_in_xml(mark.title), "description": said_in_xml(mark.event.message)}
     # Without a place it has no geometry, which is not the same as one at 0, 0.
     found = folder.newmultigeometry(**said) if mark.geodetic is None else folder.newpoint(**said)
@@ -95,7 +95,7 @@ def _add_event(folder: simplekml.Folder, mark: Mark, heights: Heights) -> None:
 
 
 def _coordinates(geodetic: Floats, above_ground: Floats, heights: Heights) -> list[tuple[float, float, float]]:
-    """Return longitude and latitude [deg] to 0.1 mm, and height [m], of each place (T, 3)."""
+    """Return longitude, latitude [deg] and height [m], to 0.1 mm, of places (T, 3); ``heights`` is the reference."""
     chosen = above_ground if heights == "ground" else geodetic[:, 2]
     rows = zip(geodetic[:, 1].tolist(), geodetic[:, 0].tolist(), chosen.tolist(), strict=True)
     return [(round(longitude, 9), round(latitude, 9), round(height, 4)) for longitude, latitude, height in rows]

@@ -54,7 +54,7 @@ WARNINGS = (
 
 
 def write(run: Run, place: Place, path: Path, every: int) -> Written:
-    """Write the run in order of time, at every ``every``-th tick, with all events.
+    """Write the run to an MCAP file for Foxglove in order of time, every ``every``-th tick, with all events.
 
     What is not a number is left out: JSON cannot say it.
 
@@ -90,7 +90,7 @@ class _Channels:
         self._channels: dict[str, int] = {}
 
     def number(self, message: Message) -> int:
-        """Return the number of a message's channel."""
+        """Return the ID of the MCAP channel for a message's topic, registered in the file at first use."""
         topic, schema = message.topic, message.schema
         if schema not in self._schemas:
             data = json.dumps({"title": schema, **self._known[schema]}).encode()
@@ -102,7 +102,7 @@ class _Channels:
 
 
 def _sources(run: Run, place: Place, every: int, groups: list[Group]) -> list[Iterator[Message]]:
-    """Return the iterators of messages of a run, one for each kind."""
+    """Return iterators over a run's MCAP messages, each by time: poses, scene, fixes, wind, events, ``groups``."""
     sources = [messages_of(run, place, every, group) for group in groups]
     sources.append(scene(run, place, surroundings_of(run), WORLD))
     sources += [_fixes(run, place, every, sensor) for sensor in position_sensors(run)]
@@ -116,7 +116,7 @@ def _sources(run: Run, place: Place, every: int, groups: list[Group]) -> list[It
 
 
 def _pose_messages(run: Run, place: Place, every: int) -> Iterator[Message]:
-    """Yield pose and location of each vehicle."""
+    """Yield Foxglove messages with pose and location of each vehicle."""
     columns = axes("position_ned") + [f"attitude.{angle}" for angle in ("roll", "pitch", "yaw")]
     topics = topics_of(run, "pose"), topics_of(run, "location")
     for samples in _finite(run, "truth", columns, every):
@@ -136,7 +136,7 @@ def _pose_messages(run: Run, place: Place, every: int) -> Iterator[Message]:
 
 
 def _fixes(run: Run, place: Place, every: int, sensor: str) -> Iterator[Message]:
-    """Yield a receiver's new fixes; repeated values between fixes are left out."""
+    """Yield Foxglove location messages with a receiver's new fixes; repeated values between fixes are left out."""
     topics = topics_of(run, quote(sensor, safe=""), "fix")
     last = np.full((len(run.vehicles), 3), np.nan)
     known = {column.name for column in run.describe("measurements")}
@@ -157,7 +157,7 @@ def _fixes(run: Run, place: Place, every: int, sensor: str) -> Iterator[Message]
 
 
 def _range_spread(run: Run, sensor: str) -> float:
-    """Return the scenario's standard deviation [m] of a pseudorange's error; NaN if it has none.
+    """Return the standard deviation [m] of a receiver's pseudorange errors in the scenario; NaN if it has none.
 
     With fleets of different receivers it is the largest.
     """
@@ -175,7 +175,7 @@ def _range_spread(run: Run, sensor: str) -> float:
 
 
 def _fresh_rows(samples: Samples, last: Floats) -> npt.NDArray[np.int64]:
-    """Return the indices of rows with a new report; updates ``last`` (n, 3), the latest report of each vehicle."""
+    """Return indices of rows with a receiver's new fix; updates ``last`` (n, 3), each vehicle's latest fix."""
     fresh = np.zeros(len(samples.ticks), bool)
     for vehicle in range(len(last)):
         rows = np.flatnonzero(samples.vehicles == vehicle)
@@ -186,7 +186,7 @@ def _fresh_rows(samples: Samples, last: Floats) -> npt.NDArray[np.int64]:
 
 
 def _wind_messages(run: Run, place: Place, every: int) -> Iterator[Message]:
-    """Yield mean wind and gust at each vehicle."""
+    """Yield messages with mean wind and gust at each vehicle, in NED [m/s]."""
     topics = topics_of(run, "wind")
     for samples in _finite(run, "wind", axes("mean_ned") + axes("gust_ned"), every):
         times, values = place.nanoseconds(samples.times).tolist(), samples.values.tolist()
@@ -196,7 +196,7 @@ def _wind_messages(run: Run, place: Place, every: int) -> Iterator[Message]:
 
 
 def _event_messages(events: list[Event], place: Place) -> Iterator[Message]:
-    """Yield events as log messages."""
+    """Yield the events of a run as Foxglove log messages."""
     for event in sorted(events, key=lambda event: event.time):
         level = 4 if event.kind not in NOT_A_STOP else 3 if event.kind in WARNINGS else 2
         content = {"level": level, "message": event.message or event.kind, "name": event.vehicle or "", "file": ""}
@@ -207,14 +207,14 @@ def _event_messages(events: list[Event], place: Place) -> Iterator[Message]:
 
 
 def _finite(run: Run, stream: str, columns: list[str], every: int) -> Iterator[Samples]:
-    """Yield the rows of a stream part by part, without those that have a NaN or infinite value."""
+    """Yield the rows of a stream batch by batch, every ``every``-th tick, without rows that have a NaN or infinity."""
     for samples in read_samples(run, stream, columns, lambda ticks: ticks % every == 0):
         rows = np.isfinite(samples.values).all(axis=1)
         yield Samples(samples.vehicles[rows], samples.ticks[rows], samples.times[rows], samples.values[rows])
 
 
 def _fix(frame: str, geodetic: list[float], errors: Sequence[float] = ()) -> dict[str, object]:
-    """Return a Foxglove location fix; ``errors`` are horizontal and vertical standard deviations [m], if known.
+    """Return a Foxglove LocationFix; ``errors`` are horizontal and vertical standard deviations [m], () if unknown.
 
     The covariance is of east, north, up: the horizontal variance is shared evenly by its two axes, an approximation.
     """
@@ -235,13 +235,13 @@ def _fix(frame: str, geodetic: list[float], errors: Sequence[float] = ()) -> dic
 
 
 def _timestamp(time_ns: int) -> dict[str, int]:
-    """Return a time [ns] as seconds and nanoseconds."""
+    """Convert a time [ns] to a Foxglove timestamp of seconds and nanoseconds."""
     seconds, rest = divmod(time_ns, 1_000_000_000)
     return {"sec": seconds, "nsec": rest}
 
 
 def _origin(run: Run, place: Place) -> dict[str, str]:
-    """Return as text the run's scenario, seed and version, and the latitude, longitude and height of its origin."""
+    """Return a run's scenario, seed, version, and geodetic origin as texts for the metadata of the MCAP file."""
     latitude, longitude, height = place.geodetic(np.zeros(3)).tolist()
     return {
         "scenario": run.info.scenario,

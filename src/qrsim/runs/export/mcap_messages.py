@@ -47,11 +47,11 @@ class Group(NamedTuple):
 
     @property
     def schema(self) -> str:
-        """Name of the schema of the group's messages."""
+        """Name of the MCAP schema of this group's messages."""
         return f"qrsim.{self.name}"
 
     def describe(self) -> foxglove.Schema:
-        """Return the message's schema, with units and meanings of the columns."""
+        """Return the JSON schema of this group's messages, with units and meanings of the columns."""
         found: foxglove.Schema = {"type": "object", "properties": {"timestamp": foxglove.TIME}}
         for column in self.columns:
             at = found
@@ -64,7 +64,7 @@ class Group(NamedTuple):
 
 
 def groups_of(run: Run) -> list[Group]:
-    """Return the groups of columns that become messages: commands, set-points, estimates, each sensor's readings."""
+    """Return the groups of columns that each become a kind of message: commands, estimates, sensor readings, ..."""
     found: list[Group] = []
     if is_readable(run, "commands"):
         columns = run.describe("commands")[len(INDEX) :]
@@ -80,12 +80,12 @@ def groups_of(run: Run) -> list[Group]:
 
 
 def _columns_with(columns: Sequence[Column], prefix: str) -> tuple[Column, ...]:
-    """Return the columns with a prefix."""
+    """Return those columns of a stream that have names with a prefix."""
     return tuple(column for column in columns if column.name.startswith(prefix))
 
 
 def messages_of(run: Run, place: Place, every: int, group: Group) -> Iterator[Message]:
-    """Yield a message for each row of a group with a changed value; NaN values are left out."""
+    """Yield a message for each row in which the group's values changed; NaN values are left out."""
     topics = topics_of(run, quote(group.name, safe=""))
     names = [column.name for column in group.columns]
     paths = [tuple(name.removeprefix(group.prefix).split(".")) for name in names]
@@ -105,14 +105,14 @@ def messages_of(run: Run, place: Place, every: int, group: Group) -> Iterator[Me
 
 
 def _put(content: Content, path: tuple[str, ...], value: object) -> None:
-    """Set a value at a path in nested dicts."""
+    """Set a value at a path of keys in nested dicts, in place; missing dicts are created."""
     for word in path[:-1]:
         content = content.setdefault(word, {})
     content[path[-1]] = value
 
 
 def changed_rows(samples: Samples, last: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
-    """Return the indices of rows that differ from the vehicle's last one; updates ``last`` (n, k) in place."""
+    """Return indices of rows that differ from the same vehicle's row before; updates ``last`` (n, k), in place."""
     fresh = np.zeros(len(samples.ticks), bool)
     for vehicle in range(len(last)):
         rows = np.flatnonzero(samples.vehicles == vehicle)
@@ -126,5 +126,5 @@ def changed_rows(samples: Samples, last: npt.NDArray[np.float64]) -> npt.NDArray
 
 
 def topics_of(run: Run, *words: str) -> list[str]:
-    """Return each vehicle's topic, with ``words`` as its last parts."""
+    """Return one topic name per vehicle of the run; ``words`` are its last parts."""
     return ["/".join(("", quote(vehicle, safe=""), *words)) for vehicle in run.vehicles]

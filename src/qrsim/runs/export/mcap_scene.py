@@ -23,7 +23,7 @@ STILL = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 
 
 def scene(run: Run, place: Place, around: Surroundings, frame: str) -> Iterator[Message]:
-    """Yield the scene at the start, the waypoints of every vehicle, and each person once more when it is found."""
+    """Yield Foxglove scene messages: surroundings and waypoints at the start, and each person again when found."""
     begin = int(place.nanoseconds(0.0))
     routes = waypoints(run)
     entities = [*_area_entities(around), *_obstacle_entities(around), *_place_entities(around), *_persons(around, -1.0)]
@@ -48,7 +48,7 @@ def scene(run: Run, place: Place, around: Surroundings, frame: str) -> Iterator[
 
 
 def waypoints(run: Run) -> list[Floats]:
-    """Return each vehicle's route (P, 3) NED [m]; (0, 3) for one without or with an unknown route."""
+    """Return each vehicle's planned route (P, 3) NED [m]; (0, 3) for a vehicle with no or an unknown route."""
     content = run.scenario if isinstance(run.scenario, dict) else {}
     try:
         vehicles = [own for fleet in content["fleets"].values() for own in fleet["vehicles"]]
@@ -59,31 +59,31 @@ def waypoints(run: Run) -> list[Floats]:
 
 
 def _scene_update(entities: Sequence[Content], frame: str, now: int) -> Content:
-    """Return a SceneUpdate with entities at a time [ns]."""
+    """Return a Foxglove SceneUpdate message with scene entities at a time [ns]."""
     seconds, rest = divmod(now, 1_000_000_000)
     about = {"timestamp": {"sec": seconds, "nsec": rest}, "frame_id": frame, "lifetime": {"sec": 0, "nsec": 0}}
     return {"deletions": [], "entities": [{**about, **entity} for entity in entities]}
 
 
 def _scene_entity(name: str, **parts: object) -> Content:
-    """Return an entity with some primitives, the other lists empty."""
+    """Return a Foxglove scene entity; ``parts`` are its lists of primitives by kind, other kinds are empty."""
     kinds = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
     return {"id": name, "frame_locked": False, "metadata": [], **{kind: parts.get(kind, []) for kind in kinds}}
 
 
 def _enu_point(ned: Any) -> Content:
-    """Return a position NED [m] as x, y, z in ENU."""
+    """Convert a position NED [m] to a Foxglove point with x, y, z in ENU [m]."""
     north, east, down = (float(value) for value in ned)
     return {"x": east, "y": north, "z": -down}
 
 
 def _rgba(colour: Colour, opacity: float = 1.0) -> Content:
-    """Return a colour with opacity as r, g, b, a from 0 to 1."""
+    """Convert a colour and an opacity to a Foxglove colour: r, g, b, a from 0 to 1."""
     return {**dict(zip("rgb", share(colour), strict=True)), "a": opacity}
 
 
 def _line_primitive(points: Any, kind: int, colour: Colour) -> Content:
-    """Return a line primitive through points NED (N, 3) [m]."""
+    """Return a Foxglove line primitive through points NED (N, 3) [m]; ``kind`` is its type: strip, loop or list."""
     return {
         "type": kind,
         "pose": {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": STILL},
@@ -97,7 +97,7 @@ def _line_primitive(points: Any, kind: int, colour: Colour) -> Content:
 
 
 def _solid(middle: object, size: tuple[float, float, float], colour: Colour, **more: object) -> Content:
-    """Return a box or cylinder primitive by its centre NED [m] and its size along east, north and up [m]."""
+    """Return a Foxglove box or cylinder primitive with a centre NED [m] and a size along east, north and up [m]."""
     extent = dict(zip("xyz", size, strict=True))
     return {
         "pose": {"position": _enu_point(middle), "orientation": STILL},
@@ -108,12 +108,12 @@ def _solid(middle: object, size: tuple[float, float, float], colour: Colour, **m
 
 
 def _sphere_primitive(middle: object, size: float, colour: Colour) -> Content:
-    """Return a sphere primitive with a diameter [m] at a position."""
+    """Return a Foxglove sphere primitive with a diameter ``size`` [m] at a position NED [m]."""
     return _solid(middle, (size, size, size), colour)
 
 
 def _area_entities(around: Surroundings) -> list[Content]:
-    """Return the zones, or the outline of the area as lines at its bottom and top."""
+    """Return scene entities for the area: its zones, or its outline as lines at its bottom and top."""
     if around.zones:
         return [_zone_entity(zone, *around.down) for zone in around.zones]
     if not len(around.outline):
@@ -126,7 +126,8 @@ def _area_entities(around: Surroundings) -> list[Content]:
 
 
 def _zone_entity(zone: Zone, top: float, bottom: float) -> Content:
-    """Return the edges of a zone; heights above terrain are drawn above z = 0."""
+    """Return a scene entity with the edges of a zone, from ``bottom`` or its floor to at most ``top`` [m, down];
+    heights above terrain are drawn above z = 0."""
     levels = (bottom if zone.floor <= 0.0 else -zone.floor, max(top, -zone.ceiling))
     colour, lines = (GREY if zone.keep else KEEP_OUT), []
     for ring in zone.rings or (zone.outline,):
@@ -137,7 +138,7 @@ def _zone_entity(zone: Zone, top: float, bottom: float) -> Content:
 
 
 def _obstacle_entities(around: Surroundings) -> list[Content]:
-    """Return the entities of all obstacles."""
+    """Return scene entities for all obstacles."""
     found = []
     for number, item in enumerate(around.obstacles):
         middle, tall = 0.5 * (item["z_min"] + item["z_max"]), item["z_max"] - item["z_min"]
@@ -158,7 +159,7 @@ def _obstacle_entities(around: Surroundings) -> list[Content]:
 
 
 def _prism(item: Any) -> list[Content]:
-    """Return the edges of a prism obstacle as a list of line primitives."""
+    """Return the edges of a prism obstacle as Foxglove line primitives."""
     lines = []
     for ring in (item["corners_ned"], *item.get("holes_ned", ())):
         corners = np.asarray(ring, float)
@@ -169,7 +170,7 @@ def _prism(item: Any) -> list[Content]:
 
 
 def _place_entities(around: Surroundings) -> list[Content]:
-    """Return the entities of plume sources and requested locations."""
+    """Return scene entities for plume sources and for the locations at which a task asks for concentrations."""
     found = [
         _scene_entity(f"source {i}", spheres=[_sphere_primitive(place, 4.0, PLUME)])
         for i, place in enumerate(around.sources)
@@ -182,7 +183,7 @@ def _place_entities(around: Surroundings) -> list[Content]:
 
 
 def _persons(around: Surroundings, time: float) -> list[Content]:
-    """Return the persons' entities at a time [s]: all at the start, later those found at that time."""
+    """Return scene entities of persons: all for a ``time`` below 0, else those found at that time [s]."""
     return [
         _scene_entity(
             f"person {i}", spheres=[_sphere_primitive((*place, 0.0), 2.0, FOUND if found <= time else MISSING)]

@@ -28,7 +28,7 @@ class Written:
 
 
 def check_target(path: Path, force: bool) -> None:
-    """Raise UsageError if a target exists, unless ``force`` may overwrite it.
+    """Raise UsageError if the output path is a folder, or exists and ``force`` is False.
 
     Raises:
         UsageError: it is a folder, or exists and may not be overwritten.
@@ -41,7 +41,7 @@ def check_target(path: Path, force: bool) -> None:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Yield a temporary file that replaces ``path`` when the block succeeds and is deleted when it fails.
+    """Context manager: give a temporary file that replaces ``path`` if the block succeeds, else is deleted.
 
     Raises:
         RunError: it cannot be written.
@@ -73,7 +73,7 @@ def is_readable(run: Run, stream: str) -> bool:
 
 
 def readable_streams(run: Run, only: str | None) -> list[str]:
-    """Return the names of the readable streams, or just ``only``.
+    """Return the names of the run's readable streams; if ``only`` names a stream, that one alone.
 
     Raises:
         UsageError: there is no stream ``only``.

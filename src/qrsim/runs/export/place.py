@@ -38,23 +38,23 @@ class Place:
     start_us: int
 
     def geodetic(self, position_ned: npt.ArrayLike) -> Floats:
-        """Return (..., 3) latitude [deg], longitude [deg], height above the ellipsoid [m] of (..., 3) NED [m]."""
+        """Convert NED [m] (..., 3) to latitude [deg], longitude [deg] and height above the ellipsoid [m] (..., 3)."""
         latitude, longitude, height = self.site.ned_to_geodetic(position_ned)
         return np.stack((np.degrees(latitude), np.degrees(longitude), height), axis=-1)
 
     def nanoseconds(self, times: npt.ArrayLike) -> npt.NDArray[np.int64]:
-        """Return nanoseconds since 1970 (UTC, no leap seconds) of simulated times [s]."""
+        """Convert simulated times [s] to nanoseconds since 1970 (UTC, no leap seconds)."""
         return self.start_us * 1000 + np.round(np.asarray(times, np.float64) * 1e9).astype(np.int64)
 
     def utc(self, times: npt.ArrayLike) -> list[str]:
-        """Return UTC times, ISO 8601 to the microsecond, of simulated times (T,) [s]."""
+        """Convert simulated times (T,) [s] to UTC times in ISO 8601, to the microsecond."""
         since_1970 = self.start_us + np.round(np.asarray(times, np.float64) * 1e6).astype(np.int64)
         text: list[str] = np.datetime_as_string(since_1970.astype("datetime64[us]"), timezone="UTC").tolist()
         return text
 
 
 def place_of(run: Run) -> Place:
-    """Return where and when a run took place, from its resolved scenario.
+    """Return the geodetic origin and the start time (UTC) of a run, from its resolved scenario.
 
     Raises:
         RunError: the scenario does not say so.

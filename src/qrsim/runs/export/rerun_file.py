@@ -32,7 +32,7 @@ MOST_CORNERS, SIZE = 5000, 1.0
 
 
 def write(run: Run, place: Place, path: Path, every: int) -> Written:
-    """Write the run from the ticks that ``every`` divides; events are all kept.
+    """Write the run to a Rerun file: every ``every``-th tick of all streams, and all events.
 
     Raises:
         RunError: the file cannot be written, or there is nothing to write.
@@ -54,13 +54,13 @@ def write(run: Run, place: Place, path: Path, every: int) -> Written:
 
 
 def _enu(ned: Any) -> Floats:
-    """Return vectors (..., 3) NED as east, north, up."""
+    """Convert vectors (..., 3) from NED to ENU: east, north, up."""
     ned = np.asarray(ned, np.float64)
     return np.stack([ned[..., 1], ned[..., 0], -ned[..., 2]], axis=-1)
 
 
 def _log_stream(out: rr.RecordingStream, run: Run, place: Place, stream: str, every: int) -> int:
-    """Write the numbers of a stream and what is drawn of it, and return how many series of numbers there are."""
+    """Write a stream's time series to Rerun, and its poses and fixes as 3-D objects; return the number of series."""
     columns = [
         column.name
         for column in run.describe(stream)[len(INDEX) :]
@@ -88,7 +88,7 @@ def _log_stream(out: rr.RecordingStream, run: Run, place: Place, stream: str, ev
 
 
 def _vectors(arrays: dict[str, Floats], name: str) -> Floats | None:
-    """Return a vector (T, n, 3) of the arrays (T, n); None where one of its axes was not recorded."""
+    """Stack NAME.x, NAME.y, NAME.z, arrays (T, n), to vectors (T, n, 3); None if one axis was not recorded."""
     names = axes(name)
     return np.stack([arrays[part] for part in names], axis=-1) if all(part in arrays for part in names) else None
 
@@ -96,7 +96,7 @@ def _vectors(arrays: dict[str, Floats], name: str) -> Floats | None:
 def _log_poses(
     out: rr.RecordingStream, run: Run, place: Place, time: rr.TimeColumn, arrays: dict[str, Floats]
 ) -> Floats:
-    """Write the pose and the place on the map of each vehicle, and return its positions (T, n, 3) east, north, up."""
+    """Write each vehicle's pose and location on the map to Rerun; return their positions (T, n, 3) in ENU [m]."""
     position = _vectors(arrays, "position_ned")
     angles = [arrays.get(f"attitude.{angle}") for angle in ("roll", "pitch", "yaw")]
     if position is None:
@@ -119,7 +119,7 @@ def _log_poses(
 
 
 def _log_fixes(out: rr.RecordingStream, run: Run, sensor: str, every: int) -> None:
-    """Write the positions that a receiver reports."""
+    """Write the positions that a GNSS receiver reports to Rerun."""
     names = axes(f"{sensor}.position_ned")
     for batch in run["measurements"].batches(names):
         rows = np.flatnonzero(np.asarray(batch.tick) % every == 0)
@@ -133,7 +133,7 @@ def _log_fixes(out: rr.RecordingStream, run: Run, sensor: str, every: int) -> No
 
 
 def _log_paths(out: rr.RecordingStream, run: Run, where: Floats) -> None:
-    """Write the whole true path (T, n, 3) and the body of each vehicle."""
+    """Write each vehicle's body and whole path to Rerun; ``where`` are true positions (T, n, 3) in ENU [m]."""
     step = 1 + len(where) // MOST_CORNERS
     for i, vehicle in enumerate(run.vehicles):
         path = where[::step, i]
@@ -145,7 +145,7 @@ def _log_paths(out: rr.RecordingStream, run: Run, where: Floats) -> None:
 
 
 def _log_surroundings(out: rr.RecordingStream, run: Run) -> None:
-    """Write area, zones and obstacles as lines."""
+    """Write area, zones and obstacles of a run to Rerun as lines."""
     around = surroundings_of(run)
     top, bottom = around.down
     rings = [(around.outline, GREY, top, bottom)] if len(around.outline) and not around.zones else []
@@ -159,7 +159,7 @@ def _log_surroundings(out: rr.RecordingStream, run: Run) -> None:
 
 
 def _outline(item: Any) -> Floats:
-    """Return the corners (V, 2), north and east [m], of an obstacle."""
+    """Return the corners (V, 2), north and east [m], of an obstacle's outline from above."""
     if "corners_ned" in item:
         return np.asarray(item["corners_ned"], float)[:, :2]
     if "radius" in item:
@@ -171,14 +171,14 @@ def _outline(item: Any) -> Floats:
 
 
 def _prism(ring: Floats, high: float, low: float, colour: Any) -> rr.LineStrips3D:
-    """Return the edges of a prism between two down coordinates [m]."""
+    """Return the edges of a prism as Rerun lines: corners (V, 2), from down coordinate ``high`` to ``low`` [m]."""
     levels = [_enu(np.column_stack([ring, np.full(len(ring), level)])) for level in (high, low)]
     strips = [np.concatenate([level, level[:1]]) for level in levels]
     return rr.LineStrips3D([*strips, *np.stack(levels, axis=1)], colors=[list(colour)])
 
 
 def _log_events(out: rr.RecordingStream, run: Run) -> None:
-    """Write the events as a log."""
+    """Write the events of a run to Rerun as a text log."""
     for event in sorted(run.events, key=lambda event: event.time):
         out.set_time(TIMELINE, duration=event.time)
         level = rr.TextLogLevel.INFO if event.kind in NOT_A_STOP else rr.TextLogLevel.ERROR

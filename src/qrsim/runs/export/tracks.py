@@ -76,12 +76,12 @@ class Track:
 
     @property
     def kind(self) -> str:
-        """Source of the track in the files: "true" or "gnss"."""
+        """Source of the track, as exported files name it: "true" or "gnss"."""
         return "true" if self.sensor is None else "gnss"
 
     @property
     def title(self) -> str:
-        """Name of the track in the exported file."""
+        """Name of the track in exported files."""
         return f"{self.vehicle} {self.sensor or 'true'}"
 
 
@@ -98,7 +98,7 @@ class Mark:
 
     @property
     def title(self) -> str:
-        """Name of the event in the exported file."""
+        """Name of the event in exported files."""
         return self.event.kind if self.event.vehicle is None else f"{self.event.vehicle} {self.event.kind}"
 
 
@@ -112,7 +112,7 @@ class Tracks:
     marks: list[Mark]
 
     def over_sea(self) -> Tracks:
-        """Return the tracks with heights above the sea in place of the ellipsoid."""
+        """Return the tracks with heights above mean sea level in place of the ellipsoid."""
         tracks = [
             replace(
                 track, segments=[replace(each, geodetic=above_sea(each.geodetic, self.site)) for each in track.segments]
@@ -127,13 +127,13 @@ class Tracks:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of points of all tracks, and of events."""
+        """Number of "points" of all tracks, and of "events"."""
         points = sum(len(segment.utc) for track in self.tracks for segment in track.segments)
         return {"points": points, "events": len(self.marks)}
 
 
 def read_tracks(run: Run, place: Place, every: int) -> Tracks:
-    """Return the tracks at the ticks that ``every`` divides, and all events.
+    """Return each vehicle's true and GNSS tracks, every ``every``-th tick, and all events, in geodetic coordinates.
 
     A receiver's track has the ticks at which its report differs from the one before. Where a position is not a
     number or ticks are missing, a new segment begins.
@@ -160,7 +160,7 @@ def read_tracks(run: Run, place: Place, every: int) -> Tracks:
 
 
 def ground_of(run: Run) -> Ground:
-    """Return a function from positions (R, 3) to the z coordinate (R,) [m, down] of the ground below.
+    """Return a function that maps positions (R, 3) NED [m] to the ground's z coordinate (R,) [m, down] below them.
 
     Where the scenario's ground is not known any more, it is z = 0, with a warning.
     """
@@ -187,12 +187,12 @@ def said_in_xml(text: str) -> str:
 
 
 def axes(name: str) -> list[str]:
-    """Return the column names NAME.x, NAME.y, NAME.z of a recorded vector."""
+    """Return the column names NAME.x, NAME.y, NAME.z of a logged vector."""
     return [f"{name}.{axis}" for axis in AXES]
 
 
 def position_sensors(run: Run) -> list[str]:
-    """Return the names of the sensors that report a position."""
+    """Return the names of the run's sensors that report a position."""
     if not is_readable(run, "measurements"):
         return []
     ending = ".position_ned.x"
@@ -203,7 +203,7 @@ def position_sensors(run: Run) -> list[str]:
 def read_samples(
     run: Run, stream: str, columns: Sequence[str], wanted: Callable[[npt.NDArray[np.int64]], npt.NDArray[np.bool_]]
 ) -> Iterator[Samples]:
-    """Yield the rows of a stream part by part; ``wanted`` maps ticks (R,) to those to keep."""
+    """Yield rows of a stream batch by batch; ``wanted`` maps ticks (R,) to a mask (R,) of those to keep."""
     names = pa.array(run.vehicles, pa.string())
     for table in run.batches(stream, ["time", "tick", "vehicle", *columns]):
         kept = table.filter(pa.array(wanted(table["tick"].to_numpy())))
@@ -220,13 +220,13 @@ def read_samples(
 
 
 def is_fresh(values: Floats, last: Floats) -> npt.NDArray[np.bool_]:
-    """Return which of the reports (T, 3) differ from the one before; ``last`` (3,) precedes the first."""
+    """Return a mask (T,) of finite reports (T, 3) that differ from the one before; ``last`` (3,) precedes the first."""
     before = np.concatenate([last[None], values[:-1]])
     return np.asarray(np.isfinite(values).all(axis=1) & (values != before).any(axis=1))
 
 
 def _joined(batches: Iterator[Samples]) -> Samples:
-    """Return the rows of all batches as one; there must be at least one batch."""
+    """Concatenate batches of rows; there must be at least one batch."""
     parts = list(batches)
     return Samples(
         *(np.concatenate([getattr(part, name) for part in parts]) for name in ("vehicles", "ticks", "times", "values"))
@@ -234,7 +234,7 @@ def _joined(batches: Iterator[Samples]) -> Samples:
 
 
 def _segments(samples: Samples, place: Place, every: int, ground: Ground, fresh_only: bool) -> list[Segment]:
-    """Return the unbroken pieces of one vehicle's track."""
+    """Cut a vehicle's track at gaps, NaN and longitude 180 deg; ``fresh_only`` keeps new GNSS reports only."""
     if not len(samples.ticks):
         return []
     valid = np.isfinite(samples.values).all(axis=1)
@@ -252,14 +252,14 @@ def _segments(samples: Samples, place: Place, every: int, ground: Ground, fresh_
 
 
 def _is_gap(ticks: npt.NDArray[np.int64], every: int) -> npt.NDArray[np.bool_]:
-    """Return a mask (T,) of ticks that follow a gap in the log."""
+    """Return a mask (T,) of ticks that follow a gap in a log of every ``every``-th tick."""
     steps = np.diff(ticks)
     usual = max(every, int(steps.min())) if len(steps) else every
     return np.concatenate([[False], steps > usual])
 
 
 def _event_marks(run: Run, place: Place, ground: Ground) -> list[Mark]:
-    """Return the events of a run with the geodetic positions of their vehicles."""
+    """Return the run's events, each with the geodetic position of its vehicle at that time, or None if unknown."""
     if not is_readable(run, "events"):
         return []
     events = run.events

@@ -137,16 +137,16 @@ SKIPPED = frozenset(number for number, each in COMMANDS.items() if each.kind == 
 
 
 def name_of(command: object) -> str:
-    """Return the name of a MAV_CMD for messages, its number if it is unknown."""
+    """Return the name of a MAV_CMD number for messages; the number itself if it is unknown."""
     known = COMMANDS.get(command) if isinstance(command, int) else None
     return known.name if known else str(command)
 
 
 def flown_names() -> str:
-    """Return the numbers and names of all commands that qrsim carries out, as text for messages."""
+    """Return numbers and names of all mission commands that qrsim carries out, as text for messages."""
     return ", ".join(f"{each.id} ({each.name})" for each in _CARRIED_OUT)
 
 
 def taken_by(flavour: str) -> frozenset[int]:
-    """Return the command numbers that a mission over MAVLink may contain, for the flavour "px4" or "ardupilot"."""
+    """Return the MAV_CMD numbers that a mission sent over MAVLink may contain; ``flavour`` is "px4" or "ardupilot"."""
     return frozenset(number for number, each in COMMANDS.items() if flavour[0] in each.by)

@@ -77,7 +77,8 @@ Named = TypeVar("Named", Drawn, DrawnPolygon)
 
 
 def named(source: str, kind: str, items: Sequence[Named], name: str | None) -> list[tuple[str, Named]]:
-    """Return (unique name, item) of the items called ``name``; items that share a name become 'NAME #1', 'NAME #2'.
+    """Return (unique name, item) of a file's items called ``name``; items that share a name become 'NAME #1', 'NAME
+    #2'.
 
     Args:
         source: the file, for messages.
@@ -100,7 +101,7 @@ def named(source: str, kind: str, items: Sequence[Named], name: str | None) -> l
 
 
 def chosen(source: str, kind: str, items: Sequence[Named], name: str | None, key: str) -> Named:
-    """Return the only item of a file, or the named one.
+    """Return a file's only item, or the one called ``name``.
 
     Args:
         source, kind, items, name: as of ``named``.
@@ -118,7 +119,7 @@ def chosen(source: str, kind: str, items: Sequence[Named], name: str | None, key
 
 
 def drawn_plan(source: str, route: Drawn, options: Options, polygons: Sequence[FencePolygon] = ()) -> Plan:
-    """Return the plan of a drawn route: waypoints with heights, home, and polygons as its fence.
+    """Convert a route drawn in a map file to a plan: waypoints with heights, home, and polygons as its fence.
 
     Raises:
         UsageError: points have no altitude and ``options`` no height, or no point needs one.
@@ -156,7 +157,7 @@ def drawn_plan(source: str, route: Drawn, options: Options, polygons: Sequence[F
 
 
 def check_count(source: str, where: str, count: int) -> None:
-    """Raise UsageError for a route or ring with more than MOST_POINTS points.
+    """Raise UsageError for a route or ring with more than MOST_POINTS points; ``where`` is its place in the file.
 
     Raises:
         UsageError: it has.
@@ -166,7 +167,7 @@ def check_count(source: str, where: str, count: int) -> None:
 
 
 def checked_place(source: str, where: str, latitude: float, longitude: float) -> tuple[float, float]:
-    """Return a latitude and longitude [deg] unchanged; raises UsageError out of range.
+    """Return a latitude and longitude [deg] unchanged; raises UsageError out of range, with the place in the file.
 
     Raises:
         UsageError: they are not finite or out of range.
@@ -181,7 +182,7 @@ def checked_place(source: str, where: str, latitude: float, longitude: float) ->
 
 
 def checked_altitude(source: str, where: str, altitude: float) -> float:
-    """Return an altitude [m] unchanged; raises UsageError for an implausible one.
+    """Return an altitude [m] unchanged; raises UsageError for an implausible one, with its place in the file.
 
     Raises:
         UsageError: it is not.
@@ -194,7 +195,7 @@ def checked_altitude(source: str, where: str, altitude: float) -> float:
 
 
 def closed_ring(source: str, where: str, corners: list[tuple[float, float]]) -> Corners:
-    """Return the corners of a ring without the repeated first one.
+    """Return the corners (latitude, longitude) [deg] of a closed ring without the repeated first corner.
 
     Raises:
         UsageError: it is no simple polygon.

@@ -28,7 +28,7 @@ class PlannedFence:
         self.problems: list[str] = []
 
     def add_all(self, content: Mapping[str, object]) -> None:
-        """Add the polygons and circles of a plan's fence, if the plan has one."""
+        """Add the polygons and circles of a plan file's fence, if it has one; record invalid ones as problems."""
         try:
             fence = section_of(content, "geoFence", 2) if "geoFence" in content else {"polygons": [], "circles": []}
             polygons, circles = (part_of(fence, key, list, "geoFence") for key in ("polygons", "circles"))
@@ -47,7 +47,7 @@ class PlannedFence:
             self.ignored.append(Ignored(None, "geoFence.breachReturn", "not used"))
 
     def _add_polygon(self, entry: Mapping[str, object], path: str) -> None:
-        """Add a polygon of the fence; raises PlanFaultError for an invalid one."""
+        """Add a polygon of the plan's fence at ``path`` in the file; raises PlanFaultError if it is invalid."""
         inclusion = part_of(entry, "inclusion", bool, path)
         where = f"{path}.polygon"
         corners = []
@@ -59,7 +59,7 @@ class PlannedFence:
         self.polygons.append(FencePolygon(inclusion, tuple(corners)))
 
     def _add_circle(self, entry: Mapping[str, object], path: str) -> None:
-        """Add a circle of the fence; raises PlanFaultError for an invalid one."""
+        """Add a circle of the plan's fence at ``path`` in the file; raises PlanFaultError if it is invalid."""
         inclusion = part_of(entry, "inclusion", bool, path)
         circle = part_of(entry, "circle", dict, path)
         where = f"{path}.circle"
@@ -71,7 +71,7 @@ class PlannedFence:
 
 
 def rally_points(content: Mapping[str, object]) -> tuple[list[RallyPoint], list[str]]:
-    """Return the rally points of a plan, and the problems of those that are invalid."""
+    """Return the rally points of a plan file, and a text for each invalid one."""
     found, problems = [], []
     try:
         section = part_of(content, "rallyPoints", dict, "") if "rallyPoints" in content else {"points": []}

@@ -32,7 +32,7 @@ _LACKS = "has points without altitudes"
 
 
 def read_geojson(source: str, options: Options) -> Plan:
-    """Read a route of a GeoJSON file: a LineString, else its Points in their order; and its polygons.
+    """Read a plan from a GeoJSON file: a LineString, or else all Points in order, as route, and polygons as fence.
 
     ``properties.height`` of a feature is a height of all its points above the ground.
 
@@ -72,7 +72,7 @@ def geojson_polygons(source: str) -> list[DrawnPolygon]:
 
 
 def _content(source: str, wanted: str, kinds: tuple[str, ...]) -> Content:
-    """Return a file's GeoJSON object; raises UsageError unless it is a collection or one of ``kinds``."""
+    """Return a file's GeoJSON object; raises UsageError unless it is a collection or one of the types ``kinds``."""
     content = plan_content(source, f"GeoJSON with {wanted}", LARGEST_TABLE)
     kind = content.get("type") if isinstance(content, dict) else None
     if kind not in (*_COLLECTIONS, *kinds):
@@ -83,7 +83,7 @@ def _content(source: str, wanted: str, kinds: tuple[str, ...]) -> Content:
 
 
 def _polygons(source: str, content: Content) -> Iterator[DrawnPolygon]:
-    """Yield each polygon of a GeoJSON object, to be parsed when it is chosen."""
+    """Yield each polygon of a GeoJSON object; its corners are parsed only when it is chosen."""
     for where, properties, geometry in _geometries(source, content):
         if geometry.get("type") in _POLYGONS:
             coordinates = _listed(source, where, geometry.get("coordinates"))
@@ -93,7 +93,7 @@ def _polygons(source: str, content: Content) -> Iterator[DrawnPolygon]:
 
 
 def _polygon(source: str, where: str, name: str, rings: object) -> FencePolygon:
-    """Return a polygon with its holes from GeoJSON rings; raises UsageError for invalid ones."""
+    """Convert GeoJSON rings to a polygon with holes; raises UsageError for invalid rings."""
     where = f"{where}, polygon '{name}'" if name else where
     found = [_ring(source, where, ring) for ring in _listed(source, where, rings)]
     if not found:
@@ -102,13 +102,13 @@ def _polygon(source: str, where: str, name: str, rings: object) -> FencePolygon:
 
 
 def _name(properties: Content) -> str:
-    """Return a feature's name, at most 100 characters; "" without one."""
+    """Return the name of a GeoJSON feature, at most 100 characters; "" without one."""
     name = properties.get("name")
     return name[:100] if isinstance(name, str) else ""
 
 
 def _geometries(source: str, content: Content) -> Iterator[tuple[str, Content, Content]]:
-    """Yield (place in the file, properties, geometry) of each feature."""
+    """Yield (place in the file, properties, geometry) of each feature of a GeoJSON object."""
     features = [content]
     if content["type"] == "FeatureCollection":
         features = _listed(source, "features", content.get("features"), counts=False)
@@ -128,7 +128,7 @@ def _geometries(source: str, content: Content) -> Iterator[tuple[str, Content, C
 
 
 def _height(source: str, where: str, properties: Content) -> float | None:
-    """Return a feature's ``height`` property [m]; None without one; raises UsageError for other values."""
+    """Return a feature's ``height`` property [m], None without one; raises UsageError for values that are no height."""
     height = properties.get("height")
     if height is None:
         return None
@@ -138,7 +138,7 @@ def _height(source: str, where: str, properties: Content) -> float | None:
 
 
 def _line(source: str, where: str, name: str, coordinates: object, height: float | None) -> Drawn:
-    """Return the drawn route of a LineString's coordinates."""
+    """Convert the coordinates of a GeoJSON LineString to a drawn route; ``height`` [m] is above the ground."""
     points = [
         _point(source, f"{where}, point {i}", each, height)
         for i, each in enumerate(_listed(source, where, coordinates), 1)
@@ -147,7 +147,7 @@ def _line(source: str, where: str, name: str, coordinates: object, height: float
 
 
 def _point(source: str, where: str, position: object, height: float | None) -> Point:
-    """Return a GeoJSON position as a point, with ``height`` above ground or its own altitude above the sea."""
+    """Convert a GeoJSON position to a point, with ``height`` above ground or its own altitude above the sea [m]."""
     numbers = _position(source, where, position)
     latitude, longitude = checked_place(source, where, numbers[1], numbers[0])
     if height is not None:
@@ -158,7 +158,7 @@ def _point(source: str, where: str, position: object, height: float | None) -> P
 
 
 def _ring(source: str, where: str, positions: object) -> Corners:
-    """Return a ring's corners (latitude, longitude) [deg] without the repeated first one."""
+    """Return the corners (latitude, longitude) [deg] of a GeoJSON ring, without the repeated first corner."""
     corners = []
     for i, position in enumerate(_listed(source, where, positions)):
         numbers = _position(source, f"{where}, corner {i}", position)
@@ -167,7 +167,7 @@ def _ring(source: str, where: str, positions: object) -> Corners:
 
 
 def _position(source: str, where: str, position: object) -> list[float]:
-    """Return the numbers of a GeoJSON position; raises UsageError unless it has at least two."""
+    """Return a GeoJSON position as a list of numbers; raises UsageError unless it has at least two."""
     numbers = position if isinstance(position, list) else []
     whole = all(isinstance(each, int | float) and not isinstance(each, bool) for each in numbers)
     if len(numbers) < 2 or not whole:

@@ -21,7 +21,7 @@ from qrsim.scenarios.plans.xml import children, tag, text_of, xml_root
 
 
 def read_gpx(source: str, options: Options) -> Plan:
-    """Read a route of a GPX file.
+    """Read a plan from a GPX file: the route that the options name, or its only one.
 
     Raises:
         UsageError: the file cannot be read, has no such route, or a point of it is wrong.
@@ -42,7 +42,7 @@ def read_gpx(source: str, options: Options) -> Plan:
 
 
 def _route(source: str, element: Element) -> Drawn:
-    """Return the drawn route of a GPX ``rte`` element."""
+    """Convert a GPX ``rte`` element to a drawn route."""
     name, points = text_of(element, "name"), []
     marks = children(element, "rtept")
     check_count(source, f"route '{name}'", len(marks))
@@ -57,7 +57,7 @@ def _route(source: str, element: Element) -> Drawn:
 
 
 def _number(source: str, where: str, name: str, text: str | None) -> float:
-    """Parse a number of a GPX file; raises UsageError that names its place."""
+    """Parse a number of a GPX file; raises UsageError that names its place in the file."""
     try:
         return float(text or "")
     except ValueError:

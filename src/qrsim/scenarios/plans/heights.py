@@ -41,7 +41,7 @@ class Levels:
     site_amsl: float | None
 
     def down(self, waypoint: Waypoint, ground_down: float) -> float:
-        """Return a waypoint's z coordinate [m, down], given that of the ground below it.
+        """Return a waypoint's z coordinate [m, down]; ``ground_down`` is that of the ground below it.
 
         Raises:
             UsageError: its altitude is above the sea, and nothing says how high the site is.
@@ -67,7 +67,7 @@ def over_ground(
     tolerance: float = TOLERANCE,
     step: float = 2.0,
 ) -> list[list[float]]:
-    """Return points NED [m] along a line so that its height above the ground varies linearly.
+    """Return points NED [m] between ``begin`` and ``end`` at which the height above the ground varies linearly.
 
     The height above the ground goes over linearly from that of the one to that of the other.
 

@@ -38,12 +38,12 @@ class SimpleItem:
 
     @property
     def jumps(self) -> bool:
-        """True for a DO_JUMP."""
+        """True if the mission item is a DO_JUMP."""
         return self.content.get("command") == JUMP
 
     @property
     def flies(self) -> bool:
-        """True if the item leads to a place."""
+        """True if the mission item leads the vehicle to a place."""
         return self.content.get("command") in PLACES or self.content.get("command") == RETURN
 
 
@@ -63,7 +63,7 @@ class Flight:
 
 
 def in_order(items: Sequence[SimpleItem]) -> Flight:
-    """Return items in flight order with jumps unrolled; an endless jump becomes ``again``, the index to repeat.
+    """Return mission items in flight order with jumps unrolled; an endless jump becomes the index to repeat from.
 
     Raises:
         PlanFaultError: a jump leads nowhere or to itself, jumps repeat too often or lead to each other only, or an item
@@ -106,7 +106,7 @@ _ALLOWED = f"allowed: {MOST_LEGS}"
 
 
 def _first(items: Sequence[SimpleItem], goals: dict[int, tuple[int, int]]) -> str:
-    """Return the path of the jump with the most repeats, for a message."""
+    """Return the file path of the jump with the most repeats, for a message; ``goals``: jump -> (target, repeats)."""
     return f"{items[max(goals, key=lambda i: goals[i][1])].path} (DO_JUMP)"
 
 
@@ -117,7 +117,7 @@ def _check_count(legs: int, jump: SimpleItem) -> None:
 
 
 def _check_loop(items: Sequence[SimpleItem], order: list[SimpleItem], again: int, at: int) -> None:
-    """Raise PlanFaultError for an endless jump over items without a place, or with items after it."""
+    """Raise PlanFaultError if an endless jump repeats only items without a place, or has items after it."""
     jump = items[at]
     if not any(item.flies for item in order[again:]):
         raise PlanFaultError(f"{jump.path} (DO_JUMP): repeats endlessly without an item that leads to a place")
@@ -130,7 +130,7 @@ def _check_loop(items: Sequence[SimpleItem], order: list[SimpleItem], again: int
 
 
 def _goal(items: Sequence[SimpleItem], at: int) -> tuple[int, int]:
-    """Return the index of a jump's target item and its number of repeats (below 0: endless)."""
+    """Return the index of the target of the jump at index ``at``, and its number of repeats (below 0: endless)."""
     jump = items[at]
     params: list[object] = part_of(jump.content, "params", list, jump.path)
     if len(params) < 2:
@@ -146,7 +146,7 @@ def _goal(items: Sequence[SimpleItem], at: int) -> tuple[int, int]:
 
 
 def _known(names: list[object]) -> str:
-    """Return the ids of items as text for a message, as a range if possible."""
+    """Return the ids of mission items as text for a message, as a range if possible."""
     if len(names) > 1 and all(isinstance(name, int) for name in names):
         whole: list[int] = sorted(name for name in names if isinstance(name, int))
         if whole == list(range(whole[0], whole[0] + len(whole))):

@@ -50,7 +50,7 @@ _DAMAGED = (
 
 
 def read_kml(source: str, options: Options) -> Plan:
-    """Read a route of a KML file or KMZ archive: a LineString, else its Points in their order; and its polygons.
+    """Read a plan from a KML file or KMZ archive: a LineString, else all Points in order, as route; polygons as fence.
 
     Raises:
         UsageError: the file cannot be read, has no such route, or a point of it is wrong.
@@ -98,7 +98,7 @@ def _root(source: str) -> Element:
 
 
 def _unpacked(source: str, data: bytes) -> bytes:
-    """Return the KML document of a KMZ archive."""
+    """Extract the KML document from the bytes of a KMZ archive."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             names = [each for each in archive.infolist() if each.filename.lower().endswith(".kml")]
@@ -114,7 +114,7 @@ def _unpacked(source: str, data: bytes) -> bytes:
 
 
 def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes | str:
-    """Return the bytes of an archive's file; a text that says why not if it is too large."""
+    """Read a file of a ZIP archive; return its bytes, or a text that says why not if it is too large."""
     size, packed = member.file_size, max(member.compress_size, 1)
     if size > LARGEST_TEXT or size > MOST_PACKED * packed:
         return (
@@ -127,14 +127,14 @@ def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes | s
 
 
 def _size(count: int) -> str:
-    """Return a number of bytes as text, such as "1.5 MB"."""
+    """Format a number of bytes as text, such as "1.5 MB"."""
     return next(
         f"{count / unit:.3g} {name}" for unit, name in ((1e9, "GB"), (1e6, "MB"), (1, "bytes")) if count >= unit
     )
 
 
 def _line(source: str, name: str, element: Element) -> Drawn:
-    """Return the drawn route of a LineString."""
+    """Convert a KML LineString to a drawn route."""
     mode = text_of(element, "altitudeMode") or "clampToGround"
     where = f"'{name}'" if name else "its LineString"
     points = tuple(_points(source, where, text_of(element, "coordinates"), mode))
@@ -142,7 +142,7 @@ def _line(source: str, name: str, element: Element) -> Drawn:
 
 
 def _of_points(source: str, elements: list[Element]) -> Drawn:
-    """Return the drawn route of Points, in their order."""
+    """Convert KML Points, in their order, to a drawn route."""
     points, mode = [], "clampToGround"
     for i, element in enumerate(elements):
         mode = text_of(element, "altitudeMode") or "clampToGround"
@@ -151,14 +151,14 @@ def _of_points(source: str, elements: list[Element]) -> Drawn:
 
 
 def _lacking(mode: str) -> str:
-    """Return the text that says why the points of an altitudeMode have no usable altitude."""
+    """Return the text that says why points of a KML altitudeMode have no usable altitude."""
     return (
         "has points without altitudes" if mode in _ABOVE else f"is on the ground (altitudeMode {shortened(mode, 40)})"
     )
 
 
 def _points(source: str, where: str, text: str, mode: str) -> Iterator[Point]:
-    """Yield the points of a coordinates text; without altitudes for a mode such as clampToGround."""
+    """Yield the points of a KML coordinates text; without altitudes for a mode such as clampToGround."""
     above = _ABOVE.get(mode)
     for place, numbers in _tuples(source, f"{where}, point", 1, text):
         latitude, longitude = checked_place(source, place, numbers[1], numbers[0])
@@ -169,7 +169,7 @@ def _points(source: str, where: str, text: str, mode: str) -> Iterator[Point]:
 
 
 def _tuples(source: str, where: str, first: int, text: str) -> Iterator[tuple[str, list[float]]]:
-    """Yield each tuple of a coordinates element: its place in the file, and longitude, latitude [deg], altitude [m].
+    """Yield (place in the file, [longitude, latitude [deg], altitude [m]]) of each tuple in a KML coordinates text.
 
     The place is ``where`` with a number, which begins at ``first``. The altitude may be left out.
     """
@@ -189,7 +189,7 @@ def _tuples(source: str, where: str, first: int, text: str) -> Iterator[tuple[st
 
 
 def _polygons(source: str, marks: list[Element]) -> list[DrawnPolygon]:
-    """Return the polygons of placemarks."""
+    """Return the polygons of KML placemarks; their corners are parsed only when they are chosen."""
     return [
         DrawnPolygon(name, partial(_polygon, source, name, element))
         for mark in marks
@@ -200,7 +200,7 @@ def _polygons(source: str, marks: list[Element]) -> list[DrawnPolygon]:
 
 
 def _polygon(source: str, name: str, element: Element) -> FencePolygon:
-    """Return the polygon of a Polygon element with its holes; raises UsageError without one outer ring."""
+    """Convert a KML Polygon element to a polygon with holes; raises UsageError unless it has one outer ring."""
     where = f"polygon '{name}'" if name else "polygon (without a name)"
     outer, inner = (list(_rings(source, where, element, f"{kind}BoundaryIs")) for kind in ("outer", "inner"))
     if len(outer) != 1:
@@ -209,7 +209,7 @@ def _polygon(source: str, name: str, element: Element) -> FencePolygon:
 
 
 def _rings(source: str, where: str, element: Element, boundary: str) -> Iterator[Corners]:
-    """Yield the corners of each LinearRing in the boundary elements of a polygon."""
+    """Yield the corners of each LinearRing in the ``boundary`` elements (outer or inner) of a KML polygon."""
     for ring in (ring for each in children(element, boundary) for ring in children(each, "LinearRing")):
         tuples = _tuples(source, f"{where}, corner", 0, text_of(ring, "coordinates"))
         corners = [checked_place(source, place, numbers[1], numbers[0]) for place, numbers in tuples]

@@ -43,7 +43,7 @@ def legs_of(
     yaw_deg: float = 0.0,
     terrain_tolerance: float = TOLERANCE,
 ) -> tuple[list[Content], int | None]:
-    """Return a plan's legs as scenario content, and the index of the leg that follows the last (None: none).
+    """Convert a plan to a vehicle's legs, as scenario content; also return the index to repeat from (None: no repeat).
 
     Args:
         plan: its waypoints.
@@ -77,7 +77,7 @@ class _Writer:
         self._tangent: Sequence[float] | None = None
 
     def add(self, i: int) -> None:
-        """Append the legs of waypoint ``i``."""
+        """Append the legs that lead to the plan's waypoint ``i`` and carry out its command."""
         waypoint, place = self.plan.waypoints[i], self.places[i]
         way = [self.here, *self._between(i), place]
         yaw = self._yaw(waypoint)
@@ -99,7 +99,7 @@ class _Writer:
         self.here = self._after(waypoint, place)
 
     def _between(self, i: int) -> list[Place]:
-        """Return the intermediate points NED [m] of the way to waypoint ``i``: a spline or terrain."""
+        """Return the intermediate points NED [m] on the way to waypoint ``i``, if it is a spline or follows terrain."""
         waypoint, place = self.plan.waypoints[i], self.places[i]
         last = self.plan.waypoints[i - 1] if i else None
         begin_tangent, self._tangent = self._begin_tangent(i), None
@@ -115,7 +115,7 @@ class _Writer:
         return over_ground(self.here, place, self.ground_down, self.terrain_tolerance)
 
     def _begin_tangent(self, i: int) -> Sequence[float]:
-        """Return the start tangent of a spline leg to waypoint ``i``; zero after a stop."""
+        """Return the tangent (3,) [m] at the start of the spline leg to waypoint ``i``; zero after a stop."""
         last = self.plan.waypoints[i - 1] if i else None
         if last is None or last.hold > 0.0 or last.command not in ("NAV_WAYPOINT", _SPLINE):
             return NONE
@@ -128,30 +128,30 @@ class _Writer:
     # ---- speed and heading ----
 
     def _shared(self, waypoint: Waypoint, yaw_deg: float | None) -> Content:
-        """Return the entries that all legs of a waypoint share: item, speeds, yaw."""
+        """Return the values that all legs of a waypoint share, as scenario content: item, speeds, ``yaw_deg``."""
         speed = self.plan.hover_speed if waypoint.speed is None else waypoint.speed
         return _said(waypoint.item, speed, waypoint.climb, waypoint.sink, yaw_deg)
 
     def _shared_until(self, waypoint: Waypoint, until: Condition) -> Content:
-        """Return the entries that all legs up to a condition share: item number, speeds and yaw."""
+        """Return the values that the legs before a condition is met share: item number, speeds and yaw."""
         speed = self.plan.hover_speed if until.speed is None else until.speed
         return _said(waypoint.item, speed, until.climb, until.sink, until.yaw_deg)
 
     def _yaw(self, waypoint: Waypoint) -> float | None:
-        """Return a waypoint's yaw [deg], also of a relative turn; None without one."""
+        """Return the yaw [deg] that a waypoint commands, absolute or as a turn; None if it commands none."""
         if waypoint.turn_deg is not None:
             return math.remainder(self.heading + waypoint.turn_deg, 360.0)
         return waypoint.yaw_deg
 
     def _facing(self, waypoint: Waypoint, begin: Place, end: Place) -> Content:
-        """Return the heading entry of a leg with a heading relative to its direction; vertical legs keep it."""
+        """Return the yaw of a leg with a heading relative to its course, kept on vertical legs; {} for other legs."""
         if waypoint.side_deg is None:
             return {}
         course = _course(begin, end, self.heading - waypoint.side_deg)
         return {"yaw_rad": math.radians(math.remainder(course + waypoint.side_deg, 360.0))}
 
     def _turned(self, waypoint: Waypoint, way: Sequence[Place], yaw_deg: float | None) -> None:
-        """Store the vehicle's heading at the end of a way."""
+        """Store the vehicle's heading at the end of a way; ``yaw_deg`` None: it faces along the way."""
         course = self.heading
         for begin, end in pairwise(way):
             course = _course(begin, end, course)
@@ -160,14 +160,14 @@ class _Writer:
         self.heading = course if yaw_deg is None else yaw_deg
 
     def _after(self, waypoint: Waypoint, place: Place) -> Place:
-        """Return the position NED [m] of a vehicle after a waypoint: on the ground after a landing."""
+        """Return the vehicle's position NED [m] once a waypoint is done: on the ground after a landing."""
         if waypoint.command in _DOWN:
             return [*place[:2], float(self.ground_down(place[0], place[1]))]
         return place
 
 
 def _said(item: int, speed: float | None, climb: float | None, sink: float | None, yaw_deg: float | None) -> Content:
-    """Return the entries of a leg for the values that are not None: item, speeds [m/s] and yaw."""
+    """Return the values of a leg that are not None as scenario content: item, speeds (climb, sink) [m/s] and yaw."""
     said: Content = {"item": item}
     for name, value in (("speed", speed), ("climb_speed", climb), ("sink_speed", sink)):
         if value is not None:
@@ -178,7 +178,7 @@ def _said(item: int, speed: float | None, climb: float | None, sink: float | Non
 
 
 def _legs_at(waypoint: Waypoint, place: Place, here: Place) -> list[Content]:
-    """Return the legs of a waypoint's own command (fly, loiter, take off, land) at its place NED [m]."""
+    """Return the legs of a waypoint's command (fly, loiter, take off, land) at ``place``; ``here`` is the vehicle's."""
     name, hold = waypoint.command, waypoint.hold
     fly: Content = {"type": "fly", "to_ned": place, "hold": hold, "stop": True}
     waits: list[Content] = [{"type": "loiter", "time": hold}] if hold > 0.0 else []
@@ -202,13 +202,13 @@ def _legs_at(waypoint: Waypoint, place: Place, here: Place) -> list[Content]:
 
 
 def _course(begin: Place, end: Place, otherwise: float) -> float:
-    """Return the course [deg] from one place to another; ``otherwise`` if they are above each other."""
+    """Return the course [deg] from one place to another; ``otherwise`` if one is above the other."""
     north, east = end[0] - begin[0], end[1] - begin[1]
     return math.degrees(math.atan2(east, north)) if math.hypot(north, east) > SHORTEST else otherwise
 
 
 def _met(until: Condition, place: Place, gate: Place | None) -> Callable[[Place], bool]:
-    """Return a function that tells whether a place NED [m] meets a condition on the way to ``place``."""
+    """Return a function that tells whether a position NED [m] meets a condition on the way to ``place``."""
     if gate is None:
         return lambda here: math.dist(here[:2], place[:2]) <= (until.distance or 0.0)
     north, east = place[0] - gate[0], place[1] - gate[1]
@@ -216,7 +216,7 @@ def _met(until: Condition, place: Place, gate: Place | None) -> Callable[[Place]
 
 
 def _cut(way: list[Place], met: Callable[[Place], bool]) -> int | None:
-    """Insert the first point that meets a condition into a way, in place; return its index, None if that is the begin.
+    """Insert into a way (points NED [m]) the first point that meets a condition; return its index, None for the start.
 
     Where it is not met before the end, the end is that place.
     """
@@ -236,5 +236,5 @@ def _cut(way: list[Place], met: Callable[[Place], bool]) -> int | None:
 
 
 def _at(begin: Place, end: Place, share: float) -> Place:
-    """Return the point at a share, 0 to 1, of the line between two places."""
+    """Interpolate between two places: return the point at ``share``, 0 to 1, of the line."""
     return [a + share * (b - a) for a, b in zip(begin, end, strict=True)]

@@ -14,13 +14,13 @@ _COLUMNS = 5
 
 
 def beside(plan: str) -> str | None:
-    """Return the path of the parameter file with a plan's name, None if there is no such file."""
+    """Return the path of the parameter file with the same name as a plan file; None if it does not exist."""
     path = Path(plan).expanduser().with_suffix(SUFFIX)
     return str(Path(plan).with_suffix(SUFFIX)) if path.is_file() else None
 
 
 def read_parameters(source: str) -> dict[str, float]:
-    """Return parameter name -> value of a file; of repeated names the last counts.
+    """Read a parameter file; return name -> value, of repeated names the last.
 
     Raises:
         UsageError: the file cannot be read or has too many lines.

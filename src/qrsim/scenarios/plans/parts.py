@@ -49,7 +49,7 @@ def plan_content(source: str, expected: str = "a .plan of QGroundControl", most:
 
 
 def with_lines(source: str, problems: list[str]) -> list[str]:
-    """Return problems, which begin with a value's path, with the file's line of the enclosing object added."""
+    """Add to each problem, a text that begins with a value's path, the plan file's line of the enclosing object."""
     lines = lines_of(source, [problem.partition(": ")[0] for problem in problems])
     found = []
     for problem in problems:
@@ -59,7 +59,7 @@ def with_lines(source: str, problems: list[str]) -> list[str]:
 
 
 def lines_of(source: str, paths: list[str]) -> dict[str, int]:
-    """Return path -> line of the file on which the object at the path begins; unknown paths are left out."""
+    """Return path -> line of the file on which the innermost JSON object along the path begins, for paths with one."""
     decoder: Any = json.JSONDecoder()
     lines: dict[int, int] = {}
     kept: list[object] = []
@@ -90,7 +90,7 @@ def lines_of(source: str, paths: list[str]) -> dict[str, int]:
 
 
 def _begin_of(path: str, part: object, begins: Mapping[int, int]) -> int | None:
-    """Return the text offset of the innermost known object along a dotted path; None without one."""
+    """Return the text offset of the innermost JSON object along a dotted path; ``begins`` maps object id -> offset."""
     begin = None
     for key in path.split(" ")[0].split("."):
         if isinstance(part, list) and key.isdecimal() and int(key) < len(part):
@@ -104,7 +104,7 @@ def _begin_of(path: str, part: object, begins: Mapping[int, int]) -> int | None:
 
 
 def _without_twins(pairs: list[tuple[str, object]]) -> Content:
-    """Return the pairs of a JSON object as a dict; raise PlanFaultError for a key that occurs twice."""
+    """Return the key-value pairs of a JSON object as a dict; raise PlanFaultError for a key that occurs twice."""
     found: Content = {}
     for key, value in pairs:
         if key in found:
@@ -114,7 +114,7 @@ def _without_twins(pairs: list[tuple[str, object]]) -> Content:
 
 
 def check_kind(content: object) -> None:
-    """Raise PlanFaultError unless the content is a plan of QGroundControl."""
+    """Raise PlanFaultError unless the JSON content is a plan of QGroundControl."""
     if not isinstance(content, dict) or "fileType" not in content:
         raise PlanFaultError("is no plan; expected an object with fileType 'Plan'")
     if content["fileType"] != "Plan":
@@ -123,12 +123,12 @@ def check_kind(content: object) -> None:
 
 
 def shown(value: object) -> str:
-    """Return a value for a message: short, and null as JSON writes it."""
+    """Format a JSON value for a message: shortened, and null as JSON writes it."""
     return "null" if value is None else f"{value!r:.60}"
 
 
 def part_of(parent: Mapping[str, object], key: str, kind: type, where: str) -> Any:
-    """Return ``parent[key]``; raises PlanFaultError if it is missing or not of a type."""
+    """Return ``parent[key]``; raises PlanFaultError, which names ``where``, if it is missing or not a ``kind``."""
     path = f"{where}.{key}" if where else key
     if key not in parent:
         near = nearest(key, parent)
@@ -139,14 +139,14 @@ def part_of(parent: Mapping[str, object], key: str, kind: type, where: str) -> A
 
 
 def of_kind(value: object, kind: type, where: str) -> Any:
-    """Return a value unchanged; raises PlanFaultError if it is not of a type."""
+    """Return a value unchanged; raises PlanFaultError, which names its path ``where``, unless it is a ``kind``."""
     if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
         raise PlanFaultError(f"{where}: expected {KINDS[kind]}, found {shown(value)}")
     return value
 
 
 def check_version(parent: Mapping[str, object], supported: int, where: str) -> None:
-    """Raise PlanFaultError unless an object has the supported version."""
+    """Raise PlanFaultError unless a JSON object's ``version`` is the supported one; ``where`` is its path."""
     found = part_of(parent, "version", int, where)
     if found != supported:
         path = f"{where}.version" if where else "version"
@@ -154,14 +154,14 @@ def check_version(parent: Mapping[str, object], supported: int, where: str) -> N
 
 
 def section_of(content: Mapping[str, object], key: str, version: int) -> Content:
-    """Return a section of a plan; raises PlanFaultError for another version."""
+    """Return the section ``key`` (such as "mission") of a plan file; raises PlanFaultError for another version."""
     section: Content = part_of(content, key, dict, "")
     check_version(section, version, key)
     return section
 
 
 def number_of(value: object, where: str, limit: float, unit: str) -> float:
-    """Return a value as float; raises PlanFaultError unless it is a number within +-``limit``."""
+    """Convert a JSON value to float; raises PlanFaultError unless it is a number within +-``limit``."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         meaning = ", which means 'the current one'" if value is None else ""
         kind = f"a number [{unit}]" if unit else "a number"
@@ -173,7 +173,7 @@ def number_of(value: object, where: str, limit: float, unit: str) -> float:
 
 
 def degrees_of(latitude: object, longitude: object, where: tuple[str, str]) -> tuple[float, float]:
-    """Return a latitude and longitude [deg]; raises PlanFaultError out of range; ``where`` is a path for each."""
+    """Return latitude and longitude [deg]; raises PlanFaultError out of range; ``where`` holds the path of each."""
     try:
         return number_of(latitude, where[0], 90.0, "deg"), number_of(longitude, where[1], 180.0, "deg")
     except PlanFaultError as fault:
@@ -181,7 +181,7 @@ def degrees_of(latitude: object, longitude: object, where: tuple[str, str]) -> t
 
 
 def place_of(values: Sequence[object], where: str, count: int) -> tuple[float, ...]:
-    """Return (latitude, longitude) [deg], with altitude [m] if ``count`` is 3; raises PlanFaultError if invalid."""
+    """Parse (latitude, longitude) [deg], with altitude [m] if ``count`` is 3; raises PlanFaultError if invalid."""
     if len(values) != count:
         words = "latitude, longitude, altitude" if count == 3 else "latitude, longitude"
         raise PlanFaultError(f"{where}: expected [{words}], found {len(values)} values")

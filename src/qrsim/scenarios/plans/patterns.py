@@ -35,7 +35,7 @@ Point = tuple[float, float]
 
 
 def scan_items(item: Mapping[str, object], path: str) -> list[Generated]:
-    """Return the waypoints of a structure scan, on which the vehicle faces the structure.
+    """Convert a structure scan of a .plan file to waypoints on which the vehicle faces the structure.
 
     The polygon is set out by the distance to the surface. Every layer is a round at half of its height, from the first
     corner and back to it. Version 3 enters and leaves the scan there at the altitude of entrance, above home.
@@ -68,7 +68,7 @@ def scan_items(item: Mapping[str, object], path: str) -> list[Generated]:
 
 
 def landing_items(item: Mapping[str, object], path: str) -> list[Generated]:
-    """Return the items of a landing pattern of fixed wings: the approach, and the landing.
+    """Convert a fixed-wing landing pattern of a .plan file to simple items: the approach, and the landing.
 
     Raises:
         PlanFaultError: a part is missing or out of range.
@@ -95,27 +95,27 @@ def landing_items(item: Mapping[str, object], path: str) -> list[Generated]:
 
 
 def _frame(item: Mapping[str, object], old: str) -> int:
-    """Return MAVLink's frame number of an item's altitudes: above home or sea; ``old`` is the key of version 1."""
+    """Return the MAVLink frame of an item's altitudes, above home or above sea; ``old`` is the key in version 1."""
     return known.ABOVE_HOME[0] if item.get("altitudesAreRelative", item.get(old, True)) else known.ABOVE_SEA[0]
 
 
 def _item(command: int, params: Sequence[float | None], frame: int) -> Content:
-    """Return a simple item as a .plan file writes it."""
+    """Return a simple mission item as a .plan file has it, as JSON content."""
     return {"type": "SimpleItem", "command": command, "frame": frame, "params": list(params), "autoContinue": True}
 
 
 def _waypoint(place: Point, altitude: float, frame: int) -> Content:
-    """Return a waypoint item at a place [deg] and altitude [m]."""
+    """Return a waypoint item at a place (latitude, longitude) [deg] and altitude [m], as JSON content."""
     return _item(known.WAYPOINT, [0.0, 0.0, 0.0, None, *place, altitude], frame)
 
 
 def _length(item: Mapping[str, object], key: str, path: str) -> float:
-    """Return a length [m] of an item; raises PlanFaultError for other values."""
+    """Return the length [m] under ``key`` of an item; raises PlanFaultError for other values."""
     return number_of(item.get(key), f"{path}.{key}", LARGEST_LENGTH, "m")
 
 
 def _above_zero(item: Mapping[str, object], key: str, path: str) -> float:
-    """Return a length [m] of an item; raises PlanFaultError unless it is above 0."""
+    """Return the length [m] under ``key`` of an item; raises PlanFaultError unless it is above 0."""
     number = _length(item, key, path)
     if number <= 0.0:
         raise PlanFaultError(f"{path}: {key} is {number:g} m; allowed: above 0")
@@ -134,7 +134,8 @@ def _corners(item: Mapping[str, object], path: str) -> list[Point]:
 
 
 def _set_out(corners: Sequence[Point], distance: float, path: str) -> tuple[list[Point], float]:
-    """Offset a polygon outwards: move every edge by a distance [m] and rejoin neighbouring edges.
+    """Offset a polygon outwards by a distance [m]; return its corners, and the heading inwards relative to a side
+    [deg].
 
     Returns:
         The corners, latitude and longitude [deg], and the heading relative to the way that faces inwards [deg].

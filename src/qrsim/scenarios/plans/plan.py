@@ -143,16 +143,16 @@ class Ignored:
 
     @property
     def text(self) -> str:
-        """Text of a warning about this item, for a vehicle that flies the plan as a mission."""
+        """Text of the warning about this ignored item, for a vehicle that flies the plan as a mission."""
         return self._line(self.what)
 
     @property
     def route_text(self) -> str:
-        """Text of a warning about this item, for a vehicle that flies the plan as a route."""
+        """Text of the warning about this ignored item, for a vehicle that flies the plan as a route."""
         return self._line(self.what if self.on_route is None else self.on_route)
 
     def _line(self, what: str) -> str:
-        """Return the message for an ignored item: its number, name and reason."""
+        """Return the warning about this ignored item: its number, its name, and ``what`` is not flown."""
         return f"{self.name}: {what}" if self.item is None else f"item {self.item}, {self.name}: {what}"
 
 

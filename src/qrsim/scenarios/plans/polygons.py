@@ -15,7 +15,7 @@ MAPS = {".kml": kml_polygons, ".kmz": kml_polygons, ".geojson": geojson_polygons
 
 
 def read_polygons(file: str, name: str | None = None) -> list[FencePolygon]:
-    """Return all polygons of a map file with their holes, or those of one name; other features are ignored.
+    """Return all polygons of a KML or GeoJSON file with holes, or those called ``name``; other features are ignored.
 
     Polygons that share a name are 'NAME #1', 'NAME #2' and so on in the order of the file.
 
@@ -32,7 +32,7 @@ def read_polygons(file: str, name: str | None = None) -> list[FencePolygon]:
 
 
 def read_outline(file: str, name: str | None = None) -> Corners:
-    """Return the corners (latitude, longitude) [deg] of a map's only polygon, or of the named one.
+    """Return the corners (latitude, longitude) [deg] of the only polygon of a KML or GeoJSON file, or of the named one.
 
     Raises:
         UsageError: as ``read_polygons``; there are several, or it has a hole.
@@ -48,5 +48,5 @@ def read_outline(file: str, name: str | None = None) -> Corners:
 
 
 def _all(file: str) -> list[DrawnPolygon]:
-    """Return all polygons of a map file, by the reader for its suffix."""
+    """Read all polygons of a map file; the suffix of its name selects the reader."""
     return MAPS[Path(file).suffix.lower()](file)

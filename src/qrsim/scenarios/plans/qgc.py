@@ -33,7 +33,7 @@ _GENERATED = {SCAN: scan_items, LANDING: landing_items}
 
 
 def read_qgc(source: str) -> Plan:
-    """Read a .plan file, version 1 with a mission of version 2 and a fence of version 2.
+    """Read a .plan file of QGroundControl (version 1, mission version 2, fence version 2).
 
     Jumps are followed; an endless one is followed once and then leads to ``again``. An item without a place or altitude
     has that of the item before it. A return is a waypoint above home or the nearest rally point. What a mission does at
@@ -76,7 +76,7 @@ def read_qgc(source: str) -> Plan:
 
 
 def _speed(mission: Mapping[str, object], name: str) -> float | None:
-    """Return a speed [m/s] that holds for the whole plan, None without one."""
+    """Return a speed [m/s] that a .plan file gives for its whole mission; None without one."""
     value = mission.get(name)
     if value is None:
         return None
@@ -85,7 +85,7 @@ def _speed(mission: Mapping[str, object], name: str) -> float | None:
 
 
 def _take_all(route: Route, items: list[Any], where: str, inside: bool = False) -> None:
-    """Add mission items to a route, recording problems; ``inside``: they belong to a survey."""
+    """Add a .plan file's mission items to a route, recording problems; ``inside``: they are part of a survey."""
     for i, item in enumerate(items):
         path = f"{where}.{i}"
         try:
@@ -102,7 +102,7 @@ def _take_all(route: Route, items: list[Any], where: str, inside: bool = False) 
 
 
 def _take_complex(route: Route, item: Mapping[str, object], path: str) -> None:
-    """Add the items of a survey, structure scan or landing pattern to a route."""
+    """Add the items of a survey, structure scan or landing pattern of a .plan file to a route."""
     kind = item.get("complexItemType")
     if kind == VTOL_LANDING:
         raise PlanFaultError(f"{path}: {shown(kind)}: {NO_VTOL}")

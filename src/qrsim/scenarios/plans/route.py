@@ -57,11 +57,11 @@ class Route:
         self._until: Condition | None = None
 
     def take(self, content: Mapping[str, object], path: str, side_deg: float | None = None) -> None:
-        """Append the next item of the file; its waypoints are added by ``fly``."""
+        """Append the file's next mission item, with a heading relative to its course (``side_deg``); see ``fly``."""
         self.items.append(SimpleItem(len(self.items) + 1, path, dict(content), side_deg))
 
     def fly(self) -> None:
-        """Add the waypoints of all items, in the order of flight."""
+        """Convert all mission items to waypoints, in the order of flight."""
         try:
             flight = in_order(self.items)
         except PlanFaultError as fault:
@@ -82,7 +82,7 @@ class Route:
         self.ignored.append(Ignored(flight.jump.number, "DO_JUMP", "", "repeated once, not endlessly"))
 
     def _add_one(self, item: SimpleItem) -> None:
-        """Add one mission item to the route; a fault in it becomes a problem of the plan."""
+        """Convert one mission item; an error in it becomes a problem of the plan."""
         self._item = item
         try:
             self._add(item.content, item.path)
@@ -90,7 +90,8 @@ class Route:
             self.problems.append(str(fault))
 
     def _add(self, item: Mapping[str, object], path: str) -> None:
-        """Add a simple item: a waypoint, an order for the way ahead, or an item to skip."""
+        """Convert a simple mission item: to a waypoint, to an order for the next ones, or to a note of
+        an ignored item."""
         number, command = self._item.number, part_of(item, "command", int, path)
         row = known.COMMANDS.get(command)
         if row is None or row.kind == "refused":
@@ -123,7 +124,7 @@ class Route:
     # ---- places ----
 
     def _way_back(self, path: str) -> Content:
-        """Return place and height of a return as waypoint fields: home, or the nearest rally point."""
+        """Return place and height of the return command as waypoint fields: home, or the nearest rally point."""
         if not self.waypoints:
             raise PlanFaultError(f"{path}: NAV_RETURN_TO_LAUNCH has no waypoint before it to take a height from")
         last = self.waypoints[-1]
@@ -137,7 +138,7 @@ class Route:
         return found
 
     def _target(self, item: Mapping[str, object], command: int, params: Sequence[object], path: str) -> Content:
-        """Return place and height of an item as waypoint fields."""
+        """Return place and height of a mission item as waypoint fields; ``path`` is its place in the file."""
         last = self.waypoints[-1] if self.waypoints else None
         places = [f"{path}.params.{i}" for i in (4, 5, 6)]
         placeless = _is_placeless(params)
@@ -154,7 +155,7 @@ class Route:
         return _at(*degrees_of(params[4], params[5], where), altitude, above, height)
 
     def _datum(self, item: Mapping[str, object], path: str, placeless: bool) -> Above:
-        """Return the reference of an item's altitude: "home", "ground" or "sea"."""
+        """Return the reference of an item's altitude, "home", "ground" or "sea"; ``placeless``: it has no position."""
         frame = part_of(item, "frame", int, path)
         if frame in known.ABOVE_SEA:
             return "sea"
@@ -170,7 +171,7 @@ class Route:
 
     @staticmethod
     def _height_before(command: int, last: Waypoint | None, where: str) -> tuple[float, Above, float]:
-        """Return (altitude [m], reference, height above home [m]) for an item without an altitude."""
+        """Return (altitude [m], its reference, height above home [m]) for an item that gives no altitude."""
         if command == known.TAKEOFF and (last is None or last.command == "NAV_LAND"):
             return TAKE_OFF_HEIGHT, "home", TAKE_OFF_HEIGHT
         if last is not None:
@@ -184,7 +185,7 @@ class Route:
     def _note_params(
         self, item: Mapping[str, object], row: known.Command, params: Sequence[object], path: str
     ) -> dict[str, float]:
-        """Return the waypoint fields that an item's parameters give, and record those that are not flown.
+        """Return the waypoint fields that an item's parameters set; note those parameters that are not flown.
 
         Null and 0 ask for nothing; but a heading of 0 is north.
         """
@@ -208,7 +209,7 @@ class Route:
         return flown
 
     def _carry_out(self, command: int, params: Sequence[object], path: str) -> str:
-        """Apply an item's order to the way ahead; return the note on what is not flown, "" for nothing."""
+        """Apply a command without waypoint (delay, yaw, home, speed, condition); return a note on parts not flown."""
         numbers = [
             None if value is None else number_of(value, f"{path}.params.{i}", LARGEST_PARAMETER, "")
             for i, value in enumerate(params[:4])
@@ -230,7 +231,7 @@ class Route:
         return self._change_speed(first, second, path)
 
     def _change_speed(self, kind: float, speed: float, path: str) -> str:
-        """Apply DO_CHANGE_SPEED to the way ahead; return the note on what is not flown, "" for nothing."""
+        """Apply DO_CHANGE_SPEED to the next waypoints; return a note on parts that are not flown, or ""."""
         if kind not in _SPEEDS:
             raise PlanFaultError(f"{path}.params.0: {kind:g} is no kind of speed; allowed: 0 to 3")
         name = _SPEEDS[kind]
@@ -247,7 +248,7 @@ class Route:
         return ""
 
     def _await(self, command: int, distance: float, params: Sequence[object], path: str) -> str:
-        """Keep the present speed and heading until a condition on the way to the next waypoint is met."""
+        """Keep the present speed and heading until the vehicle meets a condition on the way to the next waypoint."""
         gate = None
         if command == known.GATE:
             where = (f"{path}.params.4 (latitude)", f"{path}.params.5 (longitude)")
@@ -259,7 +260,7 @@ class Route:
         return ""
 
     def _set_home(self, here: float, params: Sequence[object], path: str) -> None:
-        """Move the home of later returns; altitudes still count from the old one."""
+        """Set the home that later returns fly to; altitudes still count from the old one."""
         if here >= 0.5 or _is_placeless(params):
             place: Home | Waypoint = self.waypoints[-1] if self.waypoints else self.home
             found = place.latitude_deg, place.longitude_deg
@@ -268,7 +269,7 @@ class Route:
         self.home = Home(*found, self.home.altitude_amsl)
 
     def _wait(self, seconds: float, path: str) -> str:
-        """Add a delay [s] to the last waypoint, or to the start; return the note on what is not flown."""
+        """Add a delay [s] to the last waypoint, or to the start; return a note on parts that are not flown, or ""."""
         if seconds < 0.0:
             return "a delay until a time of day is not carried out"
         last = self.waypoints[-1] if self.waypoints else None
@@ -285,7 +286,7 @@ class Route:
 
 
 def params_of(item: Mapping[str, object], path: str) -> list[object]:
-    """Return the seven parameters of an item; raises PlanFaultError for another number of them."""
+    """Return the seven parameters of a mission item; raises PlanFaultError for another number of them."""
     params: list[object] = part_of(item, "params", list, path)
     if len(params) != 7:
         raise PlanFaultError(f"{path}.params: expected 7 values, found {len(params)}")
@@ -293,7 +294,7 @@ def params_of(item: Mapping[str, object], path: str) -> list[object]:
 
 
 def checked_param(name: str, number: float, where: str) -> float:
-    """Return a mission parameter, a yaw [deg] wrapped to +-180; raises PlanFaultError for values out of range."""
+    """Return a mission parameter, a yaw wrapped to +-180 deg; raises PlanFaultError for values out of range."""
     if name == "yaw_deg":
         return math.remainder(number, 360.0)
     low, high, unit = _FLYABLE[name]
@@ -303,7 +304,7 @@ def checked_param(name: str, number: float, where: str) -> float:
 
 
 def _at(latitude: float, longitude: float, altitude: float, above: Above, height: float) -> Content:
-    """Return the waypoint fields of a place [deg] and its heights [m]."""
+    """Return a position as waypoint fields: place [deg], altitude [m], its reference, and height above home [m]."""
     return {
         "latitude_deg": latitude,
         "longitude_deg": longitude,
@@ -314,12 +315,12 @@ def _at(latitude: float, longitude: float, altitude: float, above: Above, height
 
 
 def _is_placeless(params: Sequence[object]) -> bool:
-    """Return whether an item has no position and takes that of the item before: both coordinates null or 0."""
+    """Return whether an item has no position, and so takes the one before: both coordinates null or 0."""
     return (params[4] is None and params[5] is None) or (params[4] == 0.0 and params[5] == 0.0)
 
 
 def _apart(place: Home | RallyPoint, last: Waypoint) -> float:
-    """Return a relative distance between two near places, good for comparison only."""
+    """Return a measure of the distance between two near places, for comparison with others only."""
     east = (place.longitude_deg - last.longitude_deg) * math.cos(math.radians(last.latitude_deg))
     return math.hypot(place.latitude_deg - last.latitude_deg, east)
 
@@ -330,7 +331,7 @@ def _not_flown(asked: list[str]) -> str:
 
 
 def _why_refused(command: int, number: int) -> str:
-    """Return the reason, for a message, that a mission command cannot be flown."""
+    """Return the reason, for a message, why item ``number`` with this MAV_CMD cannot be flown."""
     row = known.COMMANDS.get(command)
     name = f"{command} ({row.name})" if row else str(command)
     if row and row.why:

@@ -23,7 +23,7 @@ NONE = (0.0, 0.0, 0.0)
 def end_tangent(
     begin: Sequence[float], end: Sequence[float], after: Sequence[float] | None, after_is_spline: bool
 ) -> tuple[float, ...]:
-    """Return the tangent (3,) [m] at the end of a spline leg, from the leg that follows.
+    """Return the tangent (3,) [m] at a spline leg's end; ``after`` is the next place, None for a stop.
 
     Args:
         begin, end: of the spline [m].
@@ -39,7 +39,7 @@ def end_tangent(
 def spline_points(
     begin: Sequence[float], end: Sequence[float], begin_tangent: Sequence[float], tangent: Sequence[float]
 ) -> list[list[float]]:
-    """Return points (3,) [m] along a spline leg, without its begin and with its end.
+    """Return points (3,) [m] along a spline leg with these tangents at its ends, with its end but not its begin.
 
     Chords between them are within ``CHORD_ERROR`` of the curve.
 
@@ -63,7 +63,7 @@ def spline_points(
 
 
 def _cubic(places: Floats, tangents: Floats, time: Floats) -> Floats:
-    """Return the cubic Hermite curve through two places with tangents, at times from 0 to 1."""
+    """Return the cubic Hermite curve through two places with given tangents, at times from 0 to 1."""
     square, cube = time**2, time**3
     return np.asarray(
         (2.0 * cube - 3.0 * square + 1.0) * places[0]

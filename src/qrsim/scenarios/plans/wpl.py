@@ -20,7 +20,7 @@ Row = tuple[int, list[float]]
 
 
 def read_wpl(source: str, home: Home | None = None) -> Plan:
-    """Read a waypoint list in the format QGC WPL.
+    """Read a plan from a waypoint list in the format QGC WPL; ``home`` replaces that of the file.
 
     Item 0 is home where it is a waypoint above the sea, as in the files of Mission Planner; otherwise home is ``home``
     or the first place. A heading of 0 is along the way.
@@ -72,7 +72,7 @@ def read_wpl(source: str, home: Home | None = None) -> Plan:
 
 
 def _rows(source: str) -> list[Row]:
-    """Return (line number, values) for each item of the file."""
+    """Return (line number, values) of each item of a QGC WPL file."""
     with readable(source):
         text = read_text(source)
     lines = text.splitlines()
@@ -100,7 +100,7 @@ def _rows(source: str) -> list[Row]:
 
 
 def _numbers(values: list[str]) -> list[float]:
-    """Return the numbers of a line; raises PlanFaultError for a wrong count or value."""
+    """Parse the values of a line to numbers; raises PlanFaultError for a wrong count or value."""
     if len(values) != COLUMNS:
         raise PlanFaultError(f"{len(values)} values; expected {COLUMNS}")
     numbers = []
@@ -117,7 +117,7 @@ def _numbers(values: list[str]) -> list[float]:
 
 
 def _first_place(rows: list[Row]) -> Home | None:
-    """Return the first place of a list as home with unknown altitude; None if no item has a place."""
+    """Return the first position of a waypoint list as home with unknown altitude; None without a position."""
     for _, values in rows:
         latitude, longitude = values[8:10]
         placed = int(values[3]) in known.PLACES and (latitude or longitude)
@@ -127,7 +127,7 @@ def _first_place(rows: list[Row]) -> Home | None:
 
 
 def _by_column(problem: str) -> str:
-    """Return a problem's text with the file's column in place of the item's field."""
+    """Return a problem's text with the column of the QGC WPL file in place of the item's field."""
     for part, words in (*((f".params.{i}", f", column {i + 5}") for i in range(7)), (".command", ""), (".frame", "")):
         problem = problem.replace(f"{part}", words, 1) if problem.startswith("line ") else problem
     return problem.replace("doJumpId", "number")

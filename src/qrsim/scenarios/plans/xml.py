@@ -13,7 +13,7 @@ class _Builder(ElementTree.TreeBuilder):
     """Refuses a document type before any of its entities is read."""
 
     def doctype(self, name: str, pubid: str | None, system: str | None) -> NoReturn:
-        """Raise _DocumentTypeError: a document type may define entities that expand without limit."""
+        """Raise _DocumentTypeError for a document type, which may define entities that expand without limit."""
         raise _DocumentTypeError
 
 
@@ -22,7 +22,7 @@ class _DocumentTypeError(Exception):
 
 
 def xml_root(path: str, data: bytes, kind: str) -> Element:
-    """Return the root element of an XML document; raises UsageError if it is not of ``kind``.
+    """Parse an XML document and return its root element; raises UsageError if it is not of ``kind``.
 
     Args:
         path: of the file, for messages.
@@ -46,15 +46,15 @@ def xml_root(path: str, data: bytes, kind: str) -> Element:
 
 
 def tag(element: Element) -> str:
-    """Return the tag without its namespace."""
+    """Return the tag of an XML element without its namespace."""
     return element.tag.rpartition("}")[2]
 
 
 def children(element: Element, name: str) -> list[Element]:
-    """Return the children with a tag, in any namespace."""
+    """Return the child elements with a tag, in any namespace."""
     return [child for child in element if tag(child) == name]
 
 
 def text_of(element: Element, name: str) -> str:
-    """Return the text of the first child with a tag, "" without one."""
+    """Return the text of the first child element with a tag; "" without one."""
     return "".join((child.text or "").strip() for child in children(element, name)[:1])

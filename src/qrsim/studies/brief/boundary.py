@@ -74,16 +74,16 @@ class Boundary:
 
     @property
     def flown(self) -> list[int]:
-        """Indices of the directions that have runs."""
+        """Indices of the wind directions that have runs."""
         return sorted({trial.point.direction for trial in self.trials})
 
     @property
     def wide(self) -> list[int]:
-        """Indices of the directions with runs whose interval is still too wide."""
+        """Indices of the wind directions with runs for which the speed's interval is still too wide."""
         return [i for i in self.flown if self.high[i] - self.low[i] > 2.0 * NARROW_M_S]
 
     def to_json(self) -> Content:
-        """Return the numbers of the directions with runs; an upper bound at the end of the grid is None."""
+        """Return the boundary's speeds by direction as a dict for JSON; an upper bound at the grid's end is None."""
         # With a flat posterior, 95 % are below 0.95 of the grid.
         ends = [None if high > 0.9 * self.top else float(high) for high in self.high]
         return {
@@ -101,7 +101,7 @@ class Boundary:
         }
 
     def next_points(self) -> list[Point]:
-        """Return the points of the next round: two in each direction whose interval is still too wide."""
+        """Return the winds to fly next: two speeds in each direction that still has a too wide interval."""
         weights, speeds = _posterior(self.trials, len(self.bearings), self.top)
         return [
             Point(i, round(speed, 2))
@@ -112,12 +112,12 @@ class Boundary:
 
 
 def first_points(directions: Sequence[int], held: float) -> list[Point]:
-    """Return the first points of directions: FIRST fractions of the speed [m/s] that the vehicle holds."""
+    """Return the first winds to fly in each direction: FIRST fractions of ``held`` [m/s], which vehicles can hold."""
     return [Point(i, round(part * held, 2)) for i in directions for part in FIRST]
 
 
 def fit(bearings: Sequence[float], trials: Sequence[Trial], held: float) -> Boundary:
-    """Fit the boundary; a direction without trials has the whole grid as its interval.
+    """Fit the boundary, the wind speed up to which enough runs succeed; no trials in a direction: the whole grid.
 
     Args:
         bearings: (D,) of the directions [deg].
@@ -138,7 +138,7 @@ def explore(
     fly: Callable[[int, list[Point]], tuple[list[Trial], bool]],
     known: Sequence[Trial] = (),
 ) -> tuple[Boundary, bool]:
-    """Fly rounds of points until every interval is narrow or ROUNDS are over; return the boundary, and whether done.
+    """Call ``fly`` with rounds of winds until all intervals are narrow or ROUNDS are over; return (boundary, complete).
 
     Args:
         bearings: (D,) of all directions [deg].
@@ -161,7 +161,7 @@ def explore(
 
 
 def _posterior(trials: Sequence[Trial], directions: int, top: float) -> tuple[NumpyArray, NumpyArray]:
-    """Return the posterior (D, C) of the boundary's speed in each direction, and the speeds (C,) [m/s]."""
+    """Return the posterior (D, C) of the boundary's speed in D directions, and the grid of speeds (C,) [m/s]."""
     speeds = (np.arange(CELLS) + 0.5) * top / CELLS
     scores = np.zeros((directions, len(STEEPNESS), CELLS))
     for (direction, speed), runs, good in trials:
@@ -178,7 +178,7 @@ def _posterior(trials: Sequence[Trial], directions: int, top: float) -> tuple[Nu
 
 
 def _quantiles(weights: NumpyArray, speeds: NumpyArray, shares: Sequence[float]) -> list[float]:
-    """Return the wind speeds [m/s] below which these shares of the weights lie."""
+    """Return the wind speeds [m/s] below which the given shares of a posterior's weights lie."""
     step = float(speeds[1] - speeds[0])
     ends = np.concatenate([[0.0], speeds + 0.5 * step])
     return [float(each) for each in np.interp(shares, np.concatenate([[0.0], np.cumsum(weights)]), ends)]

@@ -88,7 +88,7 @@ class Brief:
 
     @property
     def rows(self) -> list[Row]:
-        """Every criterion with its verdict."""
+        """Every criterion of the brief as a row with its verdict."""
         found = list(self.nominal)
         wind = wind_row(self.flights, self.operation.criteria.wind_limit, self.winds, self.boundary)
         if wind is not None:
@@ -99,26 +99,26 @@ class Brief:
 
     @property
     def verdict(self) -> tuple[Verdict, str]:
-        """The verdict and its reason; a brief without flights is marginal at best."""
+        """The brief's verdict (go, marginal, no-go) and its reason; without flights it is marginal at best."""
         found = overall(self.rows)
         if not self.nominal and found[0] == "go":
             return "marginal", "no run without faults was flown in the forecast"
         return found
 
     def missing_text(self) -> str:
-        """Return the reason, as text, that the brief is incomplete; "" for a complete one."""
+        """Return as text why the brief is incomplete; "" for a complete one."""
         if self.left_out:
             return f"not flown, because no time was left: {', '.join(self.left_out)}"
         return "" if self.complete else "the brief was stopped before it was complete"
 
     def precise(self) -> bool:
-        """Return whether the interval of every share is as narrow as requested."""
+        """Return whether the confidence interval of every share is as narrow as requested."""
         shares = [(self.runs[kind] > 0.0).sum() for kind in ("stopped", "not_finished")]
         widths = [high - low for low, high in (wilson(int(hits), len(self.runs)) for hits in shares)]
         return self.precision is None or max(widths) <= self.precision
 
     def worst(self) -> list[int]:
-        """Return the indices of the worst runs: lost ones, then by charge, fence and tracking error."""
+        """Return the indices of the worst runs: lost ones, then by charge, distance to the fence and tracking error."""
         runs = self.runs
         if not len(runs):
             return []
@@ -133,16 +133,16 @@ class Brief:
 
     @property
     def volumes(self) -> Volumes:
-        """Volumes of the flights for a risk assessment."""
+        """Flight and contingency volumes and ground risk buffer of the flights, for a risk assessment."""
         return volumes_of(self.flights.scenario)
 
     def departure(self) -> float | None:
-        """Return the distance [m] from the path that 99 % of the runs stay within; None without runs."""
+        """Return the distance [m] from the planned path within which 99 % of the runs stay; None without runs."""
         found = quantile(self.runs["tracking_error_max_m"], 0.99)
         return found if math.isfinite(found) else None
 
     def volumes_text(self) -> str:
-        """Return the volumes as text, compared with the simulated departures."""
+        """Return the sizes of the operational volumes as text, compared with the simulated departures from the path."""
         sizes, left = self.volumes, self.departure()
         simulated = (
             "" if left is None else f"; in 99 % of the runs no vehicle is farther than {left:.1f} m from its path"
@@ -154,7 +154,7 @@ class Brief:
         )
 
     def command(self, run: int) -> str:
-        """Return the shell command that flies a run again."""
+        """Return the shell command that flies run number ``run`` again."""
         values = [assignment(path, value) for path, value in self.runs.values_at(run).items()]
         words = ["qrsim", "run", str(self.folder / SCENARIO), "--seed", str(int(self.runs.seeds[run]))]
         return shlex.join([*words, *(word for value in values for word in ("--set", value))])
@@ -196,13 +196,13 @@ class Brief:
 
 
 def _share(hits: int, total: int) -> Content:
-    """Return a number of runs as a share of all, with its Wilson interval."""
+    """Return a number of runs as a share of all, with its Wilson interval, as a dict for JSON."""
     low, high = wilson(hits, total)
     return {"runs": hits, "share": hits / total, "low": low, "high": high}
 
 
 def _quantiles(runs: Runs, name: str) -> Content | None:
-    """Return 5 %, 50 % and 95 % quantiles of a column of the runs with its unit; None without finite values."""
+    """Return 5 %, 50 % and 95 % quantiles of a metric of the runs, with its unit; None without finite values."""
     values = runs[name][np.isfinite(runs[name])]
     if not len(values):
         return None
@@ -211,13 +211,13 @@ def _quantiles(runs: Runs, name: str) -> Content | None:
 
 
 def _cvar(values: NumpyArray) -> float | None:
-    """Return the mean of the smallest 5 % of the values, None without any."""
+    """Return the mean of the smallest 5 % of some values, the conditional value at risk; None without values."""
     known = np.sort(values[np.isfinite(values)])
     return float(known[: max(1, len(known) // 20)].mean()) if len(known) else None
 
 
 def prepared(operation: OperationSpec, flights: Flights, folder: Path, seed: int) -> Brief:
-    """Return a brief without runs, after writing its operation and scenario into the folder.
+    """Write the operation and scenario into a brief's folder; return the brief, which has no runs yet.
 
     Raises:
         OSError: they cannot be written.
@@ -229,7 +229,7 @@ def prepared(operation: OperationSpec, flights: Flights, folder: Path, seed: int
 
 
 def fly(brief: Brief, stages: Sequence[str], flyer: Callable[[], Flyer]) -> None:
-    """Fly the stages of a brief until its verdict or time limit; after an interruption, call ``keep``.
+    """Fly the stages of a brief until its verdict or time limit, by ``flyer()``; after an interruption, call ``keep``.
 
     Args:
         brief: changed in place.
@@ -263,7 +263,7 @@ def fly(brief: Brief, stages: Sequence[str], flyer: Callable[[], Flyer]) -> None
 
 
 def _read_others(brief: Brief, stages: Sequence[str]) -> None:
-    """Read the runs that earlier commands stored in the brief's folder for stages that are not in ``stages``."""
+    """Read the runs that earlier commands stored in the brief's folder, of stages that ``stages`` does not name."""
     if "nominal" not in stages:
         _nominal(brief, None)
     if "faults" not in stages and brief.operation.faults and (brief.folder / f"{faults.NAME}.zarr").exists():
@@ -273,14 +273,14 @@ def _read_others(brief: Brief, stages: Sequence[str]) -> None:
 
 
 def keep(brief: Brief) -> None:
-    """Read the runs stored before an interruption; the verdicts of the last interim analysis hold."""
+    """Read the runs stored before an interruption into the brief; verdicts of the last interim analysis hold."""
     _read(brief, look=None)
     if brief.winds is not None:
         _winds(brief, None, polar=True)
 
 
 def _read(brief: Brief, look: int | None) -> None:
-    """Read and judge the nominal runs up to an interim analysis (``look``); None: all, with the last verdicts kept."""
+    """Judge the nominal runs stored up to interim analysis ``look``; None: all runs, with the last verdicts kept."""
     stores = []
     starts = len(brief.flights.starts)
     for piece in pieces(brief.operation.criteria.p_loss):
@@ -300,12 +300,12 @@ def _read(brief: Brief, look: int | None) -> None:
 
 
 def _store(brief: Brief, part: Piece) -> Path:
-    """Return the path of a study's store of runs."""
+    """Return the path of the store with the runs of one part of the nominal stage."""
     return brief.folder / f"{part.name}.zarr"
 
 
 def _nominal(brief: Brief, flyer: Flyer | None) -> bool:
-    """Fly the nominal stage up to a verdict, or without a flyer only read it; return whether it reached one."""
+    """Fly the nominal stage up to a verdict, or without ``flyer`` only read its runs; return whether it has one."""
     for piece in pieces(brief.operation.criteria.p_loss):
         parts = piece.parts(len(brief.flights.starts))
         if flyer is None:
@@ -322,7 +322,7 @@ def _nominal(brief: Brief, flyer: Flyer | None) -> bool:
 
 
 def _faults(brief: Brief, flyer: Flyer | None) -> bool:
-    """Fly the stage of faults, or without a flyer only read it; return whether it is complete."""
+    """Fly the stage with faults, or without ``flyer`` only read its runs; return whether it is complete."""
     store, written = (brief.folder / f"{faults.NAME}{ending}" for ending in (".zarr", ".yaml"))
     if store.exists() and written.exists():
         # The times of its faults may be those of an earlier command, which knew fewer runs.
@@ -343,7 +343,7 @@ def _faults(brief: Brief, flyer: Flyer | None) -> bool:
 
 
 def _winds(brief: Brief, flyer: Flyer | None, polar: bool) -> bool:
-    """Fly the wind stage, or without a flyer only read it; return whether it is complete."""
+    """Fly the stage with other winds (``polar``: all bearings), or without ``flyer`` only read it; return if done."""
     brief.winds = brief.winds or winds_of(brief.operation, brief.flights, brief.folder)
     reserve = brief.operation.criteria.reserve if brief.operation.energy else None
     brief.boundary, complete = boundary_of(brief.winds, reserve, brief.seed, brief.folder, flyer, polar)
@@ -351,7 +351,7 @@ def _winds(brief: Brief, flyer: Flyer | None, polar: bool) -> bool:
 
 
 def record_worst(brief: Brief) -> None:
-    """Fly the worst runs again and record them in the brief's folder, unless they are there.
+    """Fly the worst runs of a brief again and record them in its folder, unless they are recorded already.
 
     Raises:
         RunError: a run cannot be written.

@@ -54,12 +54,12 @@ class FaultOutcome:
     median_s: float | None
 
     def to_json(self) -> Content:
-        """Return the fields by name."""
+        """Return the outcome of a fault as a dict for JSON."""
         return asdict(self)
 
 
 def fault_scenario(operation: OperationSpec, flights: Flights) -> Content:
-    """Return the scenario content with every fault, timed after the missions, and a station for the link.
+    """Return scenario content with the operation's faults, at first after the missions, and a station for link loss.
 
     Raises:
         ScenarioError: the station has no room next to the first home.
@@ -92,7 +92,7 @@ def fault_scenario(operation: OperationSpec, flights: Flights) -> Content:
 
 
 def _with_station(content: Content, flights: Flights) -> Content:
-    """Return the scenario's content with a fixed radio station by the first start; ScenarioError if none fits."""
+    """Return scenario content with a fixed radio station near the first start; ScenarioError if no place is free."""
     north, east, _ = content["fleets"][flights.places[0].fleet]["vehicles"][0]["position_ned"]
     problems: list[str] = []
     for away_north, away_east in BESIDE:
@@ -112,12 +112,12 @@ def _with_station(content: Content, flights: Flights) -> Content:
 
 
 def _never(flights: Flights) -> float:
-    """Return a time [s] near the end of a run, for faults that should not affect the mission."""
+    """Return a time [s] near the end of a run, at which faults no longer affect the mission."""
     return float(flights.content["duration"]) - 0.1
 
 
 def fault_study(operation: OperationSpec, flights: Flights, finished_s: float, seed: int) -> Content:
-    """Return the study's content: a condition for each fault and part of the mission, with the same seeds.
+    """Return a study's content: a condition for each fault and part of the mission, all with the same seeds.
 
     Args:
         operation: with its faults.
@@ -149,7 +149,7 @@ def fault_study(operation: OperationSpec, flights: Flights, finished_s: float, s
 
 
 def fault_outcomes(path: Path, study: Content) -> list[FaultOutcome]:
-    """Return the outcome of the runs for each condition."""
+    """Read the store of a study of faults; return the outcome of the runs under each condition."""
     results = Results(path)
     conditions: Content = study["vary"]["fault"]["conditions"]
     found = []
@@ -163,10 +163,10 @@ def fault_outcomes(path: Path, study: Content) -> list[FaultOutcome]:
 
 
 def _outcome(results: Results, here: NumpyArray, fault: str, part: float, begun: float) -> FaultOutcome:
-    """Return the shares of outcomes of the runs ``here`` after a fault at ``part`` of the mission, ``begun`` [s]."""
+    """Return the outcome of runs ``here`` (a mask) with a fault at ``begun`` [s], fraction ``part`` of the mission."""
 
     def of(metric: str) -> NumpyArray:
-        """Return a metric of the runs ``here``."""
+        """Return the values of a metric in the runs in mask ``here``."""
         return results.metric(metric)[here]
 
     crashed = (of("crashed") > 0.0) | ((of("stopped") > 0.0) & (of("left_area") == 0.0))
@@ -190,7 +190,7 @@ def _outcome(results: Results, here: NumpyArray, fault: str, part: float, begun:
 
 
 def fault_rows(outcomes: list[FaultOutcome]) -> list[Row]:
-    """Return a row for each fault: by the share of runs that come home, over all parts of the mission."""
+    """Return a row with a verdict for each fault, by the share of runs that come home over all parts of the mission."""
     rows = []
     for fault in dict.fromkeys(each.fault for each in outcomes):
         own = [each for each in outcomes if each.fault == fault]

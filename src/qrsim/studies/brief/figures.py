@@ -32,14 +32,14 @@ COLOURS = {"go": "#146c2e", "marginal": "#b26a00", "no-go": "#b3261e"}
 
 
 def png(figure: Figure) -> bytes:
-    """Render a figure to PNG bytes, reproducibly."""
+    """Render a figure to PNG bytes; equal figures give equal bytes."""
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=DPI, format="png", metadata={"Software": None})
     return buffer.getvalue()
 
 
 def map_figure(scenario: Scenario, tracks: NumpyArray, worst: Sequence[int], lost: NumpyArray) -> Figure:
-    """Draw the density of all tracks (E, R, n, 4) with fence and planned routes, the worst runs and places of losses.
+    """Draw the density of all tracks (E, R, n, 4) over fence and planned routes, the worst runs, and places of losses.
 
     Args:
         scenario: of the flights.
@@ -86,7 +86,8 @@ def map_figure(scenario: Scenario, tracks: NumpyArray, worst: Sequence[int], los
 
 
 def losses(runs: Runs, tracks: NumpyArray) -> NumpyArray:
-    """Return the place (L, 2) [m] of the first loss in each lost run, the last record of its track (E, R, n, 4)."""
+    """Return the place (L, 2), north and east [m], of the first loss in each lost run: the last one in ``tracks``
+    (E, R, n, 4)."""
     found = []
     for run in np.flatnonzero(np.isfinite(runs["stopped_vehicle"][: len(tracks)])):
         track = tracks[run, :, int(runs["stopped_vehicle"][run]), :2]
@@ -96,7 +97,7 @@ def losses(runs: Runs, tracks: NumpyArray) -> NumpyArray:
 
 
 def _dense(tracks: NumpyArray) -> NumpyArray:
-    """Return places (K, 2) [m] along all tracks, interpolated between records."""
+    """Return places (K, 2), north and east [m], along all tracks, interpolated between their records."""
     one, other = tracks[:, :-1, :, :2], tracks[:, 1:, :, :2]
     parts = [one + (other - one) * (step / BETWEEN) for step in range(BETWEEN)]
     found = np.concatenate([part.reshape(-1, 2) for part in parts])
@@ -104,7 +105,7 @@ def _dense(tracks: NumpyArray) -> NumpyArray:
 
 
 def _route(vehicle: Any) -> NumpyArray:
-    """Return the planned places (K, 3) NED [m]: the start, the end of each leg, and where the last one lands."""
+    """Return the planned places (K, 3) NED [m] of a vehicle: start, end of each leg, and place of the landing."""
     places = [vehicle.position_ned, *vehicle.places_ned.values()]
     last = vehicle.legs[-1]
     if last.type == "land" and last.at_ned is not None:
@@ -113,7 +114,7 @@ def _route(vehicle: Any) -> NumpyArray:
 
 
 def _number_legs(axes: Axes, vehicle: Any, line: NumpyArray) -> None:
-    """Write the number of each leg next to its middle, several numbers together where legs share it."""
+    """Write the number of each leg next to its middle; legs that share a middle get one text."""
     middles: dict[tuple[int, int], list[str]] = {}
     for number, (one, other) in enumerate(itertools.pairwise(line), 1):
         north, east = 0.5 * (one[:2] + other[:2])
@@ -123,12 +124,12 @@ def _number_legs(axes: Axes, vehicle: Any, line: NumpyArray) -> None:
 
 
 def _vehicles(scenario: Scenario) -> list[Any]:
-    """Return the specifications of the vehicles that fly a mission."""
+    """Return the specifications of those of a scenario's vehicles that fly a mission."""
     return [vehicle for fleet in scenario.spec.fleets.values() for vehicle in fleet.vehicles if vehicle.legs]
 
 
 def margins_figure(runs: Runs, rows: Sequence[Row]) -> Figure | None:
-    """Draw each margin of the runs as median, 5 to 95 % and extremes, with its criterion; None without margins."""
+    """Draw each safety margin of the runs: median, 5 to 95 %, extremes and its criterion; None without margins."""
     values = {
         "fence": np.fmin(runs["fence_horizontal_min_m"], runs["ceiling_min_m"]),
         "ground": runs["ground_min_m"],
@@ -158,7 +159,7 @@ def margins_figure(runs: Runs, rows: Sequence[Row]) -> Figure | None:
 def time_figure(
     runs: Runs, tracks: NumpyArray, low_battery: float, reserve: float, sky: Sky | None, every_s: float
 ) -> Figure:
-    """Draw charge and height of each vehicle over time, median and 5 to 95 %, and satellites and PDOP below."""
+    """Draw each vehicle's charge and height over time, median and 5 to 95 % of runs, and satellites and PDOP below."""
     figure = new_figure(7.2, 6.4 if sky is not None else 4.6)
     panels = figure.subplots(3 if sky is not None else 2, 1)
     ends = runs["flown_s"]
@@ -189,7 +190,7 @@ def time_figure(
 
 
 def _draw_sky(axes: PolarAxes, sky: Sky, last_s: float) -> None:
-    """Draw the number of satellites and the PDOP over time, at the place with the worst sky."""
+    """Draw the number of satellites and the PDOP over time up to ``last_s`` [s], at the place with the worst sky."""
     place, hours = sky.worst_place(), sky.seconds / 3600.0
     axes.axvspan(0.0, last_s / 3600.0, color="#dddddd", lw=0)
     axes.plot(hours, sky.count[:, place], color="#1f4e8c", lw=1.0)
@@ -204,7 +205,7 @@ def _draw_sky(axes: PolarAxes, sky: Sky, last_s: float) -> None:
 
 
 def polar_figure(boundary: Boundary, wind: WindSpec) -> Figure:
-    """Draw the boundary over the bearing that the wind comes from, with its interval, and the forecast as a cloud."""
+    """Draw the wind boundary over the direction the wind comes from, with its interval, and the forecast's spread."""
     figure = new_figure(5.4, 5.2)
     axes: Any = figure.add_subplot(projection="polar")
     axes.set_theta_zero_location("N")

@@ -64,12 +64,12 @@ class Place:
     alone: bool
 
     def path(self, number: str) -> str:
-        """Return the path, in the scenario, of a parameter such as ``battery.capacity`` for this vehicle."""
+        """Return the scenario path of this vehicle's parameter, such as ``battery.capacity``."""
         return f"fleets.{self.fleet}.{number}" + ("" if self.alone else f".{self.row}")
 
 
 def fleets_of(missions: Sequence[MissionSpec], names: Sequence[str]) -> tuple[Fleet, ...]:
-    """Return the fleets, one for missions of the same vehicle and pack (at most MOST), in order of first missions."""
+    """Group missions into fleets, one for each vehicle and battery (at most MOST vehicles), in order of missions."""
     alike: dict[str, list[int]] = {}
     for number, mission in enumerate(missions):
         alike.setdefault(json.dumps([mission.vehicle, mission.battery], sort_keys=True), []).append(number)
@@ -88,7 +88,7 @@ def fleets_of(missions: Sequence[MissionSpec], names: Sequence[str]) -> tuple[Fl
 
 
 def places_of(fleets: Sequence[Fleet]) -> tuple[Place, ...]:
-    """Return the place of each vehicle in the scenario, fleet by fleet."""
+    """Return the place (fleet and index) of each vehicle in the scenario, fleet by fleet."""
     return tuple(
         Place(fleet.name, row, len(fleet.missions) == 1) for fleet in fleets for row in range(len(fleet.missions))
     )
@@ -97,7 +97,7 @@ def places_of(fleets: Sequence[Fleet]) -> tuple[Place, ...]:
 def fleet_content(
     fleet: Fleet, operation: OperationSpec, plans: Sequence[Plan], names: Sequence[str], assumed: list[str]
 ) -> Content:
-    """Return a fleet as scenario content.
+    """Return a fleet as scenario content; adds a sentence to ``assumed`` for each default that it uses.
 
     Args:
         fleet: which missions it flies.
@@ -148,7 +148,7 @@ def fleet_content(
 
 
 def _vehicle(mission: MissionSpec, name: str, told: str, assumed: list[str]) -> Content:
-    """Return a mission's vehicle as scenario content."""
+    """Return the vehicle of a mission as scenario content; adds a sentence to ``assumed`` for a default model."""
     if mission.vehicle.endswith((".yaml", ".yml")):
         found = read_vehicle_file(Path(mission.vehicle))
         if found["type"] != "multirotor":
@@ -167,7 +167,7 @@ def _vehicle(mission: MissionSpec, name: str, told: str, assumed: list[str]) -> 
 
 
 def number_each(fleets: Sequence[Fleet], content: Content) -> None:
-    """Replace, in place, each number that may differ between a fleet's vehicles by a list with a value for each."""
+    """Replace, in place, numbers that may differ between a fleet's vehicles by lists with one for each."""
     for fleet in fleets:
         if len(fleet.missions) > 1:
             for part, key in OWN_NUMBERS:
@@ -176,7 +176,7 @@ def number_each(fleets: Sequence[Fleet], content: Content) -> None:
 
 
 def by_mission(problem: str, fleets: Sequence[Fleet], names: Sequence[str]) -> str:
-    """Return a message about the scenario with vehicles' paths replaced by the missions that they fly."""
+    """Return an error text about the scenario, with paths of vehicles replaced by the names of their missions."""
     for fleet in fleets:
         for row, number in enumerate(fleet.missions):
             path = rf"\bfleets\.{re.escape(fleet.name)}\.vehicles\.{row}(?!\d)"

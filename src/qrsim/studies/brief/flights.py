@@ -69,7 +69,7 @@ class Flights:
 
     @property
     def settings(self) -> tuple[Content, ...]:
-        """Path -> value that each start time sets in the scenario, one dict per start."""
+        """One dict per start time: scenario path -> value that this start time sets."""
         keys = ("wind", "turbulence") if self.wind.file is not None else ()
         worlds = [scenario.spec.model_dump(mode="json")["world"] for scenario in self.at_starts if keys]
         return tuple(
@@ -79,7 +79,7 @@ class Flights:
 
 
 def flights_of(operation: OperationSpec, longest_s: float = LONGEST_S) -> Flights:
-    """Return the flights of an operation: scenario, plans, starts and durations.
+    """Plan the flights of an operation: scenario, plans, start times and durations.
 
     Raises:
         UsageError, ScenarioError: a plan or a vehicle cannot be flown, or takes too long.
@@ -135,19 +135,19 @@ def flights_of(operation: OperationSpec, longest_s: float = LONGEST_S) -> Flight
 
 
 def wind_file(file: str) -> Content:
-    """Return the wind content for a file: a profile for a table, else a weather model."""
+    """Return the wind content for a file: a profile for a table (CSV), else a weather model."""
     return {"type": "profile" if Path(file).suffix.lower() == ".csv" else "weather", "file": file}
 
 
 def _wind_at_start(wind: WindSpec, scenario: Scenario) -> WindSpec:
-    """Return the forecast with the speed and bearing of the scenario's profile at its height."""
+    """Return the forecast with speed and bearing from the scenario's wind profile, at the forecast's height."""
     north, east = (float(axis[0, 0]) for axis in velocity(scenario.spec, np.array([wind.height]), [0.0]))
     bearing = math.degrees(math.atan2(-east, -north)) % 360.0
     return wind.model_copy(update={"speed": math.hypot(north, east), "from_deg": bearing})
 
 
 def plan_of(mission: MissionSpec) -> Plan:
-    """Return the plan of a mission; raises UsageError if it has nothing to fly.
+    """Read the flight plan of an operation's mission; raises UsageError if the plan has nothing to fly.
 
     Raises:
         UsageError: it cannot be read, or is empty.
@@ -163,7 +163,7 @@ def plan_of(mission: MissionSpec) -> Plan:
 
 
 def names_of(operation: OperationSpec) -> tuple[str, ...]:
-    """Return the name of each vehicle: its own, or that of its plan's file.
+    """Return each vehicle's name: that of its mission, or that of its plan's file.
 
     Raises:
         UsageError: two have the same.
@@ -178,12 +178,12 @@ def names_of(operation: OperationSpec) -> tuple[str, ...]:
 
 
 def speed_20ft(wind: WindSpec) -> float:
-    """Return the ratio of the wind at 20 ft to the forecast's, by the logarithmic profile over grass."""
+    """Return the ratio of the wind speed at 20 ft to that at the forecast's height, by the log profile over grass."""
     return math.log(6.096 / ROUGHNESS_M) / math.log(wind.height / ROUGHNESS_M)
 
 
 def bearing_deg(wind: WindSpec) -> float:
-    """Return the wind's bearing [deg] from -180 to 180, so that its errors stay within scenario bounds."""
+    """Return the bearing the wind comes from, -180 to 180 [deg], so that its spread stays in the schema's bounds."""
     return ((wind.from_deg or 0.0) + 180.0) % 360.0 - 180.0
 
 
@@ -203,7 +203,7 @@ def _check_homes(operation: OperationSpec, plans: tuple[Plan, ...]) -> None:
 
 
 def _check_lift(scenario: Scenario, share: float) -> None:
-    """Raise UsageError if many draws of the mass, within a relative difference, exceed the available thrust."""
+    """Raise UsageError if many masses, drawn within +-``share`` of the nominal one, exceed the available thrust."""
     for name, fleet in scenario.spec.fleets.items():
         ratio = thrust_to_weight(fleet, scenario.spec)
         if ratio is None or ratio >= LEAST_LIFT * (1.0 + share):
@@ -226,7 +226,7 @@ def _content(
     flown: tuple[tuple[Fleet, ...], tuple[str, ...]],
     assumed: list[str],
 ) -> Content:
-    """Return the scenario's content, with places as in the plans; ``flown``: fleets and mission names."""
+    """Return the operation's scenario content; ``flown``: fleets, and names of all missions."""
     fleets, names = flown
     below: Content = {}
     if operation.extends is not None:
@@ -255,7 +255,7 @@ def _content(
 
 
 def _planned_s(scenario: Scenario, missions: tuple[MissionSpec, ...], names: tuple[str, ...]) -> Iterator[float]:
-    """Yield each vehicle's planned flight time [s] in calm."""
+    """Yield each vehicle's planned flight time [s] without wind."""
     spec: Any = scenario.spec
     each = zip(missions, names, strict=True)
     for fleet, built in zip(spec.fleets.values(), scenario.world().fleets, strict=True):
@@ -274,7 +274,7 @@ def _planned_s(scenario: Scenario, missions: tuple[MissionSpec, ...], names: tup
 
 
 def _time(seconds: float) -> str:
-    """Return a time [s] as text in seconds, minutes or hours."""
+    """Format a time [s] as text in seconds, minutes or hours."""
     if seconds < 120.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 3600.0:.1f} h" if seconds >= 3600.0 else f"{seconds / 60.0:.0f} min"

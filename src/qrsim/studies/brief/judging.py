@@ -82,7 +82,7 @@ class Row:
 
 
 def overall(rows: Sequence[Row]) -> tuple[Verdict, str]:
-    """Return the worst verdict, the first row's reason for it, and the names of further rows with it."""
+    """Return the worst verdict of the criteria, and as text its reason, with other criteria that have this verdict."""
     counted = [row for row in rows if row.decides]
     worst: Verdict = max((row.verdict for row in counted), key=ORDER.index, default="marginal")
     if not counted:
@@ -95,19 +95,19 @@ def overall(rows: Sequence[Row]) -> tuple[Verdict, str]:
 
 
 def measured(name: str) -> tuple[str, str]:
-    """Return in words the quantity that a criterion or fault measures, and the side of its limit that is a go."""
+    """Return in words what a criterion measures, and on which side of its limit it is a go ("at least", ...)."""
     return MEASURES.get(name, (f"{name}: come home", "at least"))
 
 
 def undecided(rows: Sequence[Row]) -> bool:
-    """Return whether more runs could change the verdict."""
+    """Return whether more runs could change the overall verdict."""
     return overall(rows)[0] != "no-go" and any(row.name in SEQUENTIAL and row.verdict == "marginal" for row in rows)
 
 
 def judge(
     runs: Runs, criteria: CriteriaSpec, look: int | None, energy: bool = True, low_battery: float = 0.15
 ) -> list[Row]:
-    """Return a row for each criterion that the nominal runs decide; ``look`` numbers the interim analysis.
+    """Return a row with a verdict for each criterion of the nominal runs at interim analysis ``look``.
 
     Args:
         runs: flown so far.
@@ -124,14 +124,14 @@ def judge(
 
 
 def _levels(look: int | None) -> tuple[float | None, float | None]:
-    """Return the error probabilities for "go" and "no-go" at an interim analysis; None for no decision."""
+    """Return the error probabilities for "go" and "no-go" at interim analysis ``look``; None: not to be decided."""
     if look is None:
         return None, None
     return (None if look == 0 else spent(look)), spent(look + 1)
 
 
 def _share(hits: int, runs: int, limit: float, look: int | None) -> tuple[Verdict, float]:
-    """Return the verdict on a share that must stay below a limit, and the share's upper bound."""
+    """Return verdict at interim analysis ``look`` and upper bound of a share of runs that must stay below a limit."""
     for_go, for_no_go = _levels(look)
     bound = upper(hits, runs) if for_go is None else upper(hits, runs, for_go)
     if for_go is not None and bound < limit:
@@ -142,7 +142,7 @@ def _share(hits: int, runs: int, limit: float, look: int | None) -> tuple[Verdic
 
 
 def _loss(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
-    """Return the row of the share of lost vehicles."""
+    """Return the row with the verdict on the share of lost vehicles at interim analysis ``look``."""
     lost = runs["stopped"] > 0.0
     hits, total = int(lost.sum()), len(runs)
     verdict, bound = _share(hits, total, criteria.p_loss, look)
@@ -158,13 +158,13 @@ def _loss(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
 
 
 def _part(hits: int, total: int, words: str, bound: float) -> str:
-    """Return "2 of 32 runs lost (6.2 %, could be up to 18 %)", from what is counted and the share's upper bound."""
+    """Return a text such as "2 of 32 runs lost (6.2 %, could be up to 18 %)"; ``words`` says what happened to them."""
     most = f", could be up to {_percent(bound)}" if hits < total else ""
     return f"{hits} of {total} runs {words} ({_percent(hits / total)}{most})"
 
 
 def _usual_leg(runs: Runs, lost: NumpyArray) -> str:
-    """Return the leg on which most of several runs were lost, as text; "" where no leg is known."""
+    """Return as text the leg on which most of the ``lost`` runs (a mask) were lost; "" if no leg is known."""
     legs = runs["stopped_leg"][lost]
     numbers, counts = np.unique(legs[np.isfinite(legs)].astype(int), return_counts=True)
     if not len(numbers) or lost.sum() < 2:
@@ -173,7 +173,7 @@ def _usual_leg(runs: Runs, lost: NumpyArray) -> str:
 
 
 def _kinds(runs: Runs, lost: NumpyArray) -> str:
-    """Return in words how runs were lost, with counts, empty batteries and the wind of departures; "" without any."""
+    """Return in words how the ``lost`` runs (a mask) were lost, with counts and winds; "" without lost runs."""
     kinds = {"left the area": "left_area", "collided": "collided", "crashed": "crashed"}
     found = [f"{int((runs[name] > 0.0).sum())} {words}" for words, name in kinds.items() if (runs[name] > 0.0).any()]
     empty = int((lost & (runs["charge_end"] < CHARGE_NOISE)).sum())
@@ -185,7 +185,7 @@ def _kinds(runs: Runs, lost: NumpyArray) -> str:
 
 
 def _finished(runs: Runs, look: int | None, low_battery: float) -> Row:
-    """Return the row of the share of runs that do not finish the mission."""
+    """Return the row with the verdict, at interim analysis ``look``, on the share of runs that do not finish."""
     missed = runs["not_finished"] > 0.0
     hits, total = int(missed.sum()), len(runs)
     verdict, bound = _share(hits, total, UNFINISHED, look)
@@ -207,7 +207,7 @@ def _finished(runs: Runs, look: int | None, low_battery: float) -> Row:
 
 
 def _reserve(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
-    """Return the row of the charge at the end of the worst 5 % of runs."""
+    """Return the row with the verdict, at interim analysis ``look``, on the final charge of the worst 5 % of runs."""
     left = runs["charge_end"]
     # The charge of a lost run says nothing, unless it was the charge that ended it.
     left = np.where((runs["stopped"] > 0.0) & ~(left < CHARGE_NOISE), np.nan, left)
@@ -236,7 +236,7 @@ def _reserve(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
 
 
 def _margins(runs: Runs, criteria: CriteriaSpec) -> Iterator[Row]:
-    """Yield the rows of distance margins, without those that no run has."""
+    """Yield the rows with verdicts on distance margins, without margins that no run has."""
     asked = {
         "fence": (("fence_horizontal_min", "ceiling_min"), criteria.fence),
         "ground": (("ground_min",), criteria.ground),
@@ -250,7 +250,7 @@ def _margins(runs: Runs, criteria: CriteriaSpec) -> Iterator[Row]:
 
 
 def _margin(runs: Runs, name: str, margins: tuple[str, ...], values: NumpyArray, limit: float) -> Row:
-    """Return the row of the smallest margin [m] over ``values``, one row per name in ``margins``."""
+    """Return the row with the verdict on the smallest of ``margins``; ``values`` [m] has one row for each."""
     smallest = np.fmin.reduce(values)
     value = quantile(smallest, WORST_MARGIN)
     low, _ = quantile_bounds(smallest, WORST_MARGIN)
@@ -271,7 +271,7 @@ def _margin(runs: Runs, name: str, margins: tuple[str, ...], values: NumpyArray,
 
 
 def _empty(value: float) -> str:
-    """Return in words that the worst 5 % of runs end with this charge or less."""
+    """Return in words that the worst 5 % of runs end with this charge (0 to 1) or less."""
     return f"1 of 20 runs ends with {'no charge' if value < CHARGE_NOISE else f'{_percent(value)} of charge or less'}"
 
 

@@ -26,7 +26,7 @@ Share = Annotated[Finite, BeforeValidator(share_of)]
 
 
 def _no_percents(value: object, largest: float) -> object:
-    """Raise ValueError for a share that looks like a percentage."""
+    """Return a share unchanged; raises ValueError if it looks like a percentage, such as 5 for 0.05."""
     if isinstance(value, int | float) and not isinstance(value, bool) and 1.0 <= value <= 100.0:
         raise ValueError(f"{value:g} is out of range; allowed: 0 to {largest:g} ({value:g} % is {value / 100.0:g})")
     return value
@@ -69,7 +69,7 @@ class WindSpec(Part):
     @model_validator(mode="before")
     @classmethod
     def _from(cls, data: object) -> object:
-        """Rename the key ``from`` to ``from_deg``."""
+        """Rename the key ``from`` of a wind's data to ``from_deg``."""
         if isinstance(data, dict) and "from" in data and "from_deg" not in data:
             return {("from_deg" if key == "from" else key): value for key, value in data.items()}
         return data
@@ -94,7 +94,7 @@ class UncertainSpec(Part):
 
     @model_validator(mode="after")
     def _ordered(self) -> UncertainSpec:
-        """Raise ValueError unless the charge's bounds ascend from above 0 to at most 1."""
+        """Raise ValueError unless the bounds of the initial charge ascend from above 0 to at most 1."""
         low, high = self.initial_charge
         if not 0.0 < low <= high <= 1.0:
             raise ValueError(f"initial_charge: {low:g} to {high:g}; allowed: ascending, above 0, at most 1")
@@ -161,7 +161,7 @@ class SiteSpec(Part):
 
     @model_validator(mode="after")
     def _place(self) -> SiteSpec:
-        """Raise ValueError for a latitude without longitude, or a height without both."""
+        """Raise ValueError for a site with a latitude but no longitude, or a height but neither."""
         if (self.latitude_deg is None) != (self.longitude_deg is None):
             raise ValueError("gives one of latitude_deg and longitude_deg; give both, or neither")
         if self.latitude_deg is None and self.height_amsl is not None:
@@ -196,7 +196,7 @@ class OperationSpec(Part):
     @field_validator("world")
     @classmethod
     def _without_wind(cls, world: dict[str, object]) -> dict[str, object]:
-        """Raise ValueError if ``world`` has a wind; otherwise return it."""
+        """Return an operation's ``world`` unchanged; raises ValueError if it has a wind."""
         if "wind" in world:
             raise ValueError(
                 "the wind of an operation is its own key, such as wind: {speed: 7, from: 250}; leave world.wind out"
@@ -209,7 +209,7 @@ class OperationSpec(Part):
 
 
 def read_operation(path: Path, changes: Content) -> OperationSpec:
-    """Read an operation's file; paths in it are relative to its folder.
+    """Read an operation's YAML file and apply changes; file paths in it start in its folder.
 
     Args:
         path: of the file.
@@ -240,11 +240,11 @@ def read_operation(path: Path, changes: Content) -> OperationSpec:
 
 
 def with_paths(content: Content, changed: Callable[[str], str]) -> Content:
-    """Return an operation's content with every file path changed by a function."""
+    """Return a copy of an operation's content with every file path replaced by ``changed(path)``."""
     found = copy.deepcopy(content)
 
     def change(part: Any, key: Any) -> None:
-        """Change an entry in place if it is a file path."""
+        """Replace the entry ``part[key]`` in place if it is a file path."""
         if isinstance(part[key], str) and (key != "vehicle" or Path(part[key]).suffix):
             part[key] = changed(part[key])
 
@@ -264,7 +264,7 @@ def with_paths(content: Content, changed: Callable[[str], str]) -> Content:
 
 
 def checked(content: Content, source: str) -> OperationSpec:
-    """Return an operation's content as a checked specification; raises ScenarioError for faults.
+    """Validate an operation's content and return it as a specification; raises ScenarioError for errors.
 
     Raises:
         ScenarioError: it is wrong; the message lists the faults.

@@ -49,7 +49,7 @@ def write_page(brief: Brief) -> str:
 
 
 def figures_of(brief: Brief) -> Iterator[tuple[str, Figure]]:
-    """Yield the figures of a brief with their titles, in the order of the page."""
+    """Yield (title, figure) for each figure of a brief, in the order of the page."""
     runs, criteria = brief.runs, brief.operation.criteria
     if len(runs):
         tracks = runs.tracks(MOST_TRACKS)
@@ -65,7 +65,7 @@ def figures_of(brief: Brief) -> Iterator[tuple[str, Figure]]:
 
 
 def conditions(brief: Brief) -> str:
-    """Return in one sentence which wind, vehicles and lengths of flights the page is about."""
+    """Return a sentence about the wind, vehicles and flight lengths that a brief is about."""
     wind, flights = brief.operation.wind, brief.flights
     blows = f"wind of {wind.file}" if wind.file else f"wind {wind.speed:g} m/s from {wind.from_deg:g} deg"
     blows += "" if wind.file else f" at {wind.height:g} m, with an error of {wind.std:g} m/s and {wind.from_std:g} deg"

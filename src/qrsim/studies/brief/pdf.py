@@ -22,7 +22,7 @@ DPI = 200
 
 
 def write_pdf(brief: Brief) -> bytes:
-    """Return the PDF; the same brief gives the same bytes."""
+    """Return a brief as PDF, one page for one vehicle, else two; equal briefs give equal bytes."""
     buffer = io.BytesIO()
     first = Figure(figsize=PAGE)
     height = _head(first, brief)
@@ -43,17 +43,17 @@ def write_pdf(brief: Brief) -> bytes:
 
 
 def _step() -> float:
-    """Return the height of a line of text, as a share of the page's height."""
+    """Return the height of a line of text, as a fraction of the page's height."""
     return SIZE * LEADING / 72.0 / PAGE[1]
 
 
 def _room(lines: int) -> float:
-    """Return the height on the page at which ``lines`` lines at its end begin."""
+    """Return the height on the page, as a fraction, at which its last ``lines`` lines begin."""
     return min(0.4, 0.035 + lines * _step())
 
 
 def _head(page: Figure, brief: Brief) -> float:
-    """Draw title, origin and verdict, and return the height on the page below them, a share of it."""
+    """Draw title, origin and verdict of a brief; return the height below them, as a fraction of the page."""
     verdict, why = brief.verdict
     about = brief.to_json()
     page.text(LEFT, 0.955, brief.operation.operation, fontsize=15, weight="bold")
@@ -70,7 +70,7 @@ def _head(page: Figure, brief: Brief) -> float:
 
 
 def _criteria(brief: Brief) -> Iterator[tuple[str, str]]:
-    """Yield (line, colour) of the criteria's rows."""
+    """Yield (line of text, colour) for each criterion of a brief."""
     for row in brief.rows:
         word = row.verdict if row.decides else f"{row.verdict} (reported only)"
         for i, line in enumerate(textwrap.wrap(f"{word.upper()}: {row.why}", PER_LINE, subsequent_indent="      ")):
@@ -78,7 +78,7 @@ def _criteria(brief: Brief) -> Iterator[tuple[str, str]]:
 
 
 def _notes(brief: Brief) -> Iterator[tuple[str, str]]:
-    """Yield (line, colour) of the notes: volumes, faults, assumptions and worst seeds."""
+    """Yield (line of text, colour) for the notes of a brief: volumes, faults, assumptions and worst seeds."""
     about = brief.to_json()
     lines = [f"SORA: {brief.volumes_text()}"]
     for fault in dict.fromkeys(each.fault for each in brief.outcomes):
@@ -106,7 +106,7 @@ def _percents(shares: Sequence[float]) -> str:
 
 
 def _lines(page: Figure, height: float, lines: Iterator[tuple[str, str]] | list[tuple[str, str]]) -> float:
-    """Write lines downwards from a height on the page; return the height below them."""
+    """Write (text, colour) lines downwards from a height (fraction of the page); return the height below them."""
     for text, colour in lines:
         height -= _step()
         page.text(LEFT, height, text, fontsize=SIZE, color=colour, parse_math=False)
@@ -114,7 +114,7 @@ def _lines(page: Figure, height: float, lines: Iterator[tuple[str, str]] | list[
 
 
 def _pictures(page: Figure, brief: Brief, high: float, low: float) -> None:
-    """Put the figures into two columns between two heights."""
+    """Draw the figures of a brief in two columns between two heights, fractions of the page."""
     images = [imread(io.BytesIO(png(figure)), format="png") for _, figure in figures_of(brief)]
     rows = max(1, (len(images) + 1) // 2)
     size = (high - low) / rows

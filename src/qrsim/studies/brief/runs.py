@@ -32,7 +32,7 @@ class Moment:
     at_s: float | None
 
     def text(self) -> str:
-        """Return the moment as text: vehicle, leg and time."""
+        """Return the moment as text: vehicle, leg, time and seed."""
         parts = [self.vehicle and f"vehicle {self.vehicle}", "" if self.leg is None else f"leg {self.leg}"]
         parts += ["" if self.at_s is None else f"{self.at_s:.0f} s", f"seed {self.seed}"]
         return ", ".join(part for part in parts if part)
@@ -64,11 +64,11 @@ class Runs:
 
     @property
     def seeds(self) -> NumpyArray:
-        """Seed (E,) of each run."""
+        """Seed (E,) of each of the E runs."""
         return np.concatenate([np.empty(0, np.int64), *(results.seeds for results in self._results)])
 
     def tracks(self, most: int) -> NumpyArray:
-        """Return north, east, down and charge (E, R, n, 4) of at most ``most`` runs; NaN after their ends."""
+        """Return north, east, down [m] and charge (E, R, n, 4) of at most ``most`` runs; NaN after a run's end."""
         found: list[NumpyArray] = []
         for results in self._results:
             if (left := most - sum(map(len, found))) > 0:
@@ -76,7 +76,7 @@ class Runs:
         return np.concatenate(found) if found else np.empty((0, 1, len(self.names), 4))
 
     def values_at(self, run: int) -> Content:
-        """Return path -> value of a run: those of its start time, and the varied parameters."""
+        """Return scenario path -> value of the parameters of run number ``run``, those of its start time included."""
         for results in self._results:
             if run < results.episodes:
                 return {**results.spec.set, **results.values_at(run)}
@@ -84,15 +84,15 @@ class Runs:
         raise IndexError(run)
 
     def moment(self, run: int, margin: str) -> Moment:
-        """Return when, where and at which vehicle a run came closest to a margin."""
+        """Return the moment, with vehicle and leg, at which a run came closest to a ``margin`` such as the fence."""
         return self._moment(run, f"{margin}_vehicle", f"{margin}_leg", f"{margin}_at_s")
 
     def loss(self, run: int) -> Moment:
-        """Return the moment at which the first vehicle of a run stopped."""
+        """Return the moment, with vehicle and leg, at which the first vehicle of a run was lost."""
         return self._moment(run, "stopped_vehicle", "stopped_leg", "stopped_s")
 
     def _moment(self, run: int, *metrics: str) -> Moment:
-        """Return the moment that a run's metrics of vehicle, leg and time describe."""
+        """Return the moment that three metrics of a run describe: vehicle, leg and time."""
         vehicle, leg, at = (float(self[metric][run]) for metric in metrics)
         name = "" if math.isnan(vehicle) else self.names[int(vehicle)] if int(vehicle) < len(self.names) else ""
         number = None if math.isnan(leg) else int(leg)

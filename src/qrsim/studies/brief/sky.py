@@ -47,12 +47,12 @@ class Sky:
     hdop: NumpyArray
 
     def worst_place(self) -> int:
-        """Index of the place with the largest mean PDOP."""
+        """Index of the place along the routes with the largest mean PDOP."""
         return int(np.argmax(np.mean(self.pdop, axis=0)))
 
 
 def places_along(scenario: Scenario, count: int = PLACES) -> NumpyArray:
-    """Return places (P, 3) [m] along the legs of all vehicles, evenly spread over their lengths."""
+    """Return places (P, 3) NED [m] along the legs of all vehicles, evenly spread over their lengths."""
     corners = []
     for fleet in scenario.spec.fleets.values():
         for vehicle in fleet.vehicles:
@@ -69,7 +69,7 @@ def places_along(scenario: Scenario, count: int = PLACES) -> NumpyArray:
 
 
 def sky_of(scenario: Scenario) -> Sky:
-    """Return the sky over a day from the start of the flights on, every 5 minutes.
+    """Compute the GNSS satellites and PDOP along the routes, every 5 minutes over a day from the start of the flights.
 
     The orbits are those of the scenario. A satellite counts if it is above the receiver's mask, belongs to one of its
     systems, and no obstacle or ground is in the way.
@@ -99,7 +99,7 @@ def sky_of(scenario: Scenario) -> Sky:
 
 
 def _hidden(world: World, place: NumpyArray, sight: NumpyArray, used: NumpyArray) -> NumpyArray:
-    """Return which satellites (T, S) are hidden at a place, by terrain or obstacles."""
+    """Return a mask (T, S) of satellites hidden at a place by terrain or obstacles, in directions (T, S, 3)."""
     hidden = np.zeros(used.shape, bool)
     if not can_hide(world.obstacles, world.ground):
         return hidden
@@ -110,7 +110,7 @@ def _hidden(world: World, place: NumpyArray, sight: NumpyArray, used: NumpyArray
 
 
 def _dilution(sight: NumpyArray, used: NumpyArray) -> tuple[NumpyArray, NumpyArray]:
-    """Return PDOP and HDOP (T,) of the satellites used (T, S), by the inverse of the normal equations."""
+    """Return PDOP and HDOP, each (T,), of the satellites in mask ``used`` (T, S), in directions ``sight`` (T, S, 3)."""
     design = np.concatenate([-sight, np.ones((*used.shape, 1))], axis=-1) * used[..., None]
     normal = np.einsum("tsi,tsj->tij", design, design)
     fine = (used.sum(axis=1) >= 4) & (np.linalg.cond(normal) < 1e8)
@@ -123,7 +123,7 @@ def _dilution(sight: NumpyArray, used: NumpyArray) -> tuple[NumpyArray, NumpyArr
 
 
 def sky_row(sky: Sky, duration_s: float) -> Row:
-    """Return the verdict on the satellites in view from the start until half an hour after the last flight."""
+    """Return the row with the verdict on satellites in view, from the start to half an hour after the last flight."""
     window = sky.seconds <= duration_s + WINDOW_S
     count, pdop = sky.count[window], sky.pdop[window]
     good = ((pdop < GOOD_PDOP) & (count >= GOOD_COUNT)).mean(axis=0)

@@ -17,17 +17,17 @@ FEWEST = 32
 
 
 def upper(hits: int, runs: int, alpha: float = ALPHA) -> float:
-    """Return the one-sided upper confidence bound of a share (Clopper and Pearson, Biometrika 26, 1934)."""
+    """Return the one-sided upper confidence bound of ``hits / runs`` (Clopper and Pearson, Biometrika 26, 1934)."""
     return 1.0 if hits >= runs else float(beta.ppf(1.0 - alpha, hits + 1, runs - hits))
 
 
 def lower(hits: int, runs: int, alpha: float = ALPHA) -> float:
-    """Return the one-sided lower confidence bound of a share; see ``upper``."""
+    """Return the one-sided lower confidence bound of the share ``hits / runs``; see ``upper``."""
     return 0.0 if hits <= 0 else float(beta.ppf(alpha, hits, runs - hits + 1))
 
 
 def wilson(hits: int, runs: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Return the two-sided interval of a share for display (Wilson, JASA 22, 1927)."""
+    """Return the two-sided confidence interval of the share ``hits / runs`` for display (Wilson, JASA 22, 1927)."""
     if runs == 0:
         return 0.0, 1.0
     z = float(norm.ppf(0.5 + confidence / 2.0))
@@ -38,14 +38,14 @@ def wilson(hits: int, runs: int, confidence: float = 0.95) -> tuple[float, float
 
 
 def runs_for(width: float) -> int:
-    """Return the number of runs after which the interval of a share of 0 is at most ``width`` wide."""
+    """Return the number of runs without a hit after which the share's interval is at most ``width`` wide."""
     z = float(norm.ppf(0.975))
     # The upper end of Wilson's interval of none is z^2/(n + z^2).
     return math.ceil(z * z * (1.0 / width - 1.0))
 
 
 def runs_needed(limit: float, hits: int = 0, alpha: float = ALPHA) -> int:
-    """Return the fewest runs with ``hits`` hits whose upper bound is below a limit."""
+    """Return the fewest runs with ``hits`` hits at which the share's upper confidence bound is below a limit."""
     first, last = hits + 1, hits + 2
     while upper(hits, last, alpha) >= limit:
         first, last = last, 2 * last
@@ -56,17 +56,17 @@ def runs_needed(limit: float, hits: int = 0, alpha: float = ALPHA) -> int:
 
 
 def spent(look: int) -> float:
-    """Return the part of ALPHA that interim analysis ``look`` (1, 2, ...) may use; all together use ALPHA."""
+    """Return the part of the error probability ALPHA for interim analysis ``look`` (1, 2, ...); all sum to ALPHA."""
     return ALPHA / (look * (look + 1))
 
 
 def first_look(limit: float) -> int:
-    """Return the number of runs of the first interim analysis: the fewest that give a go if none is lost."""
+    """Return how many runs the first interim analysis has: the fewest that give a go if none is lost."""
     return runs_needed(limit, 0, spent(1))
 
 
 def looks(limit: float) -> Iterator[int]:
-    """Yield the total number of runs at each interim analysis (a look); each total is twice the one before."""
+    """Yield the total number of runs at each interim analysis; each total is twice the one before."""
     runs = first_look(limit)
     while True:
         yield runs
@@ -83,13 +83,13 @@ def allowed(limit: float, look: int) -> int:
 
 
 def quantile(values: NumpyArray, share: float) -> float:
-    """Return the quantile of values (E,) as an order statistic; NaN for no values."""
+    """Return the quantile of values (E,) at a share from 0 to 1, as an order statistic; NaN without values."""
     known = np.sort(values[np.isfinite(values)])
     return float(known[max(0, math.ceil(share * len(known) - 1e-9) - 1)]) if len(known) else math.nan
 
 
 def quantile_bounds(values: NumpyArray, share: float, alpha: float = ALPHA) -> tuple[float, float]:
-    """Return the exact one-sided lower and upper bound of a quantile, without assuming a distribution.
+    """Return the exact one-sided lower and upper confidence bounds of a quantile, for any distribution.
 
     The r-th smallest of n values is a lower bound if at least r of them are below the quantile with a probability of
     1 - alpha, by the binomial distribution; infinite where n is too small.

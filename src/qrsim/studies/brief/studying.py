@@ -57,22 +57,22 @@ class Piece:
 
     @property
     def name(self) -> str:
-        """Name of the piece's study and store."""
+        """Name of this part of the nominal stage, for its study and store."""
         return f"nominal_{self.look}" if self.starts == 1 else f"nominal_{self.look}_{self.start}"
 
     @property
     def batch(self) -> int:
-        """Runs per batch, small enough for two workers to have one each."""
+        """Number of runs in a batch, small enough for two workers to have a batch each."""
         return BATCH if self.starts == 1 else min(BATCH, -(-self.runs // 2))
 
     def parts(self, starts: int) -> list[Piece]:
-        """Split the piece by start times, into nearly equal numbers of runs."""
+        """Split this part of the nominal stage by start times, into nearly equal numbers of runs."""
         ends = [self.first + i * self.runs // starts for i in range(starts + 1)]
         return [Piece(self.look, ends[i], ends[i + 1] - ends[i], i, starts) for i in range(starts)]
 
 
 def pieces(p_loss: float) -> Iterator[Piece]:
-    """Yield the parts of the nominal stage, without end; from the second interim analysis on, the total doubles."""
+    """Yield the parts of the nominal stage, without end: the runs up to each interim analysis, doubling the total."""
     first = first_look(min(p_loss, UNFINISHED))
     done = 0
     if first > FEWEST:
@@ -85,7 +85,7 @@ def pieces(p_loss: float) -> Iterator[Piece]:
 
 
 def varied(operation: OperationSpec, flights: Flights) -> Content:
-    """Return the varied parameters as a study writes them: the wind, and parameters of every vehicle."""
+    """Return the parameters that a nominal study varies, as its content: the wind, and parameters of every vehicle."""
     wind, factor, spec = flights.wind, speed_20ft(flights.wind), operation.uncertain
     found: Content = {}
     steady, speed = wind.file is None, wind.speed or 0.0
@@ -115,7 +115,7 @@ def varied(operation: OperationSpec, flights: Flights) -> Content:
 
 
 def nominal_study(piece: Piece, operation: OperationSpec, flights: Flights, seed: int) -> Content:
-    """Return the study of a part of the nominal stage: one point of a Latin hypercube for each run."""
+    """Return the content of a study of one part of the nominal stage: a Latin hypercube point for each run."""
     vary = varied(operation, flights)
     study: Content = {
         "name": piece.name,
@@ -137,7 +137,7 @@ def nominal_study(piece: Piece, operation: OperationSpec, flights: Flights, seed
 
 
 def other_versions(folder: Path) -> list[str]:
-    """Return how the versions of the stores in a folder differ from those here, one line each."""
+    """Return a line of text for each version in a folder's stores that differs from those of this process."""
     for path in sorted(folder.glob("*.zarr")):
         try:
             known = json.loads((path / "zarr.json").read_text("utf-8"))["attributes"]["versions"]
@@ -172,13 +172,13 @@ class Flyer:
         self.allow(1.0)
 
     def allow(self, part: float) -> bool:
-        """Reserve a share of the remaining time for the next studies; return whether a batch fits into it."""
+        """Reserve a share of the remaining time for the next studies; return whether a batch of runs fits into it."""
         now, end = time.monotonic(), self.begun + 60.0 * self.minutes
         self.deadline = now + max(0.0, end - now) * part
         return end - now > self.batch_s
 
     def prepare(self, study: Content) -> Plan:
-        """Write a study into the folder, and return its plan.
+        """Write a study into the brief's folder, and return its plan.
 
         Raises:
             UsageError: values of it are not allowed.
@@ -201,7 +201,7 @@ class Flyer:
         return Plan(loaded, axes, (), self._groups[start])
 
     def fly(self, study: Content) -> bool:
-        """Fly the missing batches of a study; return whether it is complete.
+        """Fly the missing batches of a study until the deadline; return whether it is complete.
 
         Raises:
             UsageError: the folder has a store of another study.
@@ -213,7 +213,7 @@ class Flyer:
         done = sum(plan.batch(i).episodes for i, known in enumerate(store.done) if known)
 
         def progress(batch: Batch) -> None:
-            """Report a flown batch; raises OutOfTimeError if the deadline has passed and batches are missing."""
+            """Report a flown batch; raises OutOfTimeError if the deadline has passed and batches are still missing."""
             nonlocal done, begun
             now = time.monotonic()
             self.batch_s, begun = max(self.batch_s, now - begun), now

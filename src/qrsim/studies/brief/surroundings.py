@@ -20,7 +20,7 @@ AROUND, ABOVE = 50.0, 30.0
 
 
 def area_of(operation: OperationSpec, plans: tuple[Plan, ...], below: Content, assumed: list[str]) -> Content:
-    """Return the area's content: the operation's, the underlying scenario's, a plan's fence, or a box."""
+    """Return the content of the flight area: the operation's, the scenario ``below``, a plan's fence, or a box."""
     ceiling = operation.site.ceiling
     under = below.get("world")
     given = operation.world.get("area") or (under.get("area") if isinstance(under, dict) else None)
@@ -63,12 +63,12 @@ def area_of(operation: OperationSpec, plans: tuple[Plan, ...], below: Content, a
 
 
 def _check_home(name: str, plan: Plan, fence_name: str, fenced: Plan) -> None:
-    """Raise UsageError for a plan whose home is outside another plan's fence."""
+    """Raise UsageError if the home of ``plan`` is outside the fence of the plan ``fenced``."""
     home = plan.home
     site = Site.from_degrees(home.latitude_deg, home.longitude_deg, 0.0)
 
     def around(places: Sequence[tuple[float, float]]) -> list[list[float]]:
-        """Return places in latitude and longitude [deg] as north and east of home [m]."""
+        """Convert places in latitude and longitude [deg] to [north, east] [m] of the plan's home."""
         radians = [(math.radians(north), math.radians(east)) for north, east in places]
         return [[float(axis) for axis in site.geodetic_to_ned(*each, 0.0)[:2]] for each in radians]
 
@@ -82,7 +82,7 @@ def _check_home(name: str, plan: Plan, fence_name: str, fenced: Plan) -> None:
 
 
 def site_of(operation: OperationSpec, plan: Plan, below: Content) -> Content:
-    """Return the site's content: the operation's, the underlying scenario's, or the first plan's home."""
+    """Return the content of the site: the operation's, that of the scenario ``below``, or the first plan's home."""
     given = operation.site.model_dump(include={"latitude_deg", "longitude_deg", "height_amsl"}, exclude_none=True)
     given |= {key: value for key in ("temperature_offset",) if (value := getattr(operation.site, key))}
     under = below.get("site")
@@ -98,7 +98,7 @@ def site_of(operation: OperationSpec, plan: Plan, below: Content) -> Content:
 
 
 def ground_of(site: SiteSpec) -> Content:
-    """Return the scenario content for the terrain and the buildings of a site."""
+    """Return the world content for the terrain and the buildings of an operation's site."""
     found: Content = {}
     if site.terrain:
         found["ground"] = {"type": "dem", "file": site.terrain if len(site.terrain) > 1 else site.terrain[0]}
@@ -108,7 +108,7 @@ def ground_of(site: SiteSpec) -> Content:
 
 
 def _box(plans: tuple[Plan, ...]) -> Content:
-    """Return the bounds [m] of an area that contains the plans' homes and waypoints with AROUND to spare."""
+    """Return the bounds [m] of an area around all plans' homes and waypoints, with a margin of AROUND."""
     home = plans[0].home
     site = Site.from_degrees(home.latitude_deg, home.longitude_deg, home.altitude_amsl)
     places = [(plan.home.latitude_deg, plan.home.longitude_deg) for plan in plans]

@@ -51,12 +51,12 @@ class Volumes:
     ground_risk: float
 
     def to_json(self) -> Content:
-        """Return the sizes by name."""
+        """Return the sizes of the volumes by name."""
         return asdict(self)
 
 
 def volumes_of(scenario: Scenario) -> Volumes:
-    """Return the operational volumes of a scenario's flights."""
+    """Compute the sizes of flight and contingency volumes and ground risk buffer of a scenario's flights."""
     speed = USUAL_SPEED
     height = 0.0
     for fleet in scenario.spec.fleets.values():
@@ -71,7 +71,7 @@ def volumes_of(scenario: Scenario) -> Volumes:
 
 
 def outlines(scenario: Scenario, volumes: Volumes) -> dict[str, NumpyArray]:
-    """Return volume -> corners (K, 2) [m], north and east, of its convex outline around all routes."""
+    """Return name of a volume -> corners (K, 2), north and east [m], of its convex outline around all routes."""
     places = np.array(
         [
             place[:2]
@@ -96,7 +96,7 @@ def _around(places: NumpyArray, distance: float) -> NumpyArray:
 
 
 def write_kml(name: str, scenario: Scenario, volumes: Volumes) -> str:
-    """Return the volumes as KML, each a polygon with its height above the ground."""
+    """Return the operational volumes as KML text, each a polygon with its height above the ground."""
     spec = scenario.spec.site
     site = Site.from_degrees(spec.latitude_deg, spec.longitude_deg, spec.height)
     heights = dict(zip(STYLES, (volumes.height, volumes.contingency_height, 0.0), strict=True))

@@ -51,7 +51,7 @@ class Winds:
 
 
 def winds_of(operation: OperationSpec, flights: Flights, folder: Path) -> Winds:
-    """Return the winds to explore for a brief, after writing their scenario into its folder."""
+    """Return the winds that a brief explores, after writing their scenario into its folder."""
     content = copy.deepcopy(flights.content)
     content["name"] = NAME
     factor, bearing = speed_20ft(flights.wind), bearing_deg(flights.wind)
@@ -66,7 +66,7 @@ def winds_of(operation: OperationSpec, flights: Flights, folder: Path) -> Winds:
 
 
 def _held(scenario: Scenario, factor: float) -> float:
-    """Return the smallest wind speed [m/s], at the forecast's height, that a vehicle can hold."""
+    """Return the largest wind speed [m/s], at the forecast's height, in which every vehicle can hold its position."""
     found = []
     for fleet in scenario.spec.fleets.values():
         limits = limits_of(fleet, scenario.spec)
@@ -78,7 +78,7 @@ def _held(scenario: Scenario, factor: float) -> float:
 
 
 def wind_study(name: str, first_seed: int, points: Sequence[Point], winds: Winds) -> Content:
-    """Return the study of a round: a condition for each point, SEEDS runs in each."""
+    """Return the content of a study of a round of winds: a condition for each wind, with SEEDS runs."""
     conditions = {
         f"wind_{i}": {
             "world.wind.speed_20ft": min(point.speed * winds.factor, LARGEST),
@@ -101,7 +101,7 @@ def wind_study(name: str, first_seed: int, points: Sequence[Point], winds: Winds
 def boundary_of(
     winds: Winds, reserve: float | None, seed: int, folder: Path, flyer: Flyer | None, polar: bool
 ) -> tuple[Boundary, bool]:
-    """Explore the wind boundary, the forecast's direction first; return it, and whether it is complete.
+    """Explore the wind boundary in the forecast's direction (``polar``: then in all); return it, and whether complete.
 
     Args:
         winds: of the brief.
@@ -113,10 +113,10 @@ def boundary_of(
     """
 
     def flying(part: str) -> Callable[[int, list[Point]], tuple[list[Trial], bool]]:
-        """Return the function that flies the points of one part of the boundary, in rounds."""
+        """Return a function that flies a round of winds: from number and winds to (trials, whether complete)."""
 
         def fly(number: int, points: list[Point]) -> tuple[list[Trial], bool]:
-            """Fly the points of a round; return their trials and whether all are complete."""
+            """Fly the winds of round ``number``; return their trials, and whether all are complete."""
             name = f"{part}_{number}"
             complete = flyer is not None and flyer.fly(wind_study(name, seed + SEEDS * number, points, winds))
             found = _trials(folder / f"{name}.zarr", points, reserve)
@@ -132,7 +132,7 @@ def boundary_of(
 
 
 def _trials(path: Path, points: Sequence[Point], reserve: float | None) -> list[Trial]:
-    """Return the runs and good runs of each point in a study's results; [] if nothing has been flown yet."""
+    """Return how many runs at each wind succeeded, with ``reserve`` charge left, from a store; [] before any run."""
     try:
         results = Results(path) if path.exists() else None
     except RunError:  # nothing has been flown yet
@@ -151,20 +151,20 @@ def _trials(path: Path, points: Sequence[Point], reserve: float | None) -> list[
 
 
 def _gusty(spec: ScenarioSpec, height: float) -> float:
-    """Return the mean wind plus SIGMAS standard deviations of its gusts at a height [m/s]."""
+    """Return the mean wind plus SIGMAS standard deviations of its gusts at a height [m], in m/s."""
     heights = np.array([height])
     return float((mean_wind(spec, heights) + SIGMAS * gust_sigma(spec, heights))[0])
 
 
 def _at_speed(winds: Winds, speed: float, height: float) -> float:
-    """Return the gusty wind [m/s] at a height, for a mean speed [m/s] at the forecast's height."""
+    """Return the wind with gusts [m/s] at a height, for a mean speed [m/s] at the forecast's height."""
     spec = winds.scenario.spec
     wind = spec.world.wind.model_copy(update={"speed_20ft": winds.factor * speed})
     return _gusty(spec.model_copy(update={"world": spec.world.model_copy(update={"wind": wind})}), height)
 
 
 def wind_row(flights: Flights, limit: float | None, winds: Winds | None, boundary: Boundary | None) -> Row | None:
-    """Return the verdict on the gusty wind at the highest leg; None if there is no limit to compare with.
+    """Return the row with the verdict on the wind with gusts at the highest leg; None without any limit.
 
     Both sides have three standard deviations of gusts: the wind of the forecast, and the boundary in its direction.
 
@@ -199,5 +199,5 @@ def wind_row(flights: Flights, limit: float | None, winds: Winds | None, boundar
 
 
 def _against(wind: float, low: float, high: float) -> Verdict:
-    """Return the verdict of a wind [m/s] against a limit between ``low`` and ``high`` [m/s]."""
+    """Return the verdict on a wind [m/s] with a limit known to be between ``low`` and ``high`` [m/s]."""
     return "go" if wind < low - BELOW else "no-go" if wind > high else "marginal"

@@ -70,18 +70,18 @@ def now_rounded() -> str:
 
 
 def spread(first: str, minutes: float, count: int) -> tuple[str, ...]:
-    """Return ``count`` evenly spaced times over ``minutes`` from a first one on, as ISO 8601 in UTC."""
+    """Return ``count`` evenly spaced times over ``minutes`` from the time ``first`` on, as ISO 8601 in UTC."""
     begin = datetime.fromisoformat(first)
     return tuple(_written(begin + timedelta(minutes=minutes * i / max(1, count - 1))) for i in range(count))
 
 
 def _written(time: datetime) -> str:
-    """Return a time in UTC as ISO 8601 text, such as 2026-05-01T10:00:00Z."""
+    """Format a time in UTC as ISO 8601 text, such as 2026-05-01T10:00:00Z."""
     return time.astimezone(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
 
 
 def vehicles_of(plans: Sequence[Path], given: Sequence[str]) -> list[str]:
-    """Return each plan's vehicle, from one for all or ``PLAN=VEHICLE`` words.
+    """Return the vehicle of each plan; ``given`` is one for all, or words ``PLAN=VEHICLE``.
 
     Raises:
         UsageError: a plan has none, or a name is of no plan.
@@ -118,7 +118,7 @@ def minutes_of(value: object) -> object:
 
 
 def battery_of(file: Path) -> Content:
-    """Return a battery's content from a file, where it is alone or under ``battery``.
+    """Read a battery's content from a YAML file, which holds it alone or under the key ``battery``.
 
     Raises:
         UsageError: it cannot be read.

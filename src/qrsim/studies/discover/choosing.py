@@ -46,8 +46,7 @@ class Choice:
 
 
 def choose(log: FlightLog, populations: Mapping[str, Population], windows: int, mass: float, train: float) -> Choice:
-    """Select the laws that predict flights over seconds best; constants and trims are fitted on the first part of the
-    rows.
+    """Select the laws that best predict flights over seconds; constants and trims are fitted to the log's first part.
 
     Args:
         log: what was read.
@@ -89,13 +88,13 @@ def choose(log: FlightLog, populations: Mapping[str, Population], windows: int, 
 
 
 def long_windows(log: FlightLog, first: float, last: float, length_s: float) -> Flight:
-    """Cut a share of a log into windows; they overlap if it is too short for FEWEST_WINDOWS."""
+    """Cut rows ``first`` to ``last`` (fractions) of a log into windows; they overlap if there would be too few."""
     steps = round(length_s / log.dt)
     return windows_of(log, first, last, steps, max(FEWEST_WINDOWS, math.ceil((last - first) * len(log.time) / steps)))
 
 
 def left_by(choice: Choice, flight: Flight, mass: float) -> Floats:
-    """Return the root mean square residual (C,) of each channel flown with the chosen laws, at most its movement."""
+    """Return each channel's root mean square residual (C,) when the chosen laws are flown, at most its movement."""
     rules = {name: rule_of(each.tree, name) for name, each in choice.laws.items()}
     constants = {name: each.constants[:, None] for name, each in choice.laws.items()}
     found = fly(flight, rules, constants, mass, choice.trims)[:, :, 0]
@@ -107,7 +106,7 @@ def left_by(choice: Choice, flight: Flight, mass: float) -> Floats:
 def _window_errors(
     choice: Choice, law: str, proposal: Proposal, own: Mapping[str, float], flight: Flight, noise: Floats, mass: float
 ) -> Floats:
-    """Return the mean squared error (n,) of a law in each window of a flight, at most FAILED; ``own``: its trims."""
+    """Return a law's mean squared error (n,) in each window of a flight, at most FAILED; ``own``: the law's trims."""
     partners = {name: choice.laws[name] for name in partners_of(law, choice.laws)}
     errors = errors_of(law, proposal, partners, flight, noise, mass, {**choice.trims, **own})
     with np.errstate(all="ignore"):
@@ -125,7 +124,7 @@ def _choose_law(
     mass: float,
     independent: float,
 ) -> None:
-    """Add to the choice the smallest law of a Pareto front that is about as good as the best one."""
+    """Add to the choice the smallest proposal of a law's Pareto front that is about as good as the best."""
     front = population.pareto()
     likely = [each for each in front if each.error <= HOPELESS * front[-1].error]
     tried = [refined(choice, law, proposal, fit, noise, mass) for proposal in likely]
@@ -149,7 +148,7 @@ def refined(
     mass: float,
     trimmed: bool = True,
 ) -> tuple[Proposal, dict[str, float]]:
-    """Refit a law's constants and trims to windows flown with the laws chosen so far."""
+    """Refit a law's constants and, if ``trimmed``, trims to windows flown with the laws chosen so far; return both."""
     names = TRIMS.get(law, ()) if trimmed else ()
     partners = {name: choice.laws[name] for name in partners_of(law, choice.laws)}
     none = dict.fromkeys(TRIMS.get(law, ()), 0.0)
@@ -157,7 +156,7 @@ def refined(
     count = len(proposal.constants)
 
     def residual(unknowns: Floats) -> Floats:
-        """Return the errors of flown windows and the scaled trims, for unknowns (K, B)."""
+        """Return the errors of the flown windows and the scaled trims, for B sets of K unknowns (K, B)."""
         own = dict(zip(names, unknowns[count:], strict=True))
         flown = errors(unknowns[:count], own).reshape(unknowns.shape[1], -1)
         return np.concatenate([flown, unknowns[count:].T / TRIM], axis=1)

@@ -24,7 +24,7 @@ REACH, TOLERANCE = 3.0, 0.05
 
 
 def rough_delay(log: FlightLog, train: float, given: Collection[str] = ()) -> float:
-    """Estimate the delay [s], in whole steps of the log, that best explains changes of rates and thrust.
+    """Estimate the command delay [s], in whole steps of the log, that best explains changes of rates and thrust.
 
     No law need be known: what counts is what polynomials of second degree in the inputs of each law leave, of the
     slopes of the rates, and of thrust in flight, because its limited slope would look like delay.
@@ -40,7 +40,7 @@ def rough_delay(log: FlightLog, train: float, given: Collection[str] = ()) -> fl
 
 
 def _unexplained(log: FlightLog, train: float, given: Collection[str]) -> float:
-    """Return the misfit of polynomials in each law's inputs: the sum over samples of log(residual/variance).
+    """Return the misfit of polynomials in each law's inputs: sum of log(residual variance / variance) over rows.
 
     Drag has no part in it. Thrust is fitted in flight, because its rate of change is limited and would look like delay.
     Without enough rows the misfit is infinite.
@@ -62,7 +62,7 @@ def _unexplained(log: FlightLog, train: float, given: Collection[str]) -> float:
 
 
 def _thrust_misfit(flight: Flight) -> float:
-    """Return the mean square error of thrust as a quadratic of the command, fitted to a log where it flies."""
+    """Return the mean square error of thrust predicted by a quadratic of the command, fitted in simulated flight."""
     tree = polynomial_tree([(0,), (1,), (2,)], "thrust")
     scale = np.std(flight.recorded, axis=(1, 2)) + 1e-9
     (throttle,), thrust = slopes(flight, "thrust")
@@ -72,7 +72,7 @@ def _thrust_misfit(flight: Flight) -> float:
 
 
 def _features(leaves: list[Floats]) -> Floats:
-    """Return 1, the standardised leaves (N,), their squares and their products with each other, as columns (N, F)."""
+    """Return columns (N, F) of 1, the standardised inputs (N,), their squares and their products."""
     one = [np.ones_like(leaves[0]), *((leaf - leaf.mean()) / (leaf.std() + 1e-12) for leaf in leaves)]
     return np.stack([a * b for a, b in itertools.combinations_with_replacement(one, 2)], axis=1)
 
@@ -85,7 +85,7 @@ def refined_delay(
     first: float,
     given: Collection[str] = (),
 ) -> float:
-    """Estimate the delay [s] with which refitted laws best fly windows of some seconds.
+    """Estimate the command delay [s] with which refitted laws best fly windows of some seconds.
 
     Args:
         log: what was read.

@@ -57,12 +57,12 @@ class Law:
 
     @property
     def terms(self) -> dict[tuple[int, ...], float] | None:
-        """Coefficient of each term by the powers of the law's inputs; None if the law is not a polynomial."""
+        """Coefficient of each term of the law by the powers of its inputs; None if the law is not a polynomial."""
         return monomials(self.expression, self.name)
 
     @property
     def text(self) -> str:
-        """Equation of the law as text."""
+        """The law's equation as text."""
         return f"{LEFT_SIDES[self.name]} = {shown(self.expression)}"
 
 
@@ -92,7 +92,7 @@ class Discovery:
     held: dict[str, str]
 
     def vehicle(self, mass: float) -> Content:
-        """Return the vehicle as the content of a vehicle file for scenarios."""
+        """Return a vehicle with the discovered laws and a mass [kg], as the content of a vehicle file."""
         laws = {name: law for name, law in self.laws.items() if name not in self.held}
         texts = {f"{name}_law": str(law.expression) for name, law in laws.items() if name != "drag"}
         content: dict[str, object] = {"type": "expression", "mass": mass, **texts}
@@ -113,7 +113,7 @@ def discover(
     delay: float | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Discovery:
-    """Evolve laws on the first share ``train`` of a log and score them on the rest; ``delay`` None is estimated.
+    """Evolve laws of motion on the first share ``train`` of a log, score them on the rest; ``delay`` None is estimated.
 
     Raises:
         LogError: signals are missing, the log is too short, or shows no law.
@@ -156,7 +156,7 @@ def discover(
 
 
 def not_shown(log: FlightLog, train: float) -> dict[str, str]:
-    """Return the laws that the first fraction ``train`` of a log does not excite, each with the reason.
+    """Return law -> reason, for laws that the first fraction ``train`` of a log does not excite.
 
     Raises:
         LogError: it says nothing of any; its details are how much each signal moves.
@@ -179,14 +179,14 @@ def not_shown(log: FlightLog, train: float) -> dict[str, str]:
 
 
 def known_law(name: str) -> Proposal:
-    """Return a published law as a tree with its constants."""
+    """Return a law of the published model as an expression tree with its constants."""
     return Proposal(polynomial_tree(list(PUBLISHED_TERMS[name]), name), published()[name][1][:, 0], error=1.0)
 
 
 def _rejected(
     log: FlightLog, laws: Mapping[str, Law], scores: Mapping[str, Mapping[str, float]], variance: Mapping[str, float]
 ) -> dict[str, str]:
-    """Return the laws that predict the rest of the log no better than the mean of each channel.
+    """Return law -> reason, for laws that predict the held-out part no better than the mean of each channel.
 
     What counts is the geometric mean of the errors over the variances. A law that is better than the published one is
     kept all the same.
@@ -210,7 +210,7 @@ def _rejected(
 
 
 def _held_out(log: FlightLog, train: float) -> Flight:
-    """Return the rest of a log as one window, up to its first gap."""
+    """Return the part of a log after the fraction ``train`` as one window, up to its first gap."""
     rows = len(log.time)
     most = rows - round(train * rows) - 2 - 8
     for steps in (most, most // 2, most // 4, most // 8):
@@ -224,13 +224,13 @@ def _held_out(log: FlightLog, train: float) -> Flight:
 def _fly_laws(
     flight: Flight, laws: Mapping[str, tuple[Rule, Floats]], mass: float, trims: Mapping[str, float]
 ) -> Floats:
-    """Return the channels (C, H) of one window flown by some laws."""
+    """Simulate one window with some laws of motion; return the channels (C, H) at its H rows."""
     rules = {name: laws[name][0] for name in flight.laws}
     return fly(flight, rules, {name: laws[name][1] for name in flight.laws}, mass, trims)[:, :, 0, 0]
 
 
 def published() -> dict[str, tuple[Rule, Floats]]:
-    """Return law name -> (rule, constants) of the published model."""
+    """Return law name -> (function, constants) of the published model."""
     v = Quadrotor()
     tilt, yaw = v.kpq0 * v.kpq1 / PITCH_ROLL_RAD_PER_RAW, v.kr0 / YAW_RATE_RAD_S_PER_RAW
     values: dict[str, tuple[Array, ...]] = {
@@ -258,6 +258,6 @@ PUBLISHED_TERMS: dict[str, tuple[tuple[int, ...], ...]] = {
 
 
 def is_published(law: Law) -> bool:
-    """Return whether a law is algebraically equal to one of the published structure."""
+    """Return whether a law has the algebraic form of the published model's law."""
     terms = law.terms
     return terms is not None and set(terms) == set(PUBLISHED_TERMS[law.name])

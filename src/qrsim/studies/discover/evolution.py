@@ -53,7 +53,7 @@ class Proposal:
 
     @property
     def size(self) -> int:
-        """Number of nodes of the proposed law."""
+        """Number of nodes in the proposed law's expression tree."""
         return len(self.tree)
 
 
@@ -78,7 +78,7 @@ class Population:
     given: bool = False
 
     def pareto(self) -> list[Proposal]:
-        """Return the Pareto front, smallest first."""
+        """Return the Pareto front of error against size, smallest proposal first."""
         best: list[Proposal] = []
         for size in sorted(self.front):
             if not best or self.front[size].error < best[-1].error * (1.0 - 1e-9):
@@ -86,7 +86,7 @@ class Population:
         return best
 
     def chosen(self, windows: int) -> Proposal:
-        """Return the proposal of the front with the best trade of error and size (an information criterion)."""
+        """Return the proposal of the front with the best trade of error and size, by an information criterion."""
         count = PER_WINDOW * windows
         return min(self.pareto(), key=lambda each: count * math.log(each.error) + 0.5 * each.size * math.log(count))
 
@@ -109,7 +109,7 @@ class Evolution:
         self.random = random.Random(seed)
 
     def run(self, generations: int, progress: Callable[[str], None] = lambda text: None) -> None:
-        """Evolve the populations; the same seed gives the same laws."""
+        """Evolve the laws' populations for some generations; the same seed gives the same laws."""
         before = random.getstate()
         # DEAP draws from the module's own generator.
         random.seed(self.random.random())
@@ -127,11 +127,11 @@ class Evolution:
             random.setstate(before)
 
     def _evolving(self) -> list[Population]:
-        """Return the populations of the laws that are not given."""
+        """Return the populations of the laws that evolve, without those that are given."""
         return [each for each in self.populations.values() if not each.given]
 
     def _initialise(self) -> None:
-        """Fill the populations with random laws, and choose the first partners."""
+        """Fill the populations with random laws, and choose the first partners to fly them with."""
         for population in self._evolving():
             population.members = [
                 self._proposal_from_record(made(population.law), population.law) for _ in range(self.size)
@@ -141,7 +141,7 @@ class Evolution:
             self._judge(population, population.members)
 
     def _generation(self) -> None:
-        """Breed, judge and select one generation of every population."""
+        """Breed, evaluate and select one generation of every population."""
         tools = extras.load("identify", "discovering laws", "deap.tools")
         for population in self._evolving():
             parents = [*population.members, *population.pareto()]
@@ -159,7 +159,7 @@ class Evolution:
             population.partner = population.chosen(self.windows)
 
     def _simplify(self) -> None:
-        """Multiply out each law's best trees and try them with one term less, as long as that is better."""
+        """Expand each law's best expressions and try them with one term less, as long as that is better."""
         for population in self._evolving():
             tried: set[str] = set()
             while True:
@@ -180,14 +180,14 @@ class Evolution:
             population.partner = population.chosen(self.windows)
 
     def _proposal_from_record(self, tree: object, law: str) -> Proposal:
-        """Return a proposal with constants fitted to the slopes in the record, as a start for the fit in flight."""
+        """Return a tree as a proposal, with constants fitted to the recorded slopes of the law's output."""
         text = text_of(tree)
         known = self.populations[law].known
         if text not in known:
             rule, (leaves, slope) = rule_of(tree, law), self.rough[law]
 
             def residual(constants: Floats) -> Floats:
-                """Return the law minus the recorded slope, for constants (K, B)."""
+                """Return the law's output minus the recorded slope, for B sets of K constants (K, B)."""
                 with np.errstate(all="ignore"):
                     return np.broadcast_to(
                         rule(*(c[:, None] for c in constants), *leaves) - slope, (constants.shape[1], len(slope))
@@ -198,7 +198,7 @@ class Evolution:
         return known[text]
 
     def _judge(self, population: Population, proposals: Sequence[Proposal]) -> None:
-        """Fly proposals with the best partners and with random ones; the better of the two errors counts."""
+        """Fly proposals with the best partners and with random ones; each keeps the smaller error."""
         fitness = extras.load("identify", "discovering laws", "deap.base").Fitness
         weights = type("Smaller", (fitness,), {"weights": (-1.0, -1.0)})
         for proposal in proposals:
@@ -218,11 +218,11 @@ class Evolution:
                 population.front[proposal.size] = proposal
 
     def _flight_error(self, law: str, proposal: Proposal, partners: dict[str, Any], refine: bool) -> float:
-        """Return the mean squared error in flight; ``refine`` fits the proposal's constants to it."""
+        """Return a proposal's mean squared error in flight; ``refine`` fits its constants to the flight first."""
         errors = errors_of(law, proposal, partners, self.flight, self.noise, self.mass, {})
 
         def residual(constants: Floats) -> Floats:
-            """Return the errors in flight (B, ...) for constants (K, B)."""
+            """Return the errors in flight (B, ...) for B sets of K constants (K, B)."""
             return errors(constants, {}).reshape(constants.shape[1], -1)
 
         constants, error = fitted(residual, proposal.constants, REFINEMENTS if refine else 0)
@@ -240,7 +240,8 @@ def errors_of(
     mass: float,
     trims: Mapping[str, float],
 ) -> Callable[[Floats, Mapping[str, Floats]], Floats]:
-    """Return (constants (K, B), trims (B,)) -> errors (B, C, H, n) of the law's channels, in units of their noise.
+    """Return a function of constants (K, B) and trims (B,) that gives a law's errors in flight (B, C, H, n), in noise
+    units.
 
     Args:
         law, proposal: what is tried.
@@ -258,9 +259,7 @@ def errors_of(
     scale = noise[[flight.names.index(seen.names[i]) for i in own]]
 
     def errors(constants: Floats, tried: Mapping[str, Floats]) -> Floats:
-        """Return the errors (B, C, H, n) of the law's channels for constants (K, B) and trims (B,), in units of their
-        noise.
-        """
+        """Return the errors (B, C, H, n) of the law's channels for constants (K, B) and trims (B,), in noise units."""
         found = fly(seen, rules, others | {law: constants}, mass, {**trims, **tried})
         if found.shape[2] != constants.shape[1]:
             found = np.broadcast_to(found, (*found.shape[:2], constants.shape[1], found.shape[3]))
@@ -270,7 +269,7 @@ def errors_of(
 
 
 def _relevant_part(flight: Flight, law: str) -> Flight:
-    """Return a flight with only the channels that a law affects: rotation alone, or thrust alone."""
+    """Return a flight with only the channels that a law affects: of rotation, or thrust."""
     wanted = ("thrust",) if law == "thrust" else ANGULAR
     rows = [i for i, name in enumerate(flight.names) if name in wanted]
     names = tuple(flight.names[i] for i in rows)
@@ -278,7 +277,7 @@ def _relevant_part(flight: Flight, law: str) -> Flight:
 
 
 def partners_of(law: str, laws: Iterable[str]) -> set[str]:
-    """Return the laws that are flown together with a law."""
+    """Return those of ``laws`` that must be flown together with a law."""
     together = TOGETHER[law] & set(laws)
     return set() if law == "thrust" and "drag" not in together else together
 
@@ -299,7 +298,7 @@ SHOWS = {
 
 
 def fitted(residual: Callable[[Floats], Floats], start: Floats, steps: int) -> tuple[Floats, float]:
-    """Fit constants by some Levenberg-Marquardt steps; also return the remaining mean square.
+    """Fit constants (K,) by at most ``steps`` Levenberg-Marquardt steps on ``residual``; also return the mean square.
 
     Args:
         residual: (K, B) -> (B, N).
@@ -343,16 +342,16 @@ def _mean_square(values: Floats) -> float:
 
 
 def slopes(flight: Flight, law: str) -> tuple[list[Floats], Floats]:
-    """Return a law's leaves, (N,) each, and its target values (N,), from differences of the record."""
+    """Return a law's inputs, (N,) each, and its outputs (N,), from differences of the recorded channels."""
     place = {name: i for i, name in enumerate(flight.names)}
     middle = slice(2, -2)
 
     def seen(name: str) -> Floats:
-        """Return the record of a channel by name."""
+        """Return a recorded channel by name."""
         return flight.recorded[place[name]]
 
     def slope(values: Floats) -> Floats:
-        """Return the derivative of a record by central differences over four rows."""
+        """Return the derivative of a recorded channel, by central differences over four rows."""
         return (values[4:] - values[:-4]) / (4 * flight.dt)
 
     pitch, roll, throttle, yaw = flight.commands

@@ -67,12 +67,12 @@ class Flight:
 
     @property
     def laws(self) -> tuple[str, ...]:
-        """The laws that its channels depend on."""
+        """Names of the laws that the flight's channels depend on."""
         return tuple(law for law in LEAVES if SHOWN_BY[law] in self.names)
 
 
 def channels_of(log: FlightLog) -> tuple[str, ...]:
-    """Return the measured channels of a log.
+    """Return the names of a log's measured channels (angles, rates, thrust, velocity) that laws can be fitted to.
 
     Raises:
         LogError: neither rotation nor thrust is complete.
@@ -90,7 +90,8 @@ def channels_of(log: FlightLog) -> tuple[str, ...]:
 
 
 def windows_of(log: FlightLog, first: float, last: float, steps: int, most: int) -> Flight:
-    """Cut windows of ``steps`` steps, at most ``most``, evenly spread over a share of a log's rows.
+    """Cut at most ``most`` windows of ``steps`` rows, evenly spread over rows ``first`` to ``last`` (fractions) of a
+    log.
 
     Raises:
         LogError: no window without a gap.
@@ -115,7 +116,7 @@ def windows_of(log: FlightLog, first: float, last: float, steps: int, most: int)
 
 
 def _starts(log: FlightLog, names: tuple[str, ...], rows: NumpyArray, margin: int) -> Floats:
-    """Return ``Flight.start`` (10, n) at rows, smoothed by parabolas over ``margin`` rows on each side."""
+    """Return the initial states (10, n) at rows, smoothed by parabolas over ``margin`` rows on each side."""
     start = np.zeros((10, len(rows)))
     offsets = np.arange(-margin, margin + 1)
     # The first row of the pseudo-inverse gives a parabola's value in the middle.
@@ -131,7 +132,7 @@ def _starts(log: FlightLog, names: tuple[str, ...], rows: NumpyArray, margin: in
 
 
 def _turned(angles: NumpyArray, vector: NumpyArray, to_body: bool) -> NumpyArray:
-    """Rotate vectors (3, ...) from NED into body axes by Euler angles (3, ...), or back."""
+    """Rotate vectors (3, ...) by Euler angles (3, ...) from NED into body axes; ``to_body`` False: back."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(angles), np.sin(angles)
     rows = (
         (cp * cy, cp * sy, -sp),
@@ -150,7 +151,7 @@ def fly(
     mass: float,
     trims: Mapping[str, Floats | float] | None = None,
 ) -> Floats:
-    """Fly B sets of constants through all windows by Heun's rule; channels (C, H, B, n).
+    """Simulate all windows with B sets of constants by Heun's method; return channels (C, H, B, n).
 
     Args:
         flight: windows.
@@ -172,7 +173,7 @@ def fly(
             asked = [row + trim for row, trim in zip(flight.commands[:, step], offset, strict=True)]
 
             def slope(now: Floats, asked: list[Floats] = asked) -> Floats:
-                """Return the derivative of the state under a row of commands."""
+                """Return the derivative of the state ``now`` under one row of commands."""
                 return _state_rate(now, asked, rules, fixed, flight.dt, mass, moving, vehicle)
 
             first = slope(state)
@@ -191,7 +192,7 @@ def _state_rate(
     moving: bool,
     vehicle: Quadrotor,
 ) -> Floats:
-    """Return the derivative (10, ...) of the state under the laws and commands."""
+    """Return the derivative (10, ...) of the state under laws ``rules``; ``moving``: velocity counts."""
     change = np.zeros_like(now)
     roll, pitch, _, p, q, r, u, v, w, thrust = now
     if "tilt" in rules:
@@ -215,7 +216,7 @@ def _state_rate(
 
 
 def _channels(state: Floats, names: tuple[str, ...]) -> Floats:
-    """Return the measured channels (C, ...) of a state."""
+    """Return the measured channels (C, ...), those named, of a state (10, ...)."""
     parts = []
     if "roll" in names:
         parts.append(state[:6])

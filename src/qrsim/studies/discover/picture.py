@@ -13,7 +13,7 @@ from qrsim.studies.flight_logs import SIGNALS
 
 
 def draw(found: Discovery) -> Figure:
-    """Draw the recorded and the predicted channels of the held-out part."""
+    """Draw recorded and predicted channels over the held-out part of a log."""
     rows = len(found.names)
     figure = new_figure(12.0, 1.8 * rows + 1.0)
     halves: Any = figure.subfigures(1, 2, width_ratios=(1, 2))

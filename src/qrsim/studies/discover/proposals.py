@@ -19,13 +19,13 @@ _SIGNS = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 
 def gp() -> Any:
-    """Return DEAP's module ``gp``; raises an error that names the extra to install if it is missing."""
+    """Return DEAP's module ``gp`` of genetic programming; if it is missing, raises an error that names the extra."""
     return extras.load("identify", "discovering laws", "deap.gp")
 
 
 @functools.cache
 def primitives(law: str) -> Any:
-    """Return the primitives of a law's trees: + - * /, its leaves, constants."""
+    """Return the DEAP primitives of a law's expression trees: + - * /, its inputs, constants."""
     known = gp().PrimitiveSet(law, 0, prefix="")
     for name in _SIGNS:
         known.addPrimitive(getattr(operator, "truediv" if name == "div" else name), 2, name=name)
@@ -38,7 +38,7 @@ def primitives(law: str) -> Any:
 
 
 def text_of(tree: Any, constants: NumpyArray | None = None) -> str:
-    """Write a tree as a bracketed expression; constants are c0, c1, ... or the given values."""
+    """Write an expression tree as text with brackets; constants are c0, c1, ... or the given values."""
     words: list[str] = []
     count = 0
     for node in reversed(tree):
@@ -59,13 +59,13 @@ def text_of(tree: Any, constants: NumpyArray | None = None) -> str:
 
 
 def count_constants(tree: Any) -> int:
-    """Count the constants of a tree."""
+    """Count the constants in an expression tree."""
     return sum(node.name == CONSTANT for node in tree)
 
 
 @functools.lru_cache(maxsize=20_000)
 def _compiled(text: str, constants: int, law: str) -> Rule:
-    """Compile an expression in constants c0, c1, ... and a law's inputs to a function."""
+    """Compile an expression in constants c0, c1, ... and a law's inputs to a function of them."""
     arguments = ", ".join([*(f"c{i}" for i in range(constants)), *LEAVES[law]])
     # The text is made above from a tree: brackets, four signs, and names of this file.
     rule: Rule = eval(f"lambda {arguments}: {text}", {"__builtins__": {}})
@@ -73,18 +73,18 @@ def _compiled(text: str, constants: int, law: str) -> Rule:
 
 
 def rule_of(tree: object, law: str) -> Rule:
-    """Compile a tree to a function of its constants and inputs."""
+    """Compile an expression tree to a function of its constants and the law's inputs."""
     return _compiled(text_of(tree), count_constants(tree), law)
 
 
 def made(law: str) -> Any:
-    """Return a random expression tree for a law."""
+    """Return a random expression tree (DEAP) for a law."""
     library = gp()
     return library.PrimitiveTree(library.genHalfAndHalf(primitives(law), 1, 3))
 
 
 def varied(first: object, second: object, law: str) -> object:
-    """Return a child of two trees by crossover and mutation, within the size limit."""
+    """Return a child of two expression trees by crossover and mutation, within the size limit."""
     library = gp()
     known = primitives(law)
     for _ in range(8):
@@ -111,13 +111,13 @@ def varied(first: object, second: object, law: str) -> object:
 
 
 def symbolic(tree: object, constants: Floats) -> object:
-    """Convert a tree with its constants to a SymPy expression, expanded if it is a polynomial."""
+    """Convert an expression tree with its constants to a SymPy expression, expanded if it is a polynomial."""
     sympy = extras.load("identify", "printing laws", "sympy")
     return sympy.expand(sympy.sympify(text_of(tree, constants)))
 
 
 def monomials(expression: object, law: str) -> dict[tuple[int, ...], float] | None:
-    """Return the coefficients of a polynomial in a law's leaves by their powers, None for other expressions."""
+    """Return powers of a law's inputs -> coefficient, of a polynomial; None for other expressions."""
     sympy = extras.load("identify", "printing laws", "sympy")
     try:
         terms = sympy.Poly(sympy.cancel(expression), *(sympy.Symbol(leaf) for leaf in LEAVES[law]))
@@ -127,13 +127,13 @@ def monomials(expression: object, law: str) -> dict[tuple[int, ...], float] | No
 
 
 def polynomial_tree(powers: list[tuple[int, ...]], law: str) -> object:
-    """Build the sum of terms, each a constant times powers of the leaves, as a tree."""
+    """Build an expression tree: the sum of terms, each a constant times the given powers of a law's inputs."""
     library = gp()
     known = primitives(law)
     add, times = known.mapping["add"], known.mapping["mul"]
 
     def term(each: tuple[int, ...]) -> list[object]:
-        """Return the nodes of a constant times powers of the leaves."""
+        """Return the nodes of one term: a constant times powers of the inputs."""
         factors = [known.mapping[leaf] for leaf, power in zip(LEAVES[law], each, strict=True) for _ in range(power)]
         nodes = [known.mapping[CONSTANT]]
         for factor in factors:
@@ -147,11 +147,11 @@ def polynomial_tree(powers: list[tuple[int, ...]], law: str) -> object:
 
 
 def shown(expression: Any, digits: int = 6) -> str:
-    """Return an expression as text with rounded numbers."""
+    """Return a SymPy expression as text, with numbers rounded to ``digits``."""
     sympy = extras.load("identify", "printing laws", "sympy")
     return str(expression.xreplace({n: sympy.Float(n, digits) for n in expression.atoms(sympy.Float)}))
 
 
 def randomly(count: int) -> Floats:
-    """Return ``count`` random initial constants for a fit."""
+    """Return ``count`` random initial values for constants in a fit."""
     return np.array([random.uniform(-1.0, 1.0) for _ in range(count)])

@@ -49,7 +49,7 @@ _NEARLY = 0.9
 
 
 def read_dataflash(path: Path, boot: int | None = None) -> FlightLog:
-    """Read an ArduPilot .bin log.
+    """Read an ArduPilot .bin log; ``boot`` selects one of several boots, None the one with most messages.
 
     Of several batteries or cores of the estimator one is read; the notes say which, and which boot.
 
@@ -84,7 +84,7 @@ def read_dataflash(path: Path, boot: int | None = None) -> FlightLog:
 
 @contextlib.contextmanager
 def _no_standard_error() -> Iterator[None]:
-    """Return a context that discards everything written to the process's standard error."""
+    """Context manager: discard everything written to the process's standard error."""
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 2)
@@ -104,7 +104,7 @@ class _Messages:
         self.rows: dict[tuple[str, int], tuple[array[int], array[float]]] = {}
 
     def take(self, message: Any) -> None:
-        """Append one message; a field that it lacks is NaN."""
+        """Append one message of the log; fields that it lacks are NaN."""
         kind = message.get_type()
         there = message.get_fieldnames()
         instance = next((getattr(message, name) for name in _INSTANCES if name in there), None)
@@ -116,7 +116,7 @@ class _Messages:
         self.times.append(stamp)
 
     def tracks(self, path: Path, boot: int | None) -> tuple[dict[str, Track], list[str]]:
-        """Return the signals of one boot in SI, each of one sensor instance, and notes on the choice."""
+        """Return signal name -> track of one boot in SI, from one instance of each sensor, and notes on the choice."""
         times: Floats = np.array(self.times)
         notes: list[str] = []
         first, last = _boot_range(path, times, boot, notes)
@@ -142,7 +142,7 @@ class _Messages:
 
 
 def _boot_range(path: Path, times: Floats, boot: int | None, notes: list[str]) -> tuple[int, int]:
-    """Return the range of messages (begin, end) of the wanted boot, or of the one with the most messages."""
+    """Return the range of messages (begin, end) of the given boot, or of the boot with the most messages."""
     starts = [0]
     for i in np.flatnonzero(np.diff(times) < -_BACK_S) + 1:
         before, after = times[max(starts[-1], i - _MEDIAN_OF) : i], times[i : i + _MEDIAN_OF]
@@ -161,7 +161,7 @@ def _boot_range(path: Path, times: Floats, boot: int | None, notes: list[str]) -
 
 
 def _best_instance(instances: dict[int, Floats]) -> int:
-    """Return the lowest instance with nearly the most usable messages; messages of zeros do not count."""
+    """Return the number of the first sensor instance with nearly the most usable messages; zeros do not count."""
     usable = {
         number: int((np.isfinite(table) & (table != 0.0)).any(axis=1).sum()) for number, table in instances.items()
     }

@@ -73,7 +73,7 @@ class Movement:
 
     @property
     def ratio(self) -> float:
-        """The standard deviation over the noise."""
+        """Standard deviation of the signal over its noise."""
         return self.std / self.noise
 
     @property
@@ -136,12 +136,12 @@ class Excitation:
 
     @property
     def shown(self) -> tuple[str, ...]:
-        """The aspects that the log shows."""
+        """Names of the aspects of motion (such as "roll", "drag") that the log excites."""
         return tuple(name for name in ASPECTS if name not in self.lacking)
 
 
 def measure(log: FlightLog, rows: Rows) -> Excitation:
-    """Return how much signals move and follow their commands in the given rows, a mask (T,), of a log."""
+    """Return how much the signals of a log move and follow their commands in ``rows``, a mask (T,)."""
     part = {name: np.where(rows, values, np.nan) for name, values in log.signals.items()}
     movements = {name: _movement(name, values, log.rates.get(name, math.nan)) for name, values in part.items()}
     follows = {
@@ -171,7 +171,7 @@ def measure(log: FlightLog, rows: Rows) -> Excitation:
 
 
 def _movement(name: str, values: Floats, rate_hz: float) -> Movement:
-    """Return the standard deviation, noise and rate of a signal (T,)."""
+    """Return the movement of a signal (T,): standard deviation, noise and logging rate."""
     good = values[np.isfinite(values)]
     if len(good) < 2 or np.ptp(good) == 0.0:
         return Movement(0.0, FLOORS[name], rate_hz)
@@ -179,7 +179,7 @@ def _movement(name: str, values: Floats, rate_hz: float) -> Movement:
 
 
 def noise_of(values: Floats) -> float:
-    """Estimate white noise on a smooth signal (T,), NaN within gaps: its standard deviation, by fourth differences."""
+    """Estimate the standard deviation of white noise on a smooth signal (T,), NaN in gaps, by fourth differences."""
     left = np.diff(values, n=4)
     left = left[np.isfinite(left)]
     # 70 is the sum of the squares of 1, 4, 6, 4, 1; 0.6745 is the median magnitude of a standard normal.
@@ -210,7 +210,7 @@ def correlation(first: Floats, second: Floats) -> float:
 def _missing_excitation(
     name: str, movements: Mapping[str, Movement], follows: Mapping[str, float], part: Mapping[str, Floats], dt: float
 ) -> tuple[str, bool]:
-    """Return the reason that a log does not show an aspect ("" if it does), and whether no fit can use its channels."""
+    """Return why a log does not excite an aspect of motion ("" if it does), and whether fits must ignore it."""
     aspect = ASPECTS[name]
     missing = [each for each in (aspect.command, *aspect.channels) if each and each not in movements]
     if missing:
@@ -242,7 +242,7 @@ def _missing_excitation(
 
 
 def _lift_objection(part: Mapping[str, Floats], movements: Mapping[str, Movement], dt: float) -> tuple[str, bool]:
-    """Return the reason that throttle and vertical velocity cannot be those of a flight; "" if they can."""
+    """Return (reason, True) if throttle and vertical velocity cannot be those of a flight, else ("", False)."""
     rows = max(1, round(LIFT_S / dt))
     down, throttle = part["velocity_down"], part["throttle"]
     lift = float(np.nanstd((down[rows:] - down[:-rows]) / (rows * dt)))
@@ -265,7 +265,7 @@ def told(name: str, movement: Movement) -> str:
 
 
 def described(logs: Sequence[FlightLog], excitations: Sequence[Excitation]) -> tuple[str, list[str]]:
-    """Return the message that refuses unexcited logs, and lines about the movement of each signal."""
+    """Return the error message that refuses logs without excitation, and lines on each signal's movement."""
     natures: dict[str, list[str]] = {}
     details = []
     for log, each in zip(logs, excitations, strict=True):
@@ -277,7 +277,7 @@ def described(logs: Sequence[FlightLog], excitations: Sequence[Excitation]) -> t
 
 
 def why_unexcited(excitation: Excitation) -> str:
-    """Return as text why a log is not excited: on the ground, logged too slowly, not commanded, or not following."""
+    """Return as text why a log lacks excitation: on the ground, logged too slowly, not commanded, not following."""
     moving = [name for name in TURNING if name in excitation.movements and excitation.movements[name].moves]
     asked = [name for name in COMMANDED if name in excitation.movements and excitation.movements[name].moves]
     if excitation.still >= ON_THE_GROUND or not moving:
@@ -290,7 +290,7 @@ def why_unexcited(excitation: Excitation) -> str:
 
 
 def without_ground(log: FlightLog) -> FlightLog:
-    """Return a log without its rows on the ground; unchanged if it never leaves the ground.
+    """Return a log without its rows on the ground; unchanged if the vehicle never leaves the ground.
 
     No law of flight describes it. It is cut off at both ends, so that shares of the rows are shares of the flight; in
     between there are gaps. How long it is stands in the notes.
@@ -308,7 +308,7 @@ def without_ground(log: FlightLog) -> FlightLog:
 
 
 def without_frozen(log: FlightLog) -> FlightLog:
-    """Return a log with NaN where a signal that moves elsewhere is constant for longer than FROZEN_S.
+    """Return a log with NaN where a signal that moves elsewhere stays constant for longer than FROZEN_S.
 
     No sensor of motion does so for FROZEN_S: its driver or the logger hung. What was left out is in the notes. A thrust
     may be 0 for long.
@@ -332,7 +332,7 @@ def without_frozen(log: FlightLog) -> FlightLog:
 
 
 def standing_still(log: FlightLog) -> Rows:
-    """Return a mask (T,) of the rows at rest: no signal moves beyond its floor, and throttle is low.
+    """Return a mask (T,) of a log's rows at rest: no signal moves beyond its noise floor, and throttle is low.
 
     Throttle is low if it is below half of what it usually is while something moves. Where attitude, vertical velocity
     or throttle are not logged, a time on the ground cannot be told from quiet flight, and there are no such rows unless

@@ -45,7 +45,7 @@ class Readings:
 
 
 def read_inertial(path: Path) -> Readings:
-    """Read gyroscopes and accelerometers from a PX4 ULog (``sensor_combined``) or a CSV with names and units.
+    """Read gyroscope and accelerometer from a PX4 ULog (``sensor_combined``), or a CSV with names and units.
 
     Raises:
         UsageError: no such file.
@@ -64,7 +64,7 @@ def read_inertial(path: Path) -> Readings:
 
 
 def _read_ulog(path: Path) -> tuple[Floats, dict[str, Floats]]:
-    """Return times (T,) [s] and the columns of a ULog's sensor_combined; raises LogError."""
+    """Return times (T,) [s] and columns by name of a ULog's topic sensor_combined; raises LogError."""
     log, _ = open_ulog(path, ["sensor_combined"])
     topic = next((each.data for each in log.data_list if each.name == "sensor_combined"), None)
     fields = {"gyroscope": "gyro_rad", "accelerometer": "accelerometer_m_s2"}
@@ -76,7 +76,7 @@ def _read_ulog(path: Path) -> tuple[Floats, dict[str, Floats]]:
 
 
 def _read_csv(path: Path) -> tuple[Floats, dict[str, Floats]]:
-    """Return times (T,) [s] and the columns of a CSV in SI; raises LogError."""
+    """Return times (T,) [s] and columns by name, in SI, of a CSV; raises LogError."""
     with open_text(path, errors="replace") as stream:
         try:
             rows = CsvRows(stream, strict=False)
@@ -90,7 +90,7 @@ def _read_csv(path: Path) -> tuple[Floats, dict[str, Floats]]:
 
 
 def _columns_of(path: Path, header: list[str]) -> dict[str, tuple[int, float]]:
-    """Return (column index, factor to SI) by signal name; raises LogError for missing ones."""
+    """Return signal name -> (column index, factor to SI) from a CSV header; raises LogError for missing signals."""
     found: dict[str, tuple[int, float]] = {}
     for place, text in enumerate(header):
         name, unit = name_and_unit(text)
@@ -114,7 +114,7 @@ def _columns_of(path: Path, header: list[str]) -> dict[str, tuple[int, float]]:
 
 
 def _parsed_row(path: Path, line: int, row: list[str], wanted: dict[str, tuple[int, float]]) -> list[float]:
-    """Return the wanted numbers of a row; raises LogError that names the line."""
+    """Parse the wanted columns of a CSV row to numbers in SI; raises LogError that names the line."""
     try:
         return [float(row[place]) for place, _ in wanted.values()]
     except (ValueError, IndexError):
@@ -122,7 +122,7 @@ def _parsed_row(path: Path, line: int, row: list[str], wanted: dict[str, tuple[i
 
 
 def _uniform(path: Path, time: Floats, columns: dict[str, Floats]) -> Readings:
-    """Return readings resampled at a uniform rate.
+    """Resample gyroscope and accelerometer columns at a uniform rate.
 
     Raises:
         LogError: too few, not finite, or at no one rate.

@@ -18,7 +18,7 @@ SHORTEST_S, LONGEST_S = 4.0, 36_000.0
 
 
 def prepare(path: Path, kind: str, tracks: Mapping[str, Track], notes: list[str], dt: float = DT) -> FlightLog:
-    """Resample all signals over their common time, every ``dt`` [s].
+    """Resample the signals of a log over their common time, every ``dt`` [s].
 
     Measured signals are interpolated linearly and commands held; gaps become NaN. Everything that was changed is in
     the log's notes.
@@ -53,7 +53,7 @@ def prepare(path: Path, kind: str, tracks: Mapping[str, Track], notes: list[str]
 
 
 def _describe_jump(tracks: Mapping[str, Track], first: float, last: float) -> str:
-    """Return in words where the time of a log jumps, for logs that are too long."""
+    """Return as text at which time a log's clock jumps, for logs that are too long."""
     steps = {each: float(np.max(np.diff(other.time))) for each, other in tracks.items()}
     name = max(steps, key=lambda each: steps[each])
     at = int(np.argmax(np.diff(tracks[name].time)))
@@ -65,7 +65,7 @@ def _describe_jump(tracks: Mapping[str, Track], first: float, last: float) -> st
 
 
 def _merged_notes(notes: list[str], names: list[str]) -> list[str]:
-    """Return one note per line, merging equal notes on several signals."""
+    """Return one note per line; equal notes on several signals become one."""
     whom: dict[str, list[str]] = {}
     for note in map(visible, notes):
         name, _, what = note.partition(": ")
@@ -80,7 +80,7 @@ def _merged_notes(notes: list[str], names: list[str]) -> list[str]:
 
 
 def _cleaned(path: Path, name: str, track: Track, notes: list[str]) -> Track:
-    """Return a track without NaN and repeated times, in order."""
+    """Return a signal's track in order of time, without NaN and repeated times; adds notes on what was dropped."""
     time, values = track.time, track.values
     good = np.isfinite(time) & np.isfinite(values)
     if not good.all():
@@ -114,7 +114,7 @@ def _cleaned(path: Path, name: str, track: Track, notes: list[str]) -> Track:
 
 
 def _check_unit(path: Path, name: str, values: Floats) -> None:
-    """Raise a LogError for a signal with values that only another unit would explain."""
+    """Raise LogError for a signal with values that only a wrong unit would explain."""
     signal = SIGNALS[name]
     size = float(np.quantile(np.abs(values if name != "yaw" else values - values[0]), 0.99))
     guess = {"rad": "degrees", "rad/s": "degrees per second", "1": "per cent", "V": "millivolts", "m/s": "cm/s"}
@@ -127,7 +127,7 @@ def _check_unit(path: Path, name: str, values: Floats) -> None:
 
 
 def _sampled(name: str, track: Track, grid: Floats, notes: list[str]) -> Floats:
-    """Return a track on the grid, NaN in gaps between its samples."""
+    """Sample a signal's track at the times ``grid``: measurements interpolated, commands held, NaN in gaps."""
     time, values = track.time, track.values
     before = np.clip(np.searchsorted(time, grid + 1e-9, side="right") - 1, 0, len(time) - 2)
     command = SIGNALS[name].command

@@ -16,7 +16,7 @@ FORMATS = "PX4 ULog (.ulg), ArduPilot DataFlash (.bin), a bag of ROS 2, CSV with
 
 
 def read_log(path: Path, namespace: str | None = None, boot: int | None = None) -> FlightLog:
-    """Read a flight log; its content decides the format.
+    """Read a flight log of any supported format, recognised by its content; ``boot`` selects one of several.
 
     Args:
         path: of a file, or of the folder of a bag.
@@ -68,5 +68,5 @@ def read_log(path: Path, namespace: str | None = None, boot: int | None = None) 
 
 
 def _no_boots(path: Path, boot: int) -> UsageError:
-    """Return the error for choosing a boot of a log that has only one."""
+    """Return the error for choosing a boot of a log that does not have several."""
     return UsageError(f"--boot {boot}: {path} is no DataFlash log; other logs have one boot each")

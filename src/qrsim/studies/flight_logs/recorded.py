@@ -24,7 +24,7 @@ OUTDOOR_THROTTLE_RAW, OUTDOOR_LEAD_ROWS = 592.0, 25
 
 
 def _rotation_signals(rows: Floats) -> dict[str, Floats]:
-    """Return the signals of the rotation recording by name, in SI."""
+    """Convert rows of the public rotation recording to signals by name, in SI."""
     return {
         "pitch": rows[:, 1],
         "roll": rows[:, 2],
@@ -39,12 +39,12 @@ def _rotation_signals(rows: Floats) -> dict[str, Floats]:
 
 
 def _thrust_signals(rows: Floats) -> dict[str, Floats]:
-    """Return the signals of the thrust recording by name, in SI."""
+    """Convert rows of the public thrust recording to signals by name, in SI."""
     return {"throttle": rows[:, 1] / THROTTLE_RAW_PER_UNIT, "thrust": rows[:, 2], "battery": rows[:, 3]}
 
 
 def _outdoor_signals(rows: Floats) -> dict[str, Floats]:
-    """Return the signals of the outdoor recording by name, in SI."""
+    """Convert rows of the public outdoor recording to signals by name, in SI."""
     names = ("roll", "pitch", "yaw", "velocity_north", "velocity_east", "velocity_down")
     rates = ("roll_rate", "pitch_rate", "yaw_rate")
     return {
@@ -65,7 +65,7 @@ LAYOUTS: dict[int, tuple[str, Callable[[Floats], dict[str, Floats]]]] = {
 
 
 def read_recording(path: Path) -> FlightLog:
-    """Read a table in the layout of a public recording, identified by its number of columns.
+    """Read a table of numbers in the layout of a public recording, identified by its number of columns.
 
     The state after a row's command belongs to that row, so the commands are moved one row back: here a command acts
     from its row to the next.

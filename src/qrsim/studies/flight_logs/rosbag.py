@@ -54,17 +54,17 @@ class Samples:
 
 
 def _quaternion(given: Message) -> tuple[float, ...]:
-    """Return x, y, z, w of a message."""
+    """Return x, y, z, w of a ROS quaternion message."""
     return given.x, given.y, given.z, given.w
 
 
 def _vector(given: Message) -> tuple[float, ...]:
-    """Return x, y, z of a message."""
+    """Return x, y, z of a ROS vector message."""
     return given.x, given.y, given.z
 
 
 def _odometry_values(message: Message) -> tuple[float, ...]:
-    """Return attitude, velocity and rates of an Odometry; NaN for unknown rates."""
+    """Return attitude, velocity and rates of a ROS Odometry message; NaN for unknown rates."""
     motion = message.twist.twist
     # A variance of -1 says that the rates are not known.
     known = message.twist.covariance[21] != -1.0
@@ -73,7 +73,7 @@ def _odometry_values(message: Message) -> tuple[float, ...]:
 
 
 def _imu_values(message: Message) -> tuple[float, ...]:
-    """Return attitude and rates of an Imu; NaN for an unknown attitude."""
+    """Return attitude and rates of a ROS Imu message; NaN for an unknown attitude."""
     # By sensor_msgs/Imu -1 there says that the orientation is not known.
     known = message.orientation_covariance[0] != -1.0
     orientation = _quaternion(message.orientation) if known else (math.nan,) * 4
@@ -81,7 +81,7 @@ def _imu_values(message: Message) -> tuple[float, ...]:
 
 
 def _target_values(message: Message) -> tuple[float, ...]:
-    """Return attitude, yaw rate and thrust of a mavros set-point; NaN for fields to be ignored."""
+    """Return attitude, yaw rate and thrust of a MAVROS set-point message; NaN for fields to be ignored."""
     ignored = message.type_mask
     attitude = (math.nan,) * 4 if ignored & _ATTITUDE else _quaternion(message.orientation)
     rate = math.nan if ignored & _YAW_RATE else message.body_rate.z
@@ -136,7 +136,7 @@ def is_bag(path: Path) -> bool:
 
 
 def read_bag(path: Path, vehicle: str | None = None) -> FlightLog:
-    """Read the flight of one vehicle from a bag of ROS 2.
+    """Read the flight of one vehicle from a ROS 2 bag.
 
     Args:
         path: its folder, or a file of it.
@@ -175,7 +175,7 @@ def read_bag(path: Path, vehicle: str | None = None) -> FlightLog:
 
 
 def _check_is_bag(path: Path) -> None:
-    """Raise an error for a folder without metadata.yaml, with the fix for it."""
+    """Raise an error for a folder without metadata.yaml; its text says how to make the file."""
     if not path.is_dir() or (path / "metadata.yaml").is_file():
         return
     if (path / "run.json").is_file():
@@ -187,7 +187,7 @@ def _check_is_bag(path: Path) -> None:
 
 
 def _default_types() -> object:
-    """Return the message types for bags that do not contain their own definitions."""
+    """Return the ROS message types for bags that do not contain their own definitions."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_JAZZY)
@@ -197,14 +197,14 @@ def _default_types() -> object:
 
 
 def _stamp_s(message: Message) -> float:
-    """Return the stamp of a message [s], NaN for types without one."""
+    """Return the header stamp of a ROS message [s]; NaN for types without one."""
     if message.__msgtype__ == _PLAIN:
         return math.nan
     return float(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
 
 
 def _source_of(topic: str, kind: str, namespace: str) -> Source | None:
-    """Return the entry of SOURCES that reads a topic in a namespace, None for other topics."""
+    """Return the entry of SOURCES that reads a topic of a type ``kind`` in a namespace; None for other topics."""
     prefix = f"/{namespace}/" if namespace else "/"
     if not topic.startswith(prefix):
         return None
@@ -213,7 +213,7 @@ def _source_of(topic: str, kind: str, namespace: str) -> Source | None:
 
 
 def _topics_by_namespace(topics: Mapping[str, str]) -> dict[str, set[str]]:
-    """Return namespace -> topics that can be read."""
+    """Return namespace -> its topics that can be read; ``topics`` maps topic to message type."""
     found: dict[str, set[str]] = {}
     for topic, kind in topics.items():
         for source in SOURCES:
@@ -223,7 +223,7 @@ def _topics_by_namespace(topics: Mapping[str, str]) -> dict[str, set[str]]:
 
 
 def _chosen_namespace(path: Path, topics: Mapping[str, str], vehicle: str | None) -> str:
-    """Return the namespace to read; raises an error if it is ambiguous."""
+    """Return the namespace of the vehicle to read; raises an error if it is ambiguous."""
     there = _topics_by_namespace(topics)
     whole = [name for name, own in there.items() if not _missing_signals(own)]
     if vehicle is not None:
@@ -247,28 +247,28 @@ def _chosen_namespace(path: Path, topics: Mapping[str, str], vehicle: str | None
 
 
 def _missing_signals(own: set[str]) -> list[str]:
-    """Return the needed signals that no topic has."""
+    """Return the names of needed signals that none of a vehicle's topics provides."""
     return [what for what, topics in NEEDED.items() if not own & set(topics)]
 
 
 def _describe_needed(lacking: list[str]) -> str:
-    """Return in words the topics that could provide the missing signals."""
+    """Return in words which topics could provide the lacking signals."""
     return "; ".join(f"{what}, one of {', '.join(NEEDED[what])}" for what in lacking)
 
 
 def _short_list(names: list[str]) -> str:
-    """Return up to MOST_SHOWN names, and the number of the others."""
+    """Return up to MOST_SHOWN names as text, and the number of the others."""
     more = len(names) - MOST_SHOWN
     return ", ".join(names[:MOST_SHOWN]) + (f" and {more} more" if more > 0 else "")
 
 
 def _tracks(found: Mapping[str, Samples], notes: list[str]) -> dict[str, Track]:
-    """Return the signals, each from the first topic of SOURCES that has numbers for it."""
+    """Return signal name -> track, each from the first topic of SOURCES that has numbers for it."""
     late = _recording_delay(found)
     tracks: dict[str, Track] = {}
 
     def add(names: tuple[str, ...], topic: str, columns: Floats) -> None:
-        """Add the columns of a topic as tracks, if at least two rows are finite."""
+        """Add columns (T, k) of a topic as tracks of the named signals, if at least two rows are finite."""
         # Of a topic that says nothing of it, nothing.
         if np.isfinite(columns).all(axis=1).sum() >= 2:
             times = _sample_times(found[topic], late)
@@ -312,7 +312,7 @@ def _tracks(found: Mapping[str, Samples], notes: list[str]) -> dict[str, Track]:
 
 
 def _recording_delay(found: Mapping[str, Samples]) -> float:
-    """Return the median delay [s] from stamp to recording; meaningless for stamps of simulated time."""
+    """Return the median delay [s] from a message's stamp to its recording; meaningless for simulated stamps."""
     gaps = [
         np.median(np.array(samples.received) - np.array(samples.stamped))
         for samples in found.values()
@@ -322,7 +322,7 @@ def _recording_delay(found: Mapping[str, Samples]) -> float:
 
 
 def _sample_times(samples: Samples, late: float) -> Floats:
-    """Return the times (T,) [s] of samples: stamps, or times of recording minus the delay."""
+    """Return the times (T,) [s] of messages: their stamps, or times of recording minus the delay ``late``."""
     stamped = np.array(samples.stamped)
     return stamped if np.isfinite(stamped).all() and stamped.any() else np.array(samples.received) - late
 
@@ -334,7 +334,7 @@ _SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 def rotation(quaternion: Floats) -> Floats:
-    """Return the matrices (n, 3, 3) from FRD to NED of quaternions x, y, z, w (n, 4) from FLU to ENU; NaN for zeros."""
+    """Convert ROS quaternions x, y, z, w (n, 4) FLU to ENU to matrices (n, 3, 3) FRD to NED; NaN for zeros."""
     with np.errstate(invalid="ignore", divide="ignore"):
         x, y, z, w = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
     rows = (
@@ -348,7 +348,7 @@ def rotation(quaternion: Floats) -> Floats:
 
 
 def euler(matrix: Floats) -> Floats:
-    """Return roll, pitch and yaw (n, 3) [rad] of matrices (n, 3, 3) from FRD to NED."""
+    """Return roll, pitch and yaw (n, 3) [rad] of rotation matrices (n, 3, 3) from FRD to NED."""
     return np.stack(
         [
             np.arctan2(matrix[:, 2, 1], matrix[:, 2, 2]),

@@ -84,7 +84,7 @@ class FlightLog:
     rates: dict[str, float] = field(default_factory=dict)
 
     def require(self, names: Iterable[str], purpose: str) -> None:
-        """Raise a LogError for a log that lacks a signal.
+        """Raise LogError if the log lacks one of the named signals; ``purpose`` says what needs them.
 
         Raises:
             LogError: names what is missing and lists what is there.
@@ -97,7 +97,7 @@ class FlightLog:
             )
 
     def delayed(self, delay: float) -> FlightLog:
-        """Return the log with delayed commands, each the mean over its step of the command held during it.
+        """Return the log with commands delayed by ``delay`` [s], each the mean of the held command over its step.
 
         Args:
             delay: [s], at least 0; before the log's first row its first commands are held.

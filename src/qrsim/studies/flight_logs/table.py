@@ -37,7 +37,7 @@ RAW = {
 
 
 def read_table(path: Path) -> FlightLog:
-    """Read a CSV whose header names columns as 'roll [deg]'; it notes the columns that it ignores.
+    """Read a flight log from a CSV with column names such as 'roll [deg]'; ignored columns are noted.
 
     Raises:
         LogError: no time, a column without a unit or with an unknown one, twice the same, a row of wrong length.
@@ -56,7 +56,7 @@ def read_table(path: Path) -> FlightLog:
 
 
 def _parsed_header(path: Path, header: list[str]) -> tuple[dict[str, tuple[int, float]], list[str]]:
-    """Return (column index, factor to SI) by signal, and the names of the other columns."""
+    """Parse a CSV header: return signal name -> (column index, factor to SI), and the names of other columns."""
     wanted: dict[str, tuple[int, float]] = {}
     ignored: list[str] = []
     known = ["time", *SIGNALS]
@@ -86,7 +86,7 @@ def _parsed_header(path: Path, header: list[str]) -> tuple[dict[str, tuple[int, 
 
 
 def _parsed_columns(path: Path, reader: CsvRows, wanted: dict[str, tuple[int, float]]) -> dict[str, Floats]:
-    """Return the columns in SI; an empty field and 'nan' are NaN."""
+    """Read the wanted columns of a CSV in SI; an empty field and 'nan' are NaN."""
     header = reader.header
     table = {name: array.array("d") for name in wanted}
     for fields in reader:

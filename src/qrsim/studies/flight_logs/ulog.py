@@ -35,7 +35,7 @@ TOPICS = tuple(dict.fromkeys(("vehicle_attitude", *(topic for _, topic, _, _ in 
 
 
 def read_ulog(path: Path) -> FlightLog:
-    """Read a PX4 log; a truncated one is read up to the cut, with a note.
+    """Read a PX4 ULog flight log; a truncated file is read up to the cut, with a note.
 
     Raises:
         LogError: no ULog, or none of the topics.
@@ -57,11 +57,11 @@ def read_ulog(path: Path) -> FlightLog:
 
 
 def _tracks(topics: Mapping[str, Mapping[str, NumpyArray]], notes: list[str]) -> dict[str, Track]:
-    """Return the signals of the topics in SI, adding notes on choices."""
+    """Return signal name -> track in SI from the topics of a ULog; adds notes on choices between topics."""
     tracks: dict[str, Track] = {}
 
     def add(name: str, topic: str, values: Floats) -> None:
-        """Add the values of a topic as a track."""
+        """Add a column of a topic as the track of a signal."""
         tracks[name] = Track(topics[topic]["timestamp"] * 1e-6, np.asarray(values, np.float64))
 
     attitude = topics.get("vehicle_attitude")
@@ -85,7 +85,7 @@ def _tracks(topics: Mapping[str, Mapping[str, NumpyArray]], notes: list[str]) ->
 
 
 def _euler(data: Mapping[str, NumpyArray], name: str) -> tuple[Floats, Floats, Floats]:
-    """Return ZYX angles [rad] of a topic's quaternion, body to NED."""
+    """Return ZYX Euler angles (roll, pitch, yaw) [rad] from a topic's quaternion ``name``, body to NED."""
     w, x, y, z = (np.asarray(data[f"{name}[{i}]"], np.float64) for i in range(4))
     return (
         np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),

@@ -30,7 +30,7 @@ _DEEPEST = 20
 
 
 def open_ulog(path: Path, topics: list[str]) -> tuple[Any, list[str]]:
-    """Open some topics of a log with pyulog; return its object, and notes on damage.
+    """Read some topics of a ULog with pyulog; return its object, and notes on damage.
 
     Raises:
         LogError: it cannot be read.
@@ -51,7 +51,7 @@ def open_ulog(path: Path, topics: list[str]) -> tuple[Any, list[str]]:
 
 
 def whole_messages(content: bytes) -> tuple[list[bytes], list[str]]:
-    """Return a log's header and every whole message by section, and notes on what was dropped.
+    """Return the header and every complete message of a ULog, by section, and notes on what was dropped.
 
     After a damaged message reading goes on at the next synchronisation message. Data that PX4 appends after a crash
     begins where the log was cut; here it follows the last whole message, and the flags have no offsets.
@@ -85,7 +85,7 @@ def whole_messages(content: bytes) -> tuple[list[bytes], list[str]]:
 
 
 def _appended_offsets(content: bytes) -> list[int]:
-    """Return the offsets of appended data, in ascending order."""
+    """Return the file offsets of a ULog's appended data, in ascending order."""
     end = _HEADER + _OFFSETS_AT + _OFFSETS.size
     if len(content) < end or content[_HEADER + 2] != ord("B"):
         return []
@@ -93,13 +93,13 @@ def _appended_offsets(content: bytes) -> list[int]:
 
 
 def _without_offsets(flags: bytes) -> bytes:
-    """Return the flag bits of a log with the offsets of appended data set to zero."""
+    """Return a ULog's flag bits with the offsets of appended data set to zero."""
     after = _OFFSETS_AT + _OFFSETS.size
     return flags[:_OFFSETS_AT] + bytes(len(flags[_OFFSETS_AT:after])) + flags[after:]
 
 
 def _check_fields(messages: list[bytes], form: Any) -> None:
-    """Raise a ValueError for topics with so many nested fields that pyulog would take hours.
+    """Raise ValueError for topics with so many nested fields that pyulog would take hours.
 
     Raises:
         ValueError: too many, or formats nested too deeply or in themselves.
@@ -108,7 +108,7 @@ def _check_fields(messages: list[bytes], form: Any) -> None:
     counts: dict[str, int] = {}
 
     def count(name: str, depth: int) -> int:
-        """Return the number of fields of a format, those of nested formats included."""
+        """Return the number of fields of a message format, those of nested formats included."""
         if depth > _DEEPEST:
             raise ValueError(f"its formats are nested more than {_DEEPEST} deep")
         if name not in formats:

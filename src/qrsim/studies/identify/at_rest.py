@@ -41,7 +41,7 @@ class Term:
 
     @property
     def seen(self) -> bool:
-        """Whether the interval excludes zero."""
+        """Whether the 95 % interval of the noise term excludes zero."""
         return self.low > 0.0
 
 
@@ -75,7 +75,7 @@ def allan_variance(values: Floats, lengths: NumpyArray) -> Floats:
 
 
 def shapes(windows: Floats) -> Floats:
-    """Return the Allan variances (K, 3) of each noise term of size 1 over windows (K,) [s]."""
+    """Return the Allan variances (K, 3) that each of 3 noise terms of size 1 has over windows (K,) [s]."""
     flicker = np.zeros_like(windows)
     for time in TIMES:
         part = time / windows
@@ -85,7 +85,7 @@ def shapes(windows: Floats) -> Floats:
 
 
 def noise_of(values: Floats, period: float) -> Noise:
-    """Fit the noise of readings (T, 3) at rest, one every ``period`` [s]."""
+    """Fit the noise terms of a sensor's readings (T, 3) at rest, one every ``period`` [s], to its Allan variance."""
     longest = len(values) // FEWEST
     lengths = np.unique(np.round(np.geomspace(FIRST, longest, 40)).astype(int))
     windows, variance = lengths * period, allan_variance(values, lengths)
@@ -112,7 +112,7 @@ def noise_of(values: Floats, period: float) -> Noise:
 
 
 def _freedom(count: int, lengths: NumpyArray) -> Floats:
-    """Return the degrees of freedom (K,) of an overlapping variance of a random walk, which has the fewest.
+    """Return the degrees of freedom (K,) of overlapping Allan variances of a random walk, which has the fewest.
 
     D. A. Howe, D. W. Allan and J. A. Barnes, Properties of signal sources and measurement methods (1981), table 4.
     """
@@ -130,7 +130,7 @@ def _noise_term(value: float, low: float, high: float) -> Term:
 
 
 def at_rest(readings: Readings, source: str) -> tuple[Readings, tuple[float, float]]:
-    """Return the longest part of a log at rest, and its begin and end [s].
+    """Return the longest part of a log in which the sensor rests, and its (begin, end) [s]; ``source`` is for messages.
 
     Raises:
         LogError: it does so for no minute, or a channel never changes.
@@ -164,9 +164,7 @@ def at_rest(readings: Readings, source: str) -> tuple[Readings, tuple[float, flo
 
 
 def sensor_of(found: Mapping[str, Noise], preset: str) -> dict[str, object]:
-    """Return the sensor ``imu`` of a scenario with the estimated noise; terms that were not seen keep the preset's
-    value.
-    """
+    """Return scenario content of an imu with the fitted noise; terms that were not seen keep the preset's value."""
     numbers = {
         f"{kind}_{name}": float(f"{term.value:.4g}")
         for kind, noise in found.items()

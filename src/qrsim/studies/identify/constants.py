@@ -59,7 +59,7 @@ FOR_THRUST = ("throttle", "battery")
 
 
 def channels_of(log: FlightLog) -> tuple[str, ...]:
-    """Return the measured signals of a log that the fit uses.
+    """Return the names of a log's measured signals that the fit uses.
 
     Raises:
         LogError: the log holds neither a rotation nor a thrust that can be simulated.
@@ -79,12 +79,12 @@ def channels_of(log: FlightLog) -> tuple[str, ...]:
 
 
 def lacking(log: FlightLog) -> tuple[str, ...]:
-    """Return the signals that a fit of thrust needs and the log lacks; () if it has them all."""
+    """Return the names of signals that a fit of thrust needs and the log lacks; () if it has all or no thrust."""
     return tuple(name for name in FOR_THRUST if "thrust" in log.signals and name not in log.signals)
 
 
 def constants_in(channels: Iterable[str], separate: bool) -> tuple[str, ...]:
-    """Return the constants that the measured signals depend on."""
+    """Return the model's constants that the measured signals depend on; ``separate``: pitch differs from roll."""
     channels = set(channels)
     found: tuple[str, ...] = ()
     if "roll" in channels:
@@ -97,7 +97,7 @@ def constants_in(channels: Iterable[str], separate: bool) -> tuple[str, ...]:
 
 
 def nuisances_in(channels: Iterable[str]) -> tuple[str, ...]:
-    """Return the nuisance parameters of a log with such measured signals."""
+    """Return the nuisance parameters (delay, trims, wind) that a log with these measured signals needs."""
     channels = set(channels)
     return (
         ("delay",)
@@ -107,7 +107,7 @@ def nuisances_in(channels: Iterable[str]) -> tuple[str, ...]:
 
 
 def needed_for(constant: str) -> tuple[str, ...]:
-    """Return the signals required to estimate a constant."""
+    """Return the names of the signals required to estimate a constant."""
     if constant in (*ROLL, *PITCH, *YAW):
         return (*ANGULAR, *TILT_COMMANDS)
     if constant in (*DRAG, "mass"):
@@ -116,7 +116,7 @@ def needed_for(constant: str) -> tuple[str, ...]:
 
 
 def aspects_of(constant: str, separate: bool) -> tuple[str, ...]:
-    """Return the aspects of a flight (flight_logs.excitation), any one of which excites a constant."""
+    """Return aspects of motion (such as "roll"), any of which excites a constant; ``separate``: pitch unlike roll."""
     if constant in PITCH:
         return ("pitch",)
     if constant in ROLL:
@@ -129,7 +129,7 @@ def aspects_of(constant: str, separate: bool) -> tuple[str, ...]:
 
 
 def check_names(names: Iterable[str], separate: bool) -> None:
-    """Raise a UsageError for names that are not constants.
+    """Raise UsageError for names that are no constants of the model; ``separate``: pitch differs from roll.
 
     Raises:
         UsageError: names the nearest one.
@@ -143,7 +143,7 @@ def check_names(names: Iterable[str], separate: bool) -> None:
 
 
 def bounds_of(name: str, start: float) -> tuple[float, float]:
-    """Return the bounds of a constant that starts at ``start``."""
+    """Return the (low, high) bounds of a constant in the fit, which starts at ``start``."""
     if name in THROUGH_ZERO:
         return start - THROUGH_ZERO[name], start + THROUGH_ZERO[name]
     ends = sorted((start / WIDEST, start * WIDEST))
@@ -151,13 +151,13 @@ def bounds_of(name: str, start: float) -> tuple[float, float]:
 
 
 def unit_of(name: str) -> str:
-    """Return the unit of a constant or nuisance."""
+    """Return the unit of a constant or nuisance parameter."""
     if name in NUISANCES:
         return NUISANCES[name].unit
     return next(field_info(f).unit for f in dataclasses.fields(SeparateQuadrotor) if f.name == name)
 
 
 def vehicle_of(values: dict[str, float], separate: bool) -> Quadrotor:
-    """Return the published quadrotor with the given constants replaced."""
+    """Return the published quadrotor with the given constants; ``separate``: pitch differs from roll."""
     cls = SeparateQuadrotor if separate else Quadrotor
     return record_of(cls, **values)

@@ -112,7 +112,7 @@ class _Sum:
         self._last: tuple[object, list[Misfit]] | None = None
 
     def be_robust(self, robust: bool) -> None:
-        """Choose the loss of residuals, in flight and in the starts of windows alike."""
+        """Choose a robust or a plain square loss of residuals, in flight and in the initial states of windows."""
         self.robust, self._last = robust, None
         for shooting in self.shootings:
             shooting.robust = robust
@@ -122,7 +122,7 @@ class _Sum:
         return name == "delay" and self.question.delay is not None
 
     def bounds(self) -> tuple[Floats, Floats]:
-        """Return the lower and upper bounds of the scaled unknowns."""
+        """Return the (lower, upper) bounds, (K,) each, of the K scaled unknowns."""
         each = [
             bounds_of(name, self.question.start[name])
             if "@" not in name
@@ -133,11 +133,11 @@ class _Sum:
         return low / self.scale, high / self.scale
 
     def first(self) -> Floats:
-        """Return the initial scaled unknowns."""
+        """Return the initial values (K,) of the K scaled unknowns."""
         return np.array([self.question.start.get(name, 0.0) for name in self.names]) / self.scale
 
     def of_log(self, unknowns: Floats, i: int) -> dict[str, float]:
-        """Return every value that simulates log ``i``: the constants, held ones included, and its nuisances.
+        """Return name -> value of all that simulating log ``i`` needs: constants and the log's nuisance parameters.
 
         What is held is among them, so that the compiled simulation is the same whatever is.
         """
@@ -148,7 +148,7 @@ class _Sum:
         return {name: values.get(name, self.question.start[name]) for name in self.question.constants} | own
 
     def evaluate(self, unknowns: Floats, noise: Sequence[Mapping[str, float]]) -> list[Misfit]:
-        """Return the misfit of each log with its derivatives by all scaled unknowns."""
+        """Return the misfit of each log with derivatives by the K scaled unknowns; ``noise`` is by log and channel."""
         now = (unknowns.tolist(), [dict(scale) for scale in noise], [each.gust.tolist() for each in self.shootings])
         if self._last is not None and self._last[0] == now:
             return self._last[1]
@@ -159,7 +159,7 @@ class _Sum:
             own = [place.get(name if "@" not in name else self._name_in_log(name, i), -1) for name in self.names]
 
             def spread(by_value: Floats, own: list[int] = own) -> Floats:
-                """Return derivatives by a log's values as derivatives by all scaled unknowns."""
+                """Expand derivatives by one log's values to derivatives by all scaled unknowns."""
                 padded = np.concatenate([by_value, np.zeros((*by_value.shape[:-1], 1))], axis=-1)
                 return padded[..., own] * self.scale
 
@@ -173,12 +173,12 @@ class _Sum:
         return misfits
 
     def _name_in_log(self, name: str, i: int) -> str:
-        """Return the plain name of nuisance "name@i" in its own log, "" in other logs."""
+        """Return the plain name of unknown "name@i", a nuisance of log ``i``; "" if it is of another log."""
         base, _, log = name.partition("@")
         return base if int(log) == i else ""
 
     def prior(self, unknowns: Floats) -> tuple[Floats, Floats]:
-        """Return the residuals of the priors and their derivatives."""
+        """Return the residuals of the priors, and their derivatives by the scaled unknowns."""
         rows, targets = [], []
         for k, name in enumerate(self.names):
             known = self.question.priors.get(name)
@@ -196,12 +196,12 @@ class _Sum:
 
 
 def width_of(name: str, question: Question) -> float:
-    """Return the default standard deviation of a constant's prior: the magnitude of its start."""
+    """Return the default standard deviation of a constant's prior: the magnitude of its initial value."""
     return max(abs(question.start[name]), SMALLEST_WIDTH.get(name, 0.0))
 
 
 def solve(question: Question, pieces: Sequence[Piece], progress: Progress = lambda text: None) -> Answer:
-    """Fit all constants of a model to windows of logs; those that the logs do not determine stay near the prior.
+    """Fit all constants of a model to windows of logs; constants that the logs do not determine stay near their prior.
 
     Raises:
         LogError: no constant at all shows in the logs.
@@ -222,7 +222,7 @@ def solve(question: Question, pieces: Sequence[Piece], progress: Progress = lamb
 
 
 def _first_noise(piece: Piece, ignored: Sequence[str]) -> dict[str, float]:
-    """Return the first guess of each channel's noise: half of its standard deviation within the windows."""
+    """Return channel -> first guess of its noise: half of its standard deviation within the windows."""
     recorded = np.where(piece.used[:, :, None], piece.recorded, np.nan)
     spread = np.sqrt(np.nanmean(np.nanvar(recorded, axis=0), axis=0))
     named = zip(piece.channels, spread.tolist(), strict=True)
@@ -231,7 +231,7 @@ def _first_noise(piece: Piece, ignored: Sequence[str]) -> dict[str, float]:
 
 
 def _search_delays(total: _Sum, unknowns: Floats, noise: list[dict[str, float]]) -> Floats:
-    """Return the unknowns with each log's delay at the best of a grid, because the sum has many minima in it."""
+    """Return the unknowns with each log's delay set by a grid search, because the cost has many minima in it."""
     unknowns = unknowns.copy()
     for i, shooting in enumerate(total.shootings):
         if f"delay@{i}" not in total.names:
@@ -251,7 +251,7 @@ def _search_delays(total: _Sum, unknowns: Floats, noise: list[dict[str, float]])
 def _alternate(
     total: _Sum, unknowns: Floats, noise: list[dict[str, float]], progress: Progress
 ) -> tuple[Floats, list[dict[str, float]]]:
-    """Alternate between estimating the unknowns and the noise of each channel until the noise converges."""
+    """Estimate in turns the unknowns and the noise of each channel until the noise converges; return both."""
     low, high = total.bounds()
     for number in range(ROUNDS):
         # At first plain squares: far from the optimum the robust loss would take for outliers what tells most.
@@ -269,7 +269,7 @@ def _alternate(
 
 
 def _least_squares(total: _Sum, first: Floats, noise: list[dict[str, float]], tolerance: float) -> Floats:
-    """Return the unknowns that minimise the robust sum of squares to a relative ``tolerance``."""
+    """Return the unknowns that minimise the robust sum of squares, starting at ``first``, to a relative tolerance."""
     bounds = total.bounds()
     last: dict[str, Any] = {}
 
@@ -303,7 +303,7 @@ def _least_squares(total: _Sum, first: Floats, noise: list[dict[str, float]], to
 
 
 def _channel_noise(total: _Sum, unknowns: Floats, noise: list[dict[str, float]]) -> list[dict[str, float]]:
-    """Return the standard deviation of each channel's residuals under the robust loss."""
+    """Return, for each log, channel -> standard deviation of its residuals under the robust loss."""
     misfits = total.evaluate(unknowns, noise)
     result = []
     for misfit, scale, shooting in zip(misfits, noise, total.shootings, strict=True):
@@ -319,7 +319,7 @@ def _channel_noise(total: _Sum, unknowns: Floats, noise: list[dict[str, float]])
 def _unknowns_covariance(
     total: _Sum, unknowns: Floats, noise: list[dict[str, float]]
 ) -> tuple[Covariance, list[Floats]]:
-    """Return the covariance of the unknowns at the solution, and the residuals of each log."""
+    """Return the covariance of the unknowns at the solution, and the residuals (R, n, C) of each log."""
     misfits = total.evaluate(unknowns, noise)
     lengths = [len(shooting.piece.windows) * shooting.piece.log.dt for shooting in total.shootings]
     matrix = covariance(
@@ -335,7 +335,7 @@ def _unknowns_covariance(
 
 
 def _undetermined(total: _Sum, found: Covariance) -> dict[str, str]:
-    """Return the constants that the logs do not determine, with the reason."""
+    """Return constant -> reason, for constants that the logs do not determine."""
     left = {}
     for k, name in enumerate(total.constants):
         # The prior and not the estimate is the measure, and no error smaller than that of white residuals: else those
@@ -354,14 +354,14 @@ def _undetermined(total: _Sum, found: Covariance) -> dict[str, str]:
 
 
 def _name_partners(total: _Sum, found: Covariance, k: int) -> str:
-    """Return in words the constants that one cannot be separated from; "" if there are none."""
+    """Return in words the constants that unknown number ``k`` cannot be separated from; "" if none."""
     others = [(abs(found.correlation[k, i]), name) for i, name in enumerate(total.constants) if i != k]
     near = [name for size, name in sorted(others, reverse=True)[:2] if size > COMBINED]
     return f"not to be told from {' and '.join(near)}" if near else ""
 
 
 def _answer(total: _Sum, unknowns: Floats, noise: list[dict[str, float]]) -> Answer:
-    """Return the constants and their covariance at the solution ``unknowns``, in scaled units."""
+    """Return the fitted constants and their covariance at the solution ``unknowns``, in scaled units."""
     found, residuals = _unknowns_covariance(total, unknowns, noise)
     left = _undetermined(total, found)
     real = dict(zip(total.names, (unknowns * total.scale).tolist(), strict=True))

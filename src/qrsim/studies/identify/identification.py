@@ -38,7 +38,7 @@ def identify(
     train: float = TRAIN,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Result:
-    """Fit the first fraction ``train`` of each log and score the rest, which can only reject constants.
+    """Fit constants to the first fraction ``train`` of each log; score them on the rest, which can only reject some.
 
     Args:
         logs: what was read.
@@ -96,7 +96,7 @@ def identify(
 
 
 def _selected_constants(question: Question, pieces: Sequence[Piece]) -> tuple[str, ...]:
-    """Return the requested constants, or all that the signals of the logs depend on."""
+    """Return the names of the requested constants, or of all that the logs' signals depend on."""
     shown = {name: None for piece in pieces for name in constants_in(piece.channels, question.separate)}
     if not question.constants:
         # The mass is not to be told from the scale of the thrust unless something is known of it.
@@ -112,7 +112,7 @@ def _selected_constants(question: Question, pieces: Sequence[Piece]) -> tuple[st
 
 
 def _flight_rows(log: FlightLog, question: Question, progress: Callable[[str], None]) -> FlightLog:
-    """Return a log without the rows on the ground or with a frozen sensor.
+    """Return a log without rows on the ground and without values of frozen sensors.
 
     Raises:
         LogError: it stands there nearly all the time.
@@ -130,7 +130,7 @@ def _flight_rows(log: FlightLog, question: Question, progress: Callable[[str], N
 def _training_pieces(
     logs: Sequence[FlightLog], horizon: float, train: float, progress: Callable[[str], None]
 ) -> list[Piece]:
-    """Return the training part of each log; windows are shorter if there would be too few to compare."""
+    """Cut the training part of each log into windows of ``horizon`` [s], shorter if they would be too few."""
     pieces = [cut(log, horizon, 0.0, train) for log in logs]
     if sum(piece.windows.shape[1] for piece in pieces) >= FEWEST_WINDOWS:
         return pieces
@@ -143,7 +143,7 @@ def _training_pieces(
 
 
 def _solve(question: Question, pieces: Sequence[Piece], progress: Callable[[str], None]) -> Answer:
-    """Solve the fit; raises RunError that names the logs if the equations have no solution."""
+    """Solve the fit; raises RunError that names the logs if it has no solution."""
     try:
         return solve(question, pieces, progress)
     except (np.linalg.LinAlgError, FloatingPointError) as error:
@@ -154,7 +154,7 @@ def _solve(question: Question, pieces: Sequence[Piece], progress: Callable[[str]
 def _held_out_scores(
     question: Question, answer: Answer, logs: Sequence[FlightLog], train: float
 ) -> list[dict[str, object]]:
-    """Return the scores of the constants on the held-out part of each log."""
+    """Return the scores of the fitted constants on each log's rest after the fraction ``train``."""
     return [
         score(log, (train, 1.0), question.start, answer.values, answer.nuisances[i], question.separate)
         for i, log in enumerate(logs)
@@ -162,7 +162,7 @@ def _held_out_scores(
 
 
 def part_of(log: FlightLog, first: float, last: float) -> FlightLog:
-    """Return the rows of a log from ``first`` to ``last`` [s].
+    """Return a log with only the rows from time ``first`` to ``last`` [s].
 
     Raises:
         UsageError: nothing is left.

@@ -19,7 +19,7 @@ PRESET = "icm42688p"
 
 
 def identify_imu(log: Path, out: Path, begin: float, end: float, *, quiet: bool, as_json: bool) -> None:
-    """Fit the noise, write the sensor and its picture, and print the result.
+    """Fit an IMU's noise to a log at rest, write the sensor and a figure, and print the result.
 
     Raises:
         UsageError: no such file, or nothing between ``begin`` and ``end`` [s].
@@ -66,7 +66,7 @@ def identify_imu(log: Path, out: Path, begin: float, end: float, *, quiet: bool,
 
 
 def _terms_content(kind: str, noise: Noise) -> dict[str, dict[str, object]]:
-    """Return the noise terms of a sensor kind as plain values with units."""
+    """Return the noise terms of "gyroscope" or "accelerometer" as a dict for JSON, with units."""
     from qrsim.studies.identify.at_rest import UNITS
 
     return {
@@ -76,7 +76,7 @@ def _terms_content(kind: str, noise: Noise) -> dict[str, dict[str, object]]:
 
 
 def _print_terms(found: Mapping[str, Noise], content: Content, *, quiet: bool) -> None:
-    """Print the noise terms with their intervals, and the files that were written."""
+    """Print an IMU's noise terms with intervals, the files written and, unless ``quiet``, the time at rest."""
     first, last = content["at_rest_s"]
     if not quiet:
         print(f"at rest from {first:.0f} to {last:.0f} s, {content['rate_hz']:.4g} readings a second")
@@ -94,7 +94,7 @@ def _print_terms(found: Mapping[str, Noise], content: Content, *, quiet: bool) -
 
 
 def draw(found: Mapping[str, Noise]) -> Figure:
-    """Draw the Allan deviations of each axis and of the fit."""
+    """Draw the Allan deviation of each axis of gyroscope and accelerometer, and of the fitted noise."""
     import numpy as np
 
     from qrsim.runs.picture import new_figure
@@ -114,7 +114,7 @@ def draw(found: Mapping[str, Noise]) -> Figure:
 
 
 def checked_imu(logs: list[Path], out: Path, default: Path, *, overwrite: bool) -> Path:
-    """Check the path of the file to write, and return it; raises UsageError.
+    """Return the sensor file to write; raises UsageError for several logs, a wrong suffix, or an existing file.
 
     Raises:
         UsageError: not one log, a name of another kind, or a file that exists.

@@ -62,16 +62,16 @@ class Covariance:
 
     @property
     def std(self) -> Floats:
-        """Standard errors (K,) of the constants."""
+        """Standard errors (K,) of the K estimates."""
         return np.sqrt(np.maximum(np.diag(self.matrix), 0.0))
 
     @property
     def quantile(self) -> Floats:
-        """Half-width of the 95 % interval in standard errors, (K,)."""
+        """Half-widths (K,) of the 95 % intervals, in standard errors."""
         return np.asarray(scipy.stats.t.ppf(0.5 + CONFIDENCE / 2.0, self.freedom))
 
     def interval(self, name: str) -> tuple[float, float]:
-        """Return the 95 % interval (low, high) of a component by name."""
+        """Return the 95 % interval (low, high) of an estimate by its name."""
         k = self.names.index(name)
         half = float(self.quantile[k] * self.std[k])
         return float(self.values[k]) - half, float(self.values[k]) + half
@@ -86,7 +86,7 @@ def covariance(
     prior: Floats,
     robust: bool,
 ) -> Covariance:
-    """Compute the covariance of a least-squares estimate.
+    """Compute the covariance of a least-squares estimate, robust or not, from how blocks of windows change it.
 
     Args:
         names: of the K unknowns.
@@ -124,7 +124,7 @@ def covariance(
 
 
 def inverse_of(matrix: Floats) -> tuple[NumpyArray, NumpyArray]:
-    """Invert a curvature (K, K); also return which components lie in its null directions.
+    """Invert a curvature matrix (K, K); also return a mask (K,) of components in its null directions.
 
     In those directions the inverse is 0 (Moore and Penrose), after scaling the diagonal to 1.
     """
@@ -140,7 +140,7 @@ def inverse_of(matrix: Floats) -> tuple[NumpyArray, NumpyArray]:
 
 
 def _blocks(misfits: Sequence[Misfit], window_s: Sequence[float], robust: bool) -> tuple[Floats, Floats]:
-    """Return the curvature (B, K, K) and the gradient (B, K) of each block of windows."""
+    """Return the curvature (B, K, K) and the gradient (B, K) of the (``robust``) cost for B blocks of windows."""
     curvatures, scores = [], []
     windows = sum(each.residual.shape[1] for each in misfits)
     for each, length in zip(misfits, window_s, strict=True):
@@ -157,7 +157,7 @@ def _blocks(misfits: Sequence[Misfit], window_s: Sequence[float], robust: bool) 
 
 
 def _freedom(curvatures: Floats, without: Floats, inverse: Floats) -> Floats:
-    """Return the degrees of freedom (K,) of the sum of squared moves of each unknown, for white residuals.
+    """Return the degrees of freedom (K,) of each unknown's variance estimate, for white residuals.
 
     Satterthwaite: tr(S)^2/tr(S^2), with S (B, B) the covariance of the moves of the blocks.
     """

@@ -29,7 +29,7 @@ class Pace:
         progress(f"fitting {unknowns} numbers to {seconds:.0f} s of flight{usually}")
 
     def step(self) -> None:
-        """Count a step, and print the progress if it is due."""
+        """Count one step of a fit, and print its progress if it is due."""
         now = time.perf_counter()
         self._ends.append(now)
         count = len(self._ends)
@@ -49,5 +49,5 @@ class Pace:
 
 
 def _duration(seconds: float) -> str:
-    """Return a duration as text, in seconds or minutes."""
+    """Format a duration [s] as text, in seconds or minutes."""
     return f"{seconds:.0f} s" if seconds < 100.0 else f"{seconds / 60.0:.1f} min"

@@ -36,18 +36,18 @@ class Meaning:
 
 
 def thrust(values: Values, throttle: float) -> float:
-    """Return the steady thrust [N] at a throttle (0 to 1)."""
+    """Return the steady thrust [N] of a vehicle with given constants at a throttle (0 to 1)."""
     raw = throttle * THROTTLE_RAW_PER_UNIT
     return values["cth0"] + raw * (values["cth1"] + raw * values["cth2"])
 
 
 def _thrust_to_weight(values: Values, throttle: float) -> float:
-    """Return the ratio of steady thrust to weight at a throttle (0 to 1)."""
+    """Return the steady thrust divided by the weight at a throttle (0 to 1), from a vehicle's constants."""
     return thrust(values, throttle) / (GRAVITY * values["mass"])
 
 
 def _tilt_meanings(axis: str, names: tuple[str, ...]) -> Iterator[Meaning]:
-    """Yield the physical quantities that pitch or roll constants give: gain, natural frequency, damping."""
+    """Yield the physical quantities that the constants of pitch or roll imply: gain, natural frequency, damping."""
     gain, stiffness, damping = names
     yield Meaning(
         (gain,), f"{axis} per angle asked for [rad/rad]", 0.3, 3.0, lambda v: v[gain] / PITCH_ROLL_RAD_PER_RAW
@@ -104,7 +104,7 @@ MEANINGS: tuple[Meaning, ...] = (
 
 
 def implausible(values: Values, fitted: tuple[str, ...]) -> dict[str, str]:
-    """Return constant -> sentence for those with an implausible meaning: the quantity, its value and limits.
+    """Return constant -> sentence, for fitted constants that imply a physical quantity out of plausible limits.
 
     Args:
         values: every constant by name; those of pitch only if it has its own.

@@ -71,35 +71,35 @@ class Piece:
 
     @property
     def rows(self) -> NumpyArray:
-        """Whether a row of the log is in a window, (T,)."""
+        """Mask (T,) of the log's rows that are in a window."""
         found = np.zeros(len(self.log.time), bool)
         found[self.windows[self.used]] = True
         return found
 
     @property
     def places(self) -> tuple[int, ...]:
-        """Indices of this log's measured channels among all channels."""
+        """Index of each measured channel of the log among all channels."""
         return tuple(PLACE[name] for name in self.channels)
 
     @property
     def gusts(self) -> tuple[int, ...]:
-        """Columns of gust and drift in a window's initial state; () if no velocity is measured."""
+        """Columns of gust and drift in a window's initial state; () if the log has no velocity."""
         return (*GUST, *DRIFT) if "velocity_north" in self.channels else ()
 
     @property
     def recorded(self) -> Floats:
-        """The measured channels (R, n, C) at the R rows of each of n windows."""
+        """Measured channels (R, n, C) at the R rows of each of n windows."""
         return self.measured[self.windows]
 
     def starts(self) -> Floats:
-        """Return (n, 16) measured channels, gust and drift at the first row of each window; 0 if not measured."""
+        """Return initial states (n, 16) of n windows: measured channels, gust and drift; 0 if not measured."""
         starts = np.zeros((self.windows.shape[1], DRIFT[-1] + 1))
         starts[:, list(self.places)] = self.measured[self.windows[0]]
         return starts
 
 
 def cut(log: FlightLog, horizon: float, first: float = 0.0, last: float = 1.0, whole: bool = False) -> Piece:
-    """Cut a share of a log's rows, from ``first`` to ``last``, into windows of ``horizon`` [s].
+    """Cut rows ``first`` to ``last`` (fractions) of a log into windows of ``horizon`` [s]; ``whole``: no shorter ones.
 
     Args:
         log: what was read.
@@ -139,7 +139,7 @@ def cut(log: FlightLog, horizon: float, first: float = 0.0, last: float = 1.0, w
 
 
 def _commands(log: FlightLog) -> tuple[Floats, NumpyArray]:
-    """Return commands (T, 5) in the order of Command with gaps filled, and which rows have a gap."""
+    """Return commands (T, 5) in the order of ``Command``, gaps filled, and a mask (T,) of the gaps."""
     rows = len(log.time)
     columns, missing = [], np.zeros(rows, bool)
     names = (TILT_COMMANDS[1], TILT_COMMANDS[0], "throttle", TILT_COMMANDS[2], "battery")
@@ -154,7 +154,7 @@ def _commands(log: FlightLog) -> tuple[Floats, NumpyArray]:
 
 
 def _runs(good: NumpyArray) -> list[tuple[int, int]]:
-    """Return (begin, end) of each run of True in a boolean array; end is exclusive."""
+    """Return (begin, end) of each run of True in a bool array (T,); end is exclusive."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
@@ -189,7 +189,7 @@ class Shooting:
         self._gust_variance = np.zeros(len(piece.gusts))
 
     def misfit(self, values: Mapping[str, float], noise: Mapping[str, float]) -> Misfit:
-        """Compute residuals and their derivatives by ``values``, with the initial states at their optimum.
+        """Simulate the windows; return residuals and derivatives by ``values``, with optimal initial states.
 
         Args:
             values: of the unknowns by name.
@@ -227,7 +227,7 @@ class Shooting:
         return Misfit(residual, by_value, self._gusts() / self.gust, follows[:, own:] / self.gust[:, None])
 
     def learn_gust(self) -> None:
-        """Update the gusts' standard deviations, horizontal and vertical, from the last misfit (an EM step)."""
+        """Update the gusts' standard deviations [m/s], horizontal and vertical, from the last misfit (an EM step)."""
         if len(self.gust):
             variance = np.square(self._gusts()).mean(axis=0) + self._gust_variance
             north, east, down = variance.reshape(2, 3).T
@@ -235,16 +235,16 @@ class Shooting:
             self.gust = np.maximum(np.sqrt(np.stack([across, across, down], axis=1).ravel()), SMALLEST_GUST)
 
     def _gusts(self) -> Floats:
-        """Return the gust and drift states at the start of each window."""
+        """Return gust and drift [m/s] at the start of each window, (n, G)."""
         return self.starts[:, list(self.piece.gusts)]
 
     def simulated(self, values: Mapping[str, float]) -> Floats:
-        """Simulate the measured channels (R, n, C) from the present initial states."""
+        """Simulate the measured channels (R, n, C) of all windows from the present initial states."""
         with jax.enable_x64(True):
             return np.asarray(predict(self.piece.places, **self._arguments(values)))
 
     def _arguments(self, values: Mapping[str, float]) -> dict[str, object]:
-        """Return the arguments that every simulation of the windows needs."""
+        """Return keyword arguments for every simulation of the windows; ``values`` are the unknowns by name."""
         piece = self.piece
         return {
             "names": tuple(values),
@@ -258,7 +258,7 @@ class Shooting:
         }
 
     def _sums(self, residual: Floats, by_value: Floats, by_start: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return for each window the weighted J'J of the starts, J'J with the unknowns, and J'r."""
+        """Return each window's weighted J'J of initial states, J'J of them with the unknowns, and J'r."""
         weighted = by_start * weights(residual, self.robust)[..., None]
         normal = np.einsum("wncd,wnce->nde", weighted, by_start)
         # A start that a window does not show (a rate at its last row) stays where it is.
@@ -279,5 +279,5 @@ class Shooting:
 
 
 def weights(residual: Floats, robust: bool) -> Floats:
-    """Return the weights of residuals under the robust loss, scipy's soft_l1 at ROBUST_AT: 1 for small ones."""
+    """Return the weight, 0 to 1, of each residual under the robust loss (SciPy's soft_l1 at ROBUST_AT)."""
     return 1.0 / np.sqrt(1.0 + np.square(residual / ROBUST_AT)) if robust else np.ones_like(residual)

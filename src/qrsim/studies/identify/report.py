@@ -21,7 +21,7 @@ DPI = 100
 
 
 def write_report(result: Result, folder: Path) -> list[Path]:
-    """Write report.md, its pictures and identified.json; return the files."""
+    """Write an identification's report.md, figures and identified.json into a folder; return the files."""
     import json
 
     pictures = {"constants.png": constants_figure(result)}
@@ -40,7 +40,7 @@ def write_report(result: Result, folder: Path) -> list[Path]:
 
 
 def constants_figure(result: Result) -> Figure:
-    """Draw each constant over its start with its 95 % interval."""
+    """Draw each fitted constant divided by its initial value, with its 95 % interval."""
     found = result.constants()
     figure = new_figure(8.0, 1.2 + 0.32 * len(found))
     axes = figure.subplots()
@@ -58,7 +58,7 @@ def constants_figure(result: Result) -> Figure:
 
 
 def held_out_figure(result: Result, i: int) -> Figure:
-    """Draw the held-out part of a log: recorded, and simulated open loop with the constants before and after."""
+    """Draw the held-out part of log ``i``: recorded, and simulated open loop with the constants before and after."""
     piece = cut(result.pieces[i].log, math.inf, result.train, 1.0)
     nuisances = result.answer.nuisances[i]
     separate = result.question.separate
@@ -82,7 +82,7 @@ def held_out_figure(result: Result, i: int) -> Figure:
 
 
 def residual_figure(result: Result, i: int) -> Figure:
-    """Draw the residuals of a log's training part and their autocorrelations."""
+    """Draw the residuals of the training part of log ``i``, and their autocorrelations."""
     piece, residuals = result.pieces[i], result.answer.residuals[i]
     figure = new_figure(11.0, 1.6 * len(piece.channels) + 0.6)
     panels = figure.subplots(len(piece.channels), 2, squeeze=False, width_ratios=(3, 1), sharex="col")
@@ -113,7 +113,7 @@ def residual_figure(result: Result, i: int) -> Figure:
 
 
 def page(result: Result) -> str:
-    """Return the report as Markdown."""
+    """Return the report of an identification as Markdown."""
     lines = ["# Identified vehicle", ""]
     lines += ["| constant | unit | value | 95 % interval | start |", "|---|---|---|---|---|"]
     for name, each in result.constants().items():
@@ -131,7 +131,7 @@ def page(result: Result) -> str:
 
 
 def _log_section(result: Result, i: int) -> list[str]:
-    """Return the lines of Markdown about one log."""
+    """Return the lines of Markdown about log ``i`` of an identification."""
     content = result.to_json()["logs"][i]
     lines = [
         f"## {Path(content['file']).name} ({content['kind']})",

@@ -44,7 +44,7 @@ class Result:
     excitations: Sequence[Excitation]
 
     def constants(self) -> dict[str, Content]:
-        """Return name -> value, interval and unit of each identified constant."""
+        """Return name -> value, 95 % interval and unit, for each identified constant."""
         found = {}
         for name in (name for name, verdict in self.verdicts.items() if verdict.status == "identified"):
             low, high = self.answer.covariance.interval(name)
@@ -58,7 +58,7 @@ class Result:
         return found
 
     def effective(self) -> dict[str, list[str]]:
-        """Return constant -> channels with coloured residuals, for constants that such channels make doubtful.
+        """Return constant -> channels with residuals that are not white, which make the constant doubtful.
 
         These have motion that the equations leave out: the constants are those with which the equations come nearest
         to such flights, and their intervals are of that, not of what the vehicle has.
@@ -67,7 +67,7 @@ class Result:
         return {name: channels for name, channels in found.items() if channels}
 
     def effective_in_words(self) -> list[str]:
-        """Return a sentence for all effective constants with the same channels."""
+        """Return a sentence for each group of constants that the same channels' residuals make doubtful."""
         names: dict[tuple[str, ...], list[str]] = {}
         for name, channels in self.effective().items():
             names.setdefault(tuple(channels), []).append(name)
@@ -78,7 +78,7 @@ class Result:
         ]
 
     def other_verdicts(self) -> dict[str, list[str]]:
-        """Return verdict -> names of the constants that were not identified."""
+        """Return verdict -> names of constants, for the constants that were not identified."""
         found: dict[str, list[str]] = {}
         for name, verdict in self.verdicts.items():
             if verdict.status == "fitted":
@@ -88,7 +88,7 @@ class Result:
         return found
 
     def to_json(self) -> Content:
-        """Return everything as plain values."""
+        """Return the result of an identification as a dict for JSON."""
         return {
             "constants": self.constants(),
             "effective": self.effective(),
@@ -121,7 +121,7 @@ class Result:
         }
 
     def channels(self, i: int) -> dict[str, Content]:
-        """Return signal -> its movement in log ``i``, and whether constants were identified by it.
+        """Return signal name -> its movement in log ``i``, and whether it served to identify constants.
 
         ``identified`` is for measured signals alone: an aspect that the log shows has a constant that was identified.
         """
@@ -147,7 +147,7 @@ class Result:
         return found
 
     def _nuisance_values(self, i: int) -> dict[str, Content]:
-        """Return the nuisance parameters of a log with units and intervals."""
+        """Return the nuisance parameters (delay, trims, wind) of log ``i``, with units and intervals."""
         content: dict[str, Content] = {}
         for name, value in self.answer.nuisances[i].items():
             content[name] = {"value": value, "unit": unit_of(name)}
@@ -157,12 +157,12 @@ class Result:
         return content
 
     def vehicle(self) -> Content:
-        """Return the vehicle in the form of scenario files."""
+        """Return the identified vehicle as scenario content."""
         kind = "quadrotor" if self.question.separate else "pelican"
         return {"type": kind, **{name: float(value) for name, value in self.answer.values.items()}}
 
     def yaml(self, path: Path) -> str:
-        """Return the text of the vehicle file, as YAML with comments."""
+        """Return the text of the vehicle file: YAML with comments; ``path`` is named in them."""
         logs = ", ".join(piece.log.source.name for piece in self.pieces)
         head = (
             f"# Identified by 'qrsim identify' from {logs}: {', '.join(self.constants()) or 'no constant by itself'}.\n"
@@ -173,7 +173,7 @@ class Result:
 
 
 def rounded(item: object) -> object:
-    """Round the numbers of a tree to 6 digits, for reading."""
+    """Round all numbers in nested dicts and lists to 6 digits, for reading."""
     if isinstance(item, Mapping):
         return {key: rounded(value) for key, value in item.items()}
     if isinstance(item, list | tuple):

@@ -20,13 +20,13 @@ HORIZON_S = 5.0
 
 
 def open_loop(piece: Piece, values: Mapping[str, float], nuisances: Mapping[str, float], separate: bool) -> Floats:
-    """Simulate the channels (R, n, C) of a piece open loop from its recorded first rows."""
+    """Simulate channels (R, n, C) of windows open loop from recorded first rows; ``separate``: pitch unlike roll."""
     shooting = Shooting(piece, vehicle_of(dict(values), separate))
     return shooting.simulated(nuisances)
 
 
 def mean_square(piece: Piece, simulated: Floats) -> dict[str, float]:
-    """Return the mean squared error of each channel; infinite if a simulation diverged."""
+    """Return channel -> mean squared error of a simulation (R, n, C); infinite if it diverged."""
     with np.errstate(over="ignore", invalid="ignore"):
         error = np.square(simulated - piece.recorded)[piece.used].mean(axis=0)
     return dict(zip(piece.channels, np.nan_to_num(error, nan=np.inf, posinf=np.inf).tolist(), strict=True))
@@ -40,7 +40,7 @@ def score(
     nuisances: Mapping[str, float],
     separate: bool,
 ) -> dict[str, object]:
-    """Return open-loop errors on a part of a log with the constants before and after, restarted after a gap.
+    """Return open-loop errors on a ``share`` of a log with constants before and after the fit, restarted after gaps.
 
     The constants at the start have the same delay, once with neither wind nor trims and once with those of the fit.
 
@@ -68,7 +68,7 @@ def score(
 
 
 def lower(before: Mapping[str, float], after: Mapping[str, float]) -> dict[str, float]:
-    """Return by how much [%] each error fell from ``before`` to ``after``, without errors that are 0 or infinite."""
+    """Return by how much [%] each error fell from ``before`` to ``after``; errors of 0 or infinity are left out."""
     names = [name for name in before if before[name] > 0.0 and math.isfinite(before[name] + after[name])]
     return {name: 100.0 * (1.0 - after[name] / before[name]) for name in names}
 
@@ -79,7 +79,7 @@ def _velocity_error(
     cases: Mapping[str, tuple[Mapping[str, float], Mapping[str, float]]],
     separate: bool,
 ) -> Content:
-    """Return the mean squared error of the horizontal velocity [(m/s)^2] within 5 s of starts from the record."""
+    """Return mean squared errors of the horizontal velocity [(m/s)^2] in 5 s windows, for each case of constants."""
     try:
         piece = cut(log, HORIZON_S, *share, whole=True)
     except UsageError:
@@ -100,7 +100,7 @@ def _velocity_error(
 
 
 def whiteness(piece: Piece, residuals: Floats) -> dict[str, dict[str, float]]:
-    """Test each channel's residuals (R, n, C) for whiteness.
+    """Test the residuals (R, n, C) of each channel for whiteness; return channel -> statistics.
 
     ``lag_1``: autocorrelation of neighbouring rows; ``correlated_s``: time over which the autocorrelation falls to
     1/e; ``ljung_box_p``: probability of so much correlation within 20 rows in white noise; ``input``: largest
@@ -129,7 +129,7 @@ def whiteness(piece: Piece, residuals: Floats) -> dict[str, dict[str, float]]:
 
 
 def _correlations(first: Floats, second: Floats) -> Floats:
-    """Return the correlation of ``first`` with ``second`` 0 to ``LAGS`` rows later, (L,), 1 for equal series.
+    """Return correlations (L,) of ``first`` with ``second`` 0 to ``LAGS`` rows later; 1 for equal series.
 
     Both are (R, n), of mean zero, with 0 in unused rows. The lag runs along R, so that no window is compared with
     another.

@@ -25,7 +25,7 @@ DRIFT = tuple(range(_WIDTH + 3, _WIDTH + 6))
 
 
 def delayed(commands: Array, delay: Array, dt: float) -> Array:
-    """Delay commands (T, 5) by ``delay`` [s]: the mean over each step of the command held during it."""
+    """Delay commands (T, 5) by ``delay`` [s]: each becomes the mean, over its step, of the command then held."""
     steps = jnp.maximum(delay, 0.0) / dt
     whole = jnp.floor(steps)
     part = steps - whole
@@ -35,7 +35,7 @@ def delayed(commands: Array, delay: Array, dt: float) -> Array:
 
 
 def thrust_history(vehicle: Quadrotor, throttle: Array, battery: Array, first: Array | None, dt: float) -> Array:
-    """Simulate the thrust (T,) [N] at each row, before its command acts, from throttle and battery (T,).
+    """Simulate the thrust (T,) [N] before each row's command acts, from throttle and battery voltage (T,).
 
     Without a first value it starts where the first row's command would settle.
     """
@@ -43,7 +43,7 @@ def thrust_history(vehicle: Quadrotor, throttle: Array, battery: Array, first: A
         first = jnp.minimum(vehicle.wanted_thrust(throttle[0]), vehicle.cvb0 + vehicle.cvb1 * battery[0])
 
     def tick(thrust: Array, row: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Advance the thrust by one row; return it before the row too."""
+        """Advance the thrust by one row; return it, and the thrust before the row."""
 
         def slope(now: Array) -> tuple[Array, Array]:
             """Return the rate of the thrust [N/s], twice as ``heun`` needs."""
@@ -56,7 +56,7 @@ def thrust_history(vehicle: Quadrotor, throttle: Array, battery: Array, first: A
 
 
 def fly(vehicle: Quadrotor, start: Array, commands: Array, wind_ned: Vec3, drift_ned: Vec3, dt: float) -> Array:
-    """Simulate the channels (R, n, 10) of n vehicles at each row.
+    """Simulate n vehicles through R rows of commands, with wind and drift; return channels (R, n, 10).
 
     Args:
         vehicle: parameters.
@@ -74,7 +74,7 @@ def fly(vehicle: Quadrotor, start: Array, commands: Array, wind_ned: Vec3, drift
     noise = ProcessNoise(zero, zero)
 
     def tick(state: QuadrotorState, now: tuple[Array, Array]) -> tuple[QuadrotorState, Array]:
-        """Advance the state by one row; return it and the channels before."""
+        """Advance the state by one row; return it, and the channels before the row."""
         row, part = now
         wind = wind_ned + drift_ned * part
         over_ground = rotation(state.attitude).to_ned(state.velocity_body)
@@ -96,7 +96,7 @@ def channels(
     windows: Array,
     dt: float,
 ) -> Array:
-    """Simulate the channels (R, n, 10) of n windows of one log.
+    """Simulate n windows from initial states, with thrust in them if ``thrust_measured``; return (R, n, 10).
 
     Args:
         names: of the unknowns.
@@ -126,7 +126,7 @@ def channels(
 
 @partial(jax.jit, static_argnames=("names", "places", "thrust_measured", "dt"))
 def predict(places: tuple[int, ...], **arguments: Any) -> Array:
-    """Simulate the measured channels (R, n, C), those at ``places``; other arguments as ``channels``."""
+    """Simulate the measured channels (R, n, C), those with indices ``places``; arguments as for ``channels``."""
     return channels(**arguments)[:, :, jnp.array(places)]
 
 
@@ -134,7 +134,7 @@ def predict(places: tuple[int, ...], **arguments: Any) -> Array:
 def linearised(
     places: tuple[int, ...], free: tuple[int, ...], unknowns: Array, starts: Array, **rest: Any
 ) -> tuple[Array, Array, Array]:
-    """Return channels (R, n, C), their derivatives by unknowns (R, n, C, K) and by the S free initial values.
+    """Return channels (R, n, C), their derivatives (R, n, C, K) by unknowns, and by the S initial values ``free``.
 
     A window depends on its own start alone, so one direction moves the starts of all windows together.
 
@@ -145,7 +145,7 @@ def linearised(
     """
 
     def moved(both: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Return the channels for shifted unknowns and starts, twice for ``jacfwd`` with its value."""
+        """Return the channels for shifted unknowns and initial states, twice, as ``jacfwd`` needs."""
         theta, shift = both
         shifted = starts.at[:, jnp.array(free)].add(jnp.broadcast_to(shift, (starts.shape[0], len(free))))
         found = channels(unknowns=theta, starts=shifted, **rest)[:, :, jnp.array(places)]

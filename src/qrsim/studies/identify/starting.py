@@ -11,7 +11,7 @@ from qrsim.studies.identify.constants import CONSTANTS, PITCH, ROLL
 
 
 def starting_values(path: Path | None, separate: bool) -> dict[str, float]:
-    """Return every constant by name: the published ones, replaced by those of a vehicle file, if one is given.
+    """Return constant -> initial value, published or from a vehicle file; ``separate``: pitch differs from roll.
 
     Args:
         path: of the vehicle file.

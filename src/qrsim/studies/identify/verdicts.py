@@ -44,14 +44,14 @@ class Verdict:
 
 
 def channels_in(aspect: str) -> tuple[str, ...]:
-    """Return the measured channels that must improve for an aspect to count as identified."""
+    """Return the measured channels in which the error must fall for an aspect of motion to be identified."""
     return ("yaw", *ASPECTS[aspect].channels) if aspect == "yaw" else ASPECTS[aspect].channels
 
 
 def coloured_channels(
     constant: str, separate: bool, whiteness: Sequence[Mapping[str, Mapping[str, float]]]
 ) -> list[str]:
-    """Return the channels that a constant affects and whose residuals are not white.
+    """Return those channels a constant affects that have residuals which are not white, in any log.
 
     Args:
         constant: its name.
@@ -70,7 +70,7 @@ def coloured_channels(
 
 
 def not_shown(names: Sequence[str], separate: bool, excitations: Sequence[Excitation]) -> dict[str, str]:
-    """Return constant -> reason for those that no log excites."""
+    """Return constant -> reason, for constants that no log excites; ``separate``: pitch differs from roll."""
     held = {}
     for name in names:
         aspects = aspects_of(name, separate)
@@ -84,7 +84,7 @@ def not_shown(names: Sequence[str], separate: bool, excitations: Sequence[Excita
 
 
 def objections(answer: Answer, question: Question) -> dict[str, str]:
-    """Return constant -> reason for the fitted constants that must not be written to the vehicle file."""
+    """Return constant -> reason, for fitted constants that must not be written to the vehicle file."""
     fitted = tuple(name for name in question.constants if name not in question.held)
     found = implausible(answer.values, fitted)
     for name in fitted:
@@ -109,7 +109,7 @@ def worse(
     excitations: Sequence[Excitation],
     scores: Sequence[Content],
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Return constant -> reason for the rejected and the doubtful constants, by their held-out errors.
+    """Return (rejected, doubtful) constants by their held-out errors, each as constant -> reason.
 
     Returns:
         Those to hold, and those of aspects that are better in the mean while the worst channel is hardly worse: such
@@ -131,7 +131,7 @@ def worse(
 
 
 def _ratios(aspect: str, score: Content) -> dict[str, float]:
-    """Return for each channel of an aspect the held-out error divided by that with the start constants."""
+    """Return channel -> held-out error divided by that with the initial constants, for an aspect's channels."""
     before, after = score["start"], score["identified"]
     found = {}
     for channel in channels_in(aspect):
@@ -142,7 +142,7 @@ def _ratios(aspect: str, score: Content) -> dict[str, float]:
 
 
 def _describe_losses(ratios: Mapping[str, float]) -> str:
-    """Return in words the channels whose held-out error is not below the start's."""
+    """Return in words the channels with held-out errors that did not fall; ``ratios`` are after / before."""
     failed = ", ".join(
         f"{channel} {100.0 * (ratio - 1.0):.3g} % above" if math.isfinite(ratio) else f"{channel} not predicted"
         for channel, ratio in ratios.items()
@@ -154,7 +154,7 @@ def _describe_losses(ratios: Mapping[str, float]) -> str:
 def verdicts_of(
     answer: Answer, question: Question, held: Mapping[str, str], doubtful: Mapping[str, str]
 ) -> dict[str, Verdict]:
-    """Return the verdict on every constant of the vehicle; ``doubtful`` ones are kept but not called identified."""
+    """Return constant -> verdict; ``held`` ones keep the initial value, ``doubtful`` ones are only called fitted."""
     found = {}
     for name in CONSTANTS:
         if name in PITCH and not question.separate:
@@ -175,7 +175,7 @@ def verdicts_of(
 
 
 def refuse_unexcited(logs: Sequence[FlightLog], excitations: Sequence[Excitation], held: Mapping[str, str]) -> None:
-    """Raise a LogError if no log excites any constant.
+    """Raise LogError if none of the logs excites any constant.
 
     Raises:
         LogError: says for each log whether it stood on the ground; its details are how much each signal moves.
@@ -188,7 +188,7 @@ def refuse_unexcited(logs: Sequence[FlightLog], excitations: Sequence[Excitation
 
 
 def refuse_useless(logs: Sequence[FlightLog], held: Mapping[str, str]) -> None:
-    """Raise a RunError if the fit left no usable constant.
+    """Raise RunError with the reasons, when the fit left no usable constant; ``held``: constant -> reason.
 
     Raises:
         RunError: with the reason for each constant.

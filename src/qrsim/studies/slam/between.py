@@ -36,18 +36,18 @@ class Between:
 
 
 def pairs_of(vehicles: int) -> npt.NDArray[np.int64]:
-    """Return all pairs (P, 2) of N vehicles, in the order of their numbers."""
+    """Return all pairs (P, 2) of N vehicles, each by the vehicles' indices, in ascending order."""
     return np.array(list(combinations(range(vehicles), 2)), np.int64).reshape(-1, 2)
 
 
 def distances(position_ned: Floats, pairs: npt.NDArray[np.int64]) -> Floats:
-    """Return the distances (T + 1, P) [m] between vehicles at positions (N, T + 1, 3)."""
+    """Return the distances (T + 1, P) [m] of P pairs of vehicles at positions (N, T + 1, 3)."""
     apart = position_ned[pairs[:, 0]] - position_ned[pairs[:, 1]]
     return np.asarray(np.linalg.norm(apart, axis=-1).T)
 
 
 def measure_between(position_ned: Floats, seed: int, std: float = BETWEEN_STD) -> Between:
-    """Measure one range of each pair at each state with the losses and the white noise of the sensor ``ranging``.
+    """Simulate one range per pair of vehicles and state, with noise and losses of the sensor ``ranging``.
 
     A pair's noise does not depend on how many others there are.
 
@@ -68,13 +68,13 @@ def measure_between(position_ned: Floats, seed: int, std: float = BETWEEN_STD) -
 
 
 def no_ranges(vehicles: int, states: int) -> Between:
-    """Return an empty set of ranges between N vehicles with T + 1 states."""
+    """Return an empty set of ranges between N vehicles at T + 1 times."""
     pairs = pairs_of(vehicles)
     return Between(pairs, np.full((states, len(pairs)), np.nan), np.zeros((states, len(pairs))), BETWEEN_STD)
 
 
 def checked_between(between: Between, vehicles: int, states: int) -> Between:
-    """Return ranges unchanged; raises UsageError unless they fit N vehicles with T + 1 states.
+    """Return ranges between vehicles unchanged; raises UsageError unless they fit N vehicles and T + 1 times.
 
     Raises:
         UsageError: pairs or a shape of others, an infinite or negative range, or a deviation that is not positive.

@@ -75,18 +75,18 @@ class CooperativeSlam:
 
     @property
     def truth_ned(self) -> Floats:
-        """True positions (N, T + 1, 3) NED [m]."""
+        """True positions (N, T + 1, 3) NED [m] of the vehicles."""
         return np.stack([flight.truth[:, :3] for flight in self.flights])
 
     @property
     def trajectory_rmse_m(self) -> Floats:
-        """Root mean square distance (N,) of each vehicle's positions from the truth [m]."""
+        """Root mean square error (N,) of each vehicle's estimated positions [m]."""
         pairs = zip(self.position_ned, self.truth_ned, strict=True)
         return np.array([rms_distance(places, truth) for places, truth in pairs])
 
     @property
     def relative_rmse_m(self) -> float:
-        """Root mean square error of the positions of all vehicles relative to each other, over all pairs [m]."""
+        """Root mean square error of the vehicles' positions relative to each other, over all pairs [m]."""
         error = self.position_ned - self.truth_ned
         one, other = np.triu_indices(len(error), 1)
         apart = (error[one] - error[other]).reshape(-1, 3)
@@ -94,18 +94,18 @@ class CooperativeSlam:
 
     @property
     def landmark_rmse_m(self) -> float:
-        """Root mean square distance of the determined landmarks from the truth [m]; NaN if the truth is unknown."""
+        """Root mean square error of the landmarks that are determined [m]; NaN if the truth is unknown."""
         truth = self.rangings[0].true_ned
         if truth is None:
             return float("nan")
         return rms_distance(self.landmarks_ned[self.determined], truth[self.determined])
 
     def covariance_of(self, vehicle: int) -> Floats:
-        """Return the marginal covariance (T + 1, 3, 3) of the positions of one vehicle, north, east and down [m^2]."""
+        """Return the marginal covariance (T + 1, 3, 3) of one vehicle's positions in NED [m^2]."""
         return self.position_covariance[:, vehicle, :, vehicle, :]
 
     def relative_covariance(self, vehicle: int, other: int) -> Floats:
-        """Return the covariance (T + 1, 3, 3) of the position of one vehicle minus that of another [m^2]."""
+        """Return the covariance (T + 1, 3, 3) of one vehicle's position minus another's, NED [m^2]."""
         every = self.position_covariance
         across = every[:, vehicle, :, other, :]
         alone = every[:, vehicle, :, vehicle, :] + every[:, other, :, other, :]
@@ -113,7 +113,7 @@ class CooperativeSlam:
 
     @property
     def problems(self) -> list[str]:
-        """Problems of the result, one sentence each: landmarks that are not determined, no convergence."""
+        """Warnings about the result, one sentence each: undetermined landmarks, no convergence."""
         counts = np.sum([ranging.per_landmark for ranging in self.rangings], axis=0)
         found = [
             why_not_determined(int(i), int(counts[i]), self.landmarks_std[i]) for i in np.flatnonzero(~self.determined)
@@ -137,7 +137,7 @@ def estimate_together(
     iterations: int = MOST_ITERATIONS,
     damping: str = "metres",
 ) -> CooperativeSlam:
-    """Estimate the flights of several vehicles over the same landmarks as one problem.
+    """Estimate trajectories of several vehicles and the landmarks that they share as one least-squares problem.
 
     Args:
         flights: of N vehicles, with states at the same times. A flight whose fixes are all NaN has none.
@@ -182,7 +182,7 @@ def estimate_together(
 
 
 def joined_ranging(rangings: Sequence[Ranging]) -> Ranging:
-    """Return the ranges (N (T + 1), L) of all vehicles to the landmarks, one vehicle after the other."""
+    """Join the ranges of N vehicles to the same landmarks into one set (N (T + 1), L), vehicle after vehicle."""
     first = rangings[0]
     ranges, counts = (np.concatenate([getattr(each, name) for each in rangings]) for name in ("ranges", "counts"))
     # In units of the first one's deviation, so that each range weighs as much as in its own.
@@ -201,7 +201,7 @@ def graph_of(
     states: str,
     prior: str,
 ) -> tuple[Graph, Floats]:
-    """Return one vehicle's graph, with its own part of the fixes' error as a state, and its initial states."""
+    """Return the factor graph of one vehicle, with its own GNSS error as a state, and its initial states."""
     make = partial(make_graph, flight, ranging, active, graph="gnss", states=states, prior=prior)
     if bias_time_constant is None:
         return make(fix_std=fix_std, bias_time_constant=None)
@@ -227,10 +227,11 @@ def _solve(
     iterations: int,
     damping: str,
 ) -> CooperativeSlam:
-    """Solve the joint problem, and return the result with errors, covariances and reflections."""
+    """Solve the joint problem from initial states ``x``; return the result with covariances and
+    landmark reflections."""
 
     def places(point: Point) -> Floats:
-        """Return the positions (N (T + 1), 3) of all vehicles at a point."""
+        """Return the positions (N (T + 1), 3) of all vehicles in a solution."""
         return joint.positions(point.x).reshape(-1, 3)
 
     use_compilation_cache()
@@ -261,7 +262,7 @@ def _solve(
 
 
 def _deviations(flights: Sequence[Flight], fix_std: float | None) -> list[float]:
-    """Return the standard deviation [m] of each vehicle's fixes, for one without fixes that of the others."""
+    """Return each vehicle's standard deviation of fixes [m]: ``fix_std``, or by its errors, or by other vehicles'."""
     if fix_std is not None:
         return [fix_std] * len(flights)
     known = [flight.fix_std for flight in flights if len(flight.fix_error)]
@@ -272,7 +273,7 @@ def _deviations(flights: Sequence[Flight], fix_std: float | None) -> list[float]
 
 
 def _check_error_model(share: float, bias_time_constant: float | None, own_time_constant: float | None) -> None:
-    """Raise UsageError for an invalid share or time constant of the fixes' errors."""
+    """Raise UsageError for an invalid common share or time constant of the GNSS errors."""
     if not 0.0 <= share <= 1.0:
         raise UsageError(f"common_share: {share!r} is not a number from 0 to 1")
     if share > 0.0 and bias_time_constant is None:
@@ -285,7 +286,7 @@ def _check_error_model(share: float, bias_time_constant: float | None, own_time_
 
 
 def _check_flights(flights: Sequence[Flight], rangings: Sequence[Ranging]) -> None:
-    """Raise UsageError unless flights and rangings have the same states and landmarks."""
+    """Raise UsageError unless all flights have the same times, and all rangings the same landmarks."""
     if not flights:
         raise UsageError("flights: none; cooperative SLAM is of at least one vehicle")
     if len(rangings) != len(flights):

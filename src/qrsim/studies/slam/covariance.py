@@ -35,7 +35,7 @@ class Covariance:
 
 
 def chain_marginals(diagonal: Floats, below: Floats, size: int) -> Floats:
-    """Return the leading blocks (T + 1, size, size) on the diagonal of a block-tridiagonal matrix's inverse.
+    """Return leading blocks (T + 1, size, size) on the diagonal of a block-tridiagonal matrix's inverse.
 
     Args:
         diagonal: (T + 1, D, D).
@@ -57,7 +57,7 @@ def chain_marginals(diagonal: Floats, below: Floats, size: int) -> Floats:
 
 
 def marginals(normal: Normal) -> Covariance:
-    """Return the marginal covariances of the normal equations at a point.
+    """Return the marginal covariances of positions and landmarks from the normal equations.
 
     Raises:
         LinAlgError: the states are not held in place.
@@ -74,6 +74,6 @@ def marginals(normal: Normal) -> Covariance:
 
 
 def covariance(problem: Problem, point: Point) -> Covariance:
-    """Return the marginal covariances of positions and landmarks, linearised at a point."""
+    """Return the marginal covariances of positions and landmarks of a solution, linearised there."""
     with jax.enable_x64(True):
         return marginals(problem.linearise(point.x, point.landmarks))

@@ -79,7 +79,7 @@ class Slam:
 
     @property
     def problems(self) -> list[str]:
-        """Problems of the result, one sentence each: landmarks that are not determined, no convergence."""
+        """Warnings about the result, one sentence each: undetermined landmarks, no convergence."""
         found = []
         for i in np.flatnonzero(~self.determined):
             found.append(why_not_determined(int(i), int(self.ranging.per_landmark[i]), self.landmarks_std[i]))
@@ -89,18 +89,18 @@ class Slam:
 
     @property
     def trajectory_rmse_m(self) -> float:
-        """Root mean square distance of the positions from the truth [m]."""
+        """Root mean square error of the estimated positions [m]."""
         return self.score(position_ned=self.position_ned)["trajectory_rmse_m"]
 
     @property
     def landmark_rmse_m(self) -> float:
-        """Root mean square distance of the determined landmarks from the truth [m]; NaN if the truth is unknown."""
+        """Root mean square error of the landmarks that are determined [m]; NaN if the truth is unknown."""
         return self.score(landmarks_ned=self.landmarks_ned).get("landmark_rmse_m", float("nan"))
 
     def score(
         self, position_ned: npt.ArrayLike | None = None, landmarks_ned: npt.ArrayLike | None = None
     ) -> dict[str, float]:
-        """Score another estimate of the same flight by this one's error measures.
+        """Return the errors [m], by name, of another estimate of the same flight's positions or landmarks.
 
         Args:
             position_ned: (T + 1, 3) [m].
@@ -120,7 +120,7 @@ class Slam:
 
 
 def _shaped_as(truth: Floats, values: npt.ArrayLike) -> Floats:
-    """Return values as an array; raises UsageError unless it has the shape of the truth."""
+    """Convert values to an array; raises UsageError unless it has the shape of the truth."""
     array = np.asarray(values, np.float64)
     if array.shape != truth.shape:
         raise UsageError(f"score: expected an array of shape {truth.shape}, found {array.shape}")
@@ -128,7 +128,7 @@ def _shaped_as(truth: Floats, values: npt.ArrayLike) -> Floats:
 
 
 def why_not_determined(landmark: int, ranges: int, std: float) -> str:
-    """Return, as text, the reason that a landmark is not determined.
+    """Return as text why the landmark with this index, ``ranges`` ranges and deviation is not determined.
 
     Args:
         landmark: its number, from 0.
@@ -245,7 +245,7 @@ def estimate(
     damping: str = "metres",
     keep: tuple[int, ...] = (),
 ) -> Slam:
-    """Estimate a flight; arguments and errors as ``slam``."""
+    """Estimate trajectory and landmarks of a flight from its ranges; arguments and errors as ``from_run``."""
     prior = prior or ("start" if graph == "paper" else "estimate")
     check_options(graph, states, prior, damping, iterations)
     if bias_time_constant is not None and graph != "gnss":
@@ -289,7 +289,7 @@ def solve_reflected(
     damping: str,
     keep: tuple[int, ...] = (),
 ) -> tuple[Solution, Mirrors]:
-    """Solve, and solve again from the reflections of landmarks if these have lower cost.
+    """Solve a problem, and again from reflected landmarks if these fit better; return solution and reflections.
 
     Args:
         problem: the graph, of one vehicle or of several.
@@ -300,7 +300,7 @@ def solve_reflected(
     """
 
     def reflect(point: Point) -> Mirrors:
-        """Return the reflections of the landmarks of a solution."""
+        """Return the reflections of a solution's landmarks."""
         return mirrors(Point(places(point), point.landmarks, point.cost), ranging)
 
     solution = solve(problem, x, ranging.guess_ned, iterations, keep, damping)
@@ -315,7 +315,7 @@ def solve_reflected(
 
 
 def check_options(graph: str, states: str, prior: str, damping: str, iterations: object) -> None:
-    """Raise a UsageError for unknown options."""
+    """Raise UsageError for unknown options of an estimation."""
     options = {
         "graph": (graph, GRAPHS),
         "states": (states, STATES),
@@ -330,7 +330,7 @@ def check_options(graph: str, states: str, prior: str, damping: str, iterations:
 
 
 def _with_history(first: Solution, again: Solution) -> Solution:
-    """Return the second solution with the first one's history in front."""
+    """Return the second of two solutions with the first one's iterations and costs in front of its own."""
     return Solution(
         again.point, first.iterations + again.iterations, again.converged, [*first.costs, *again.costs], first.kept
     )
@@ -347,7 +347,8 @@ def _slam_result(
     reflected: Mirrors,
     problem: Graph,
 ) -> Slam:
-    """Return the result of a flight from its solution: states, landmarks, covariances."""
+    """Return a flight's result from its solution: states, landmarks, covariances; ``enough`` (L,): has
+    enough ranges."""
     point, base = solution.point, problem.vehicle_size
     believed = covariance(problem, point)
     spread, determined = spread_of(believed.landmarks, ranging, enough)
@@ -366,7 +367,7 @@ def _slam_result(
 def spread_of(
     covariances: Floats, ranging: Ranging, enough: npt.NDArray[np.bool_]
 ) -> tuple[Floats, npt.NDArray[np.bool_]]:
-    """Return the largest standard deviation of each landmark (L,) [m], and whether it is determined (L,)."""
+    """Return each landmark's largest standard deviation (L,) [m], and whether it is determined (L,)."""
     spread = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
     # Uncertain by half its distance, a landmark is not even known by its direction.
     with np.errstate(invalid="ignore"):
@@ -383,7 +384,7 @@ def _ranging(
     limit: float,
     seed: int,
 ) -> Ranging:
-    """Return given ranges checked, or simulated ranges to given or drawn landmarks."""
+    """Return a user's ranges after checks, or simulated ranges to given or drawn landmarks."""
     known, guess = landmarks_given(flight.truth[:, :2], true_ned, guess_ned, ranges is not None, seed)
     if ranges is not None:
         return given_ranges(ranges, flight.time, len(guess), std, guess, known)
@@ -392,7 +393,7 @@ def _ranging(
 
 
 def check_numbers(**numbers: float | None) -> None:
-    """Raise UsageError for numbers that are neither None nor positive."""
+    """Raise UsageError for named numbers that are neither None nor positive."""
     for name, value in numbers.items():
         if value is not None and not (np.isfinite(value) and value > 0.0):
             raise UsageError(f"{name}: {value!r} is not a positive number")

@@ -56,14 +56,14 @@ class CorrelatedGnss(Sensor):
     def init(
         self, draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: object
     ) -> tuple[tuple[Array, Array], GnssReading]:
-        """Draw stationary initial errors, and report the first fix."""
+        """Draw initial GNSS errors from their stationary distribution, and report the first fix."""
         north, east = draw.normals(2)
         return self._reading((self.std_north * north, self.std_east * east), position_ned, velocity_ned)
 
     def step(
         self, state: tuple[Array, Array], draw: Draw, position_ned: Vec3, velocity_ned: Vec3, sky: object
     ) -> tuple[tuple[Array, Array], GnssReading]:
-        """Advance the errors by one period and return the fix of vehicles at position_ned (n,)."""
+        """Advance the GNSS errors by one period and return the fix of vehicles at position_ned (n,)."""
         north, east = draw.normals(2)
         error = (
             ou_step(state[0], north, self.period, self.std_north, self.time_constant),
@@ -73,14 +73,14 @@ class CorrelatedGnss(Sensor):
 
     @staticmethod
     def _reading(error: tuple[Array, Array], position: Vec3, velocity: Vec3) -> tuple[tuple[Array, Array], GnssReading]:
-        """Return the errors and the reading of vehicles at a position (n,) with these errors."""
+        """Return the errors, and the fix of vehicles at a position (n,) with these errors."""
         zero = jnp.zeros_like(position.x)
         place = Vec3(position.x + error[0], position.y + error[1], position.z)
         return error, GnssReading(place, velocity, zero, zero, zero)
 
 
 def _record(state: State) -> dict[str, Array]:
-    """Return arrays (k, n) by name of what a ``Flight`` needs: truth, estimates, command, stop code."""
+    """Return name -> array (k, n) of the values that a ``Flight`` needs: truth, estimates, command, stop code."""
     fleet = state.fleets[0]
     seen = measured_quantities(fleet.readings)
     velocity, attitude = seen["velocity_ned"], seen["attitude"]
@@ -98,7 +98,7 @@ def _record(state: State) -> dict[str, Array]:
 
 
 def base_world(precision: str = "float32", gnss: str | None = None, **overrides: object) -> World:
-    """Return the example's world.
+    """Return the world of the example study of SLAM, before its waypoints are drawn; ``gnss`` is a preset.
 
     Args:
         precision: float32 or float64.
@@ -110,7 +110,7 @@ def base_world(precision: str = "float32", gnss: str | None = None, **overrides:
 
 
 def with_receiver(preset: str) -> dict[str, object]:
-    """Return the example's scenario content with a GNSS receiver preset, and a base station if it needs one.
+    """Return the example's scenario content with a GNSS receiver preset and, if that needs one, a base station.
 
     Nothing of it is late, as in the example, and carrier phase is fixed.
     """
@@ -124,7 +124,7 @@ def with_receiver(preset: str) -> dict[str, object]:
 
 
 def world_of(base: World, seed: int, vehicles: Sequence[int] = (0,)) -> World:
-    """Return the world with the waypoints of a seed; each vehicle starts at its first one.
+    """Return the world ``base`` with waypoints drawn from a seed; each vehicle starts at its first waypoint.
 
     Args:
         base: with as many vehicles as are given.
@@ -148,13 +148,13 @@ def world_of(base: World, seed: int, vehicles: Sequence[int] = (0,)) -> World:
 
 
 def height_of(vehicle: int) -> float:
-    """Return the height [m] of a vehicle's waypoints: 20, 19, 21, 18, 22, ... m, all different."""
+    """Return the height [m] of a vehicle's waypoints: 20, 19, 21, 18, 22, ... for vehicles 0, 1, 2, ..."""
     away = 0.5 * (vehicle + 1) if vehicle % 2 else -0.5 * vehicle
     return HEIGHT - away
 
 
 def with_correlated(world: World, std: npt.ArrayLike, time_constant: float) -> World:
-    """Return the world with a CorrelatedGnss of deviations (2,) [m] and a time constant [s]."""
+    """Return a world with a GNSS receiver of correlated errors: deviations (2,) [m] and a time constant [s]."""
     fleet = world.fleets[0]
     dtype = fleet.start.position_ned.x.dtype
     at = fleet.sensor_names.index("gnss")
@@ -167,7 +167,7 @@ def with_correlated(world: World, std: npt.ArrayLike, time_constant: float) -> W
 def coloured_flights(
     seeds: Sequence[int], duration: float = DURATION, state_period: float = STATE_PERIOD, base: World | None = None
 ) -> list[Flight]:
-    """Fly each seed with the correlated errors of the simulator's own sky and receiver."""
+    """Fly the example with each seed, with the correlated GNSS errors of the simulator's sky and receiver."""
     base = base_world() if base is None else base
     return flown_alone("coloured", [world_of(base, seed) for seed in seeds], seeds, duration, state_period)
 
@@ -180,7 +180,7 @@ def correlated_flights(
     state_period: float = STATE_PERIOD,
     base: World | None = None,
 ) -> list[Flight]:
-    """Fly each seed with errors of another correlation time, white by default.
+    """Fly the example with each seed, with GNSS errors of another correlation time [s], white by default.
 
     The deviations are the root mean square errors, north and east, of the coloured flight of the same seed.
     """
@@ -194,14 +194,14 @@ def correlated_flights(
 def flown_alone(
     name: str, worlds: list[World], seeds: Sequence[int], duration: float, state_period: float
 ) -> list[Flight]:
-    """Fly worlds of one vehicle each; return a flight for each seed; raises RunError if a vehicle stops."""
+    """Fly worlds of one vehicle; return a flight for each seed; raises RunError if a vehicle stops."""
     return [flights[0] for flights in flown_together(name, worlds, seeds, duration, state_period)]
 
 
 def flown_together(
     name: str, worlds: list[World], seeds: Sequence[int], duration: float, state_period: float
 ) -> list[list[Flight]]:
-    """Fly worlds of N vehicles each; return N flights for each seed; raises RunError if a vehicle stops."""
+    """Fly worlds of N vehicles; return a list of N flights for each seed; raises RunError if a vehicle stops."""
     first = worlds[0]
     ticks = ticks_between(state_period, first.time_step)
     flown = rollout(
@@ -222,7 +222,7 @@ def flown_together(
 
 
 def _flight_of(name: str, world: World, seed: int, recorded: dict[str, Floats], ticks: int) -> Flight:
-    """Return the Flight of a vehicle from the recorded arrays of its world; raises RunError if it stopped."""
+    """Build a vehicle's ``Flight`` from recorded arrays of its world; raises RunError if the vehicle stopped."""
     stopped = recorded.pop("code")[:, 0] != 0.0
     if stopped.any():
         raise RunError(f"{name}, seed {seed}: the vehicle stopped at {np.argmax(stopped) * world.time_step:g} s")
@@ -239,6 +239,6 @@ def _flight_of(name: str, world: World, seed: int, recorded: dict[str, Floats], 
 
 
 def ranging_of(flight: Flight, seed: int, std: float = ranging.RANGE_STD, vehicle: int = 0) -> Ranging:
-    """Measure ranges of a flight to the landmarks of its seed, the same for all flights of the seed and vehicle."""
+    """Simulate a flight's ranges to the landmarks of its seed; the noise follows from seed and vehicle alone."""
     landmarks, guesses = ranging.landmarks_of(seed, CENTRE), ranging.guesses_of(seed, CENTRE)
     return ranging.measure_ranges(flight.truth[:, :3], landmarks, guesses, seed, std, ranging.RANGE_LIMIT, vehicle)

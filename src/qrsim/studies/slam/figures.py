@@ -29,7 +29,7 @@ SHORT = {
 
 
 def draw_run(solved: Slam) -> Figure:
-    """Draw the estimate of one run."""
+    """Draw the estimated trajectory and landmarks of one run."""
     figure = new_figure(7.0, 6.6)
     axes = figure.subplots()
     known = solved.ranging.true_ned
@@ -45,7 +45,7 @@ def draw_run(solved: Slam) -> Figure:
 
 
 def ellipse_of(covariance: Floats, confidence: float = CONFIDENCE) -> tuple[Floats, float]:
-    """Return the semi-axes (2,) [m], the longer first, and the bearing of the longer one from north [rad].
+    """Return a covariance's (2, 2) error ellipse: semi-axes (2,) [m], longer first, and the longer one's bearing [rad].
 
     Args:
         covariance: (2, 2) of north and east [m^2].
@@ -58,7 +58,7 @@ def ellipse_of(covariance: Floats, confidence: float = CONFIDENCE) -> tuple[Floa
 
 
 def _draw_ellipses(axes: Axes, places: Floats, covariances: Floats, colour: str, label: str | None = None) -> None:
-    """Draw the ellipses of positions (N, 3) with covariances (N, 3, 3) in a plan view, north up."""
+    """Draw the error ellipses of positions (N, 3) with covariances (N, 3, 3) in plan view, north up."""
     for place, covariance in zip(places, covariances, strict=True):
         half, bearing = ellipse_of(covariance[:2, :2])
         axes.add_patch(
@@ -78,7 +78,7 @@ def _draw_ellipses(axes: Axes, places: Floats, covariances: Floats, colour: str,
 
 
 def draw_trajectories(study: Study, index: int = 0) -> Figure:
-    """Draw trajectories and landmarks of one seed, a panel for each arm and noise."""
+    """Draw trajectories and landmarks of a study's ``index``-th seed, in a panel per estimator and GNSS noise."""
     arms = [arm for arm in ARMS[study.graph] if arm not in ("guess", "ten_metres")]
     shown = [(noise, arm) for arm in arms for noise in study.flights if (noise, arm) in study.arms]
     columns = 2 if len(shown) == 4 else len(shown)
@@ -108,7 +108,7 @@ def draw_trajectories(study: Study, index: int = 0) -> Figure:
 def _draw_plan(
     axes: Axes, flight: Flight, position: Floats, landmarks: Floats, truth: Floats | None, determined: NumpyArray
 ) -> None:
-    """Draw a plan view of trajectories and landmarks, north up."""
+    """Draw a flight and an estimate of it (trajectory, landmarks) in plan view, north up."""
     axes.plot(flight.estimate[:, 1], flight.estimate[:, 0], ".", color="0.75", ms=1.5, label="the sensors' estimate")
     axes.plot(flight.truth[:, 1], flight.truth[:, 0], "-", color="black", lw=0.9, label="true trajectory")
     axes.plot(position[:, 1], position[:, 0], "-", color="tab:orange", lw=0.9, label="SLAM trajectory")
@@ -128,7 +128,7 @@ def _draw_plan(
 
 
 def draw_allan(study: Study) -> Figure:
-    """Draw the Allan deviation of the errors of fixes and of solutions, pooled over seeds and both axes."""
+    """Draw the Allan deviation of GNSS and of estimation errors, pooled over a study's seeds and both axes."""
     arms = [arm for arm in ARMS[study.graph] if arm != "guess"]
     figure = new_figure(5.2 * (1 + len(arms)) * 0.8, 4.6)
     panels = figure.subplots(1, 1 + len(arms), sharex=True, sharey=True)
@@ -156,7 +156,7 @@ def draw_allan(study: Study) -> Figure:
 
 
 def draw_errors(study: Study) -> Figure:
-    """Draw the errors of every seed in every arm, both noises of a seed joined by a line."""
+    """Draw the error of each seed with every estimator; a line joins the two GNSS noises of a seed."""
     figure = new_figure(10.5, 4.8)
     arms, noises = list(ARMS[study.graph]), list(study.flights)
     measures = {"trajectory": study.trajectory_errors, "landmarks": study.landmark_errors}
@@ -185,7 +185,7 @@ def draw_errors(study: Study) -> Figure:
 
 
 def draw_sweep(sweep: Sweep) -> Figure:
-    """Draw the trajectory's error against the correlation time of GNSS errors of equal variance."""
+    """Draw the trajectory error over the correlation time of GNSS errors of equal variance."""
     figure = new_figure(6.4, 4.6)
     axes = figure.subplots()
     # White noise stands left of the shortest time constant.

@@ -56,13 +56,13 @@ class Flight:
 
     @property
     def fix_error(self) -> Floats:
-        """Fix minus truth (F, 2), north and east, at the fix epochs [m]."""
+        """GNSS errors (F, 2), north and east, at the F times of fixes [m]."""
         error = self.fixes - self.truth[:, :2]
         return error[np.isfinite(error).all(axis=1)]
 
     @property
     def fix_period(self) -> float:
-        """Median interval between fixes [s]; raises RunError where there are fewer than two."""
+        """Median interval between GNSS fixes [s]; raises RunError for fewer than two fixes."""
         epochs = np.flatnonzero(np.isfinite(self.fixes).all(axis=1))
         if len(epochs) < 2:
             raise RunError(f"{self.name}: {len(epochs)} GNSS fixes; at least 2 needed")
@@ -70,7 +70,7 @@ class Flight:
 
     @property
     def fix_std(self) -> float:
-        """Root mean square of the fixes' errors, over both axes [m]; raises RunError where there is no fix."""
+        """Root mean square of the GNSS errors, over both axes [m]; raises RunError without fixes."""
         if not len(self.fix_error):
             raise RunError(f"{self.name}: there is no GNSS fix to measure the error of")
         return float(np.sqrt(np.mean(np.square(self.fix_error))))
@@ -87,7 +87,7 @@ class Believed:
 
 
 def first_states(flight: Flight, states: int) -> Flight:
-    """Return the first T + 1 states of a flight."""
+    """Return a flight cut to its first ``states`` states."""
     steps, kept = slice(states - 1), slice(states)
     return replace(
         flight,
@@ -100,7 +100,7 @@ def first_states(flight: Flight, states: int) -> Flight:
 
 
 def ticks_between(period: float, time_step: float, what: str = "state_period") -> int:
-    """Return a period [s] in ticks; raises UsageError unless it is a whole positive number of them.
+    """Convert a period [s] to ticks; raises UsageError, which names it ``what``, unless it is a whole number from 1.
 
     Raises:
         UsageError: it is not a whole positive number of them.
@@ -122,7 +122,7 @@ def make_flight(
     air_ned: Floats,
     fixes: tuple[npt.NDArray[np.int64], Floats],
 ) -> Flight:
-    """Build a flight from records at each tick, cut to a whole number of state periods.
+    """Build a flight from records at each tick, cut to a whole number of intervals of ``ticks`` ticks.
 
     Args:
         name, time_step, ticks: see Flight.
@@ -156,7 +156,7 @@ def make_flight(
 
 
 def _filled(values: Floats, name: str) -> Floats:
-    """Return values (T, 3) with NaN rows replaced by the last known row, as a controller would use them."""
+    """Return a sensor's values (T, 3) with NaN rows replaced by the last known row, as a controller would use them."""
     known = np.isfinite(values).all(axis=1)
     if not known.any():
         raise RunError(f"{name}: a sensor that the estimate needs never had a reading")
@@ -165,19 +165,19 @@ def _filled(values: Floats, name: str) -> Floats:
 
 
 def to_body(attitude: Floats, velocity_ned: Floats) -> Floats:
-    """Rotate velocities (T, 3) into body axes."""
+    """Rotate velocities (T, 3) from NED into body axes by Euler angles (T, 3)."""
     with jax.enable_x64(True):
         turned = rotation(Euler(*map(jnp.asarray, attitude.T))).to_body(Vec3.of(jnp.asarray(velocity_ned)))
         return np.asarray(turned.stack())
 
 
 def unpacked(x: Array) -> QuadrotorState:
-    """Convert a state vector (13,) to the model's state."""
+    """Convert a state vector (13,) to the vehicle model's state."""
     return QuadrotorState(Vec3.of(x[POSITION]), Euler(*x[ATTITUDE]), Vec3.of(x[VELOCITY]), Vec3.of(x[RATES]), x[THRUST])
 
 
 def advance(vehicle: Quadrotor, x: Array, commands: Array, air_ned: Array, normals: Array, time_step: float) -> Array:
-    """Advance the state (13,) by K ticks of the simulator's own model.
+    """Advance a state vector (13,) by K ticks of the vehicle model, with process noise ``normals`` (K, 6).
 
     Args:
         vehicle: its model.
@@ -189,7 +189,7 @@ def advance(vehicle: Quadrotor, x: Array, commands: Array, air_ned: Array, norma
     """
 
     def tick(state: QuadrotorState, inputs: tuple[Array, Array, Array]) -> tuple[QuadrotorState, None]:
-        """Advance the state by one tick of the model."""
+        """Advance the state by one tick of the vehicle model."""
         command, air, normal = inputs
         noise = vehicle.draw_noise(Drawn(tuple(normal)), time_step)
         wind = Vec3.of(air)
@@ -202,10 +202,10 @@ def advance(vehicle: Quadrotor, x: Array, commands: Array, air_ned: Array, norma
 
 @partial(quick_jit, static_argnums=4)
 def _propagate(vehicle: Quadrotor, start: Array, commands: Array, air_ned: Array, time_step: float) -> Array:
-    """Return the states (T, 13) after each row of commands (T, K, 5), propagated by the model without noise."""
+    """Simulate the states (T, 13) after each row of commands (T, K, 5) by the vehicle model without noise."""
 
     def forward(x: Array, inputs: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Advance by the K ticks of one row; return the state twice, as ``scan`` needs."""
+        """Advance the state by the K ticks of one row; return it twice, as ``scan`` needs."""
         quiet = jnp.zeros((inputs[0].shape[0], vehicle.normals))
         after = advance(vehicle, x, *inputs, quiet, time_step)
         return after, after
@@ -214,7 +214,7 @@ def _propagate(vehicle: Quadrotor, start: Array, commands: Array, air_ned: Array
 
 
 def dead_reckon(vehicle: Quadrotor, start: Floats, commands: Floats, air_ned: Floats, time_step: float) -> Floats:
-    """Predict the states (T + 1, 13) from the commands (T, K, 5) by the model alone, without noise."""
+    """Predict states (T + 1, 13) from the start and the commands (T, K, 5) by the vehicle model, without noise."""
     with jax.enable_x64(True):
         after = _propagate(vehicle, jnp.asarray(start), jnp.asarray(commands), jnp.asarray(air_ned), time_step)
         return np.concatenate([start[None], np.asarray(after)])

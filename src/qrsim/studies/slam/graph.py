@@ -63,20 +63,20 @@ class Graph:
 
     @property
     def vehicle_size(self) -> int:
-        """Number of unknowns of a state that describe the vehicle, without GNSS biases."""
+        """Number of unknowns of one state that describe the vehicle, without GNSS errors."""
         return SIZE if self.states == "full" else len(POSE)
 
     @property
     def size(self) -> int:
-        """Number of unknowns of a state, D: vehicle, and biases if they are states."""
+        """Number D of unknowns of one state: vehicle, and GNSS errors if they are states."""
         return self.vehicle_size + 2 * self.bias
 
     def cost(self, x: Floats, landmarks: Floats) -> float:
-        """Return half the sum of all squared residuals."""
+        """Return half the sum of all squared residuals at states x (T + 1, D) and landmarks (L, 3)."""
         return float(cost(self, jnp.asarray(x), jnp.asarray(landmarks)))
 
     def linearise(self, x: Floats, landmarks: Floats) -> Normal:
-        """Return the normal equations at a point."""
+        """Return the normal equations of the graph at states x (T + 1, D) and landmarks (L, 3)."""
         return linearise(self, jnp.asarray(x), jnp.asarray(landmarks))
 
 
@@ -94,12 +94,12 @@ class Normal:
 
     @property
     def places(self) -> int:
-        """Number of position coordinates, which come first in each block."""
+        """Number of position coordinates in one block of unknowns, where they come first."""
         return int(self.border.shape[1])
 
 
 def predict(graph: Graph, x: Array, commands: Array, air_ned: Array, nominal: Array, normals: Array) -> Array:
-    """Predict the state (D,) that follows x (D,).
+    """Predict the next state (D,) from a state x (D,) by K rows of commands.
 
     Args:
         graph: for the model and which states there are.
@@ -120,37 +120,37 @@ def predict(graph: Graph, x: Array, commands: Array, air_ned: Array, nominal: Ar
 
 
 def _zero_normals(graph: Graph) -> Array:
-    """Return zeros (K, normals) in place of the process noise of one motion."""
+    """Return zeros (K, normals) in place of the process noise between two states."""
     return jnp.zeros((graph.commands.shape[1], graph.vehicle.normals))
 
 
 def motion_residual(
     graph: Graph, x: Array, after: Array, commands: Array, air_ned: Array, nominal: Array, whiten: Array
 ) -> Array:
-    """Return the whitened residual (D,) of one motion factor."""
+    """Return the whitened residual (D,) of the motion from state ``x`` to state ``after``."""
     return whiten @ (after - predict(graph, x, commands, air_ned, nominal, _zero_normals(graph)))
 
 
 def range_residual(position: Array, landmark: Array, measured: Array, weight: Array) -> Array:
-    """Return the whitened residual () of a range [m] from a position (3,) to a landmark (3,)."""
+    """Return the whitened residual () of a measured range [m] from a position (3,) to a landmark (3,)."""
     away = position - landmark
     # A nanometre squared, so that there is a derivative at the landmark itself.
     return weight * (jnp.sqrt(jnp.sum(away * away) + 1e-18) - measured)
 
 
 def fix_residual(graph: Graph, x: Array, fix: Array, weight: Array) -> Array:
-    """Return the whitened residuals (2,) of a GNSS fix."""
+    """Return the whitened residuals (2,) of a GNSS fix at state ``x``, north and east."""
     believed = x[:2] + x[graph.vehicle_size :] if graph.bias else x[:2]
     return weight * (believed - fix)
 
 
 def _pairs(nominal: Array) -> Array:
-    """Return the states (T, 2, 13) before and after each motion, from states (T + 1, 13)."""
+    """Return the states (T, 2, 13) before and after each interval, from states (T + 1, 13)."""
     return jnp.stack([nominal[:-1], nominal[1:]], axis=1)
 
 
 def _residuals(graph: Graph, x: Array, landmarks: Array) -> tuple[Array, Array, Array, Array]:
-    """Return all residuals: motion (T, D), prior (D,), ranges (T + 1, L), fixes (T + 1, 2)."""
+    """Return all whitened residuals: motion (T, D), prior (D,), ranges (T + 1, L), GNSS fixes (T + 1, 2)."""
     motion = jax.vmap(partial(motion_residual, graph))(
         x[:-1], x[1:], graph.commands, graph.air_ned, _pairs(graph.nominal), graph.whiten
     )
@@ -161,13 +161,13 @@ def _residuals(graph: Graph, x: Array, landmarks: Array) -> tuple[Array, Array, 
 
 
 def _half_squares(parts: tuple[Array, ...]) -> Array:
-    """Return half the sum of squares over all parts, ()."""
+    """Return half the sum of squares over all arrays, ()."""
     return 0.5 * jnp.sum(jnp.stack([jnp.sum(part * part) for part in parts]))
 
 
 @quick_jit
 def cost(graph: Graph, x: Array, landmarks: Array) -> Array:
-    """Return half the sum of all squared residuals, ()."""
+    """Return half the sum of all squared residuals at states x (T + 1, D) and landmarks (L, 3)."""
     return _half_squares(_residuals(graph, x, landmarks))
 
 
@@ -184,7 +184,7 @@ class _Slopes:
 
 @quick_jit
 def _jacobians(graph: Graph, x: Array, landmarks: Array) -> _Slopes:
-    """Return all residuals with their derivatives by states and landmarks."""
+    """Return all residuals with their derivatives by states x (T + 1, D) and landmarks (L, 3)."""
     motion = jax.vmap(jax.jacfwd(partial(motion_residual, graph)))(
         x[:-1], x[1:], graph.commands, graph.air_ned, _pairs(graph.nominal), graph.whiten
     )
@@ -198,7 +198,7 @@ def _jacobians(graph: Graph, x: Array, landmarks: Array) -> _Slopes:
 
 @quick_jit
 def _normal_equations(graph: Graph, slopes: _Slopes) -> Normal:
-    """Return the blocks of the normal equations from residuals and derivatives."""
+    """Return the blocks of the normal equations from residuals and their derivatives."""
     motion, prior, ranges, fixes = slopes.residuals
     from_x, to_x, from_p, from_a = slopes.motion, graph.whiten, slopes.range_position, slopes.range_landmark
     diagonal = jnp.einsum("tri,trj->tij", slopes.fix, slopes.fix)
@@ -224,7 +224,7 @@ def _normal_equations(graph: Graph, slopes: _Slopes) -> Normal:
 
 
 def linearise(graph: Graph, x: Array, landmarks: Array) -> Normal:
-    """Linearise at states x (T + 1, D) and landmarks (L, 3): the normal equations.
+    """Return the normal equations of a graph at states x (T + 1, D) and landmarks (L, 3).
 
     In two programs: in one, XLA computes the Jacobians anew inside each product that they are part of.
     """
@@ -233,10 +233,10 @@ def linearise(graph: Graph, x: Array, landmarks: Array) -> Normal:
 
 @quick_jit
 def _noise_jacobians(graph: Graph, x: Array) -> Array:
-    """Return the derivatives (T, D, K * 6) of each motion's state by its process noise."""
+    """Return the derivatives (T, D, K * 6) of each predicted state by the process noise of its interval."""
 
     def after(normals: Array, x: Array, commands: Array, air_ned: Array, nominal: Array) -> Array:
-        """Return the state (D,) after a motion with the given process noise."""
+        """Return the state (D,) after an interval with the process noise ``normals``."""
         return predict(graph, x, commands, air_ned, nominal, normals)
 
     inputs = (x[:-1], graph.commands, graph.air_ned, _pairs(graph.nominal))
@@ -245,7 +245,7 @@ def _noise_jacobians(graph: Graph, x: Array) -> Array:
 
 
 def motion_covariance(graph: Graph, x: Floats, bias_std: float) -> Floats:
-    """Return the covariance (T, D, D) of each motion factor, about states x (T + 1, D).
+    """Return the covariance (T, D, D) of each state predicted from the one before, about states x.
 
     Full states: the simulator's process noise through the linearised model. Poses: a velocity or yaw rate that decays
     at the rate c under noise of density S moves the pose like a random walk of S/c^2 per second.
@@ -284,7 +284,7 @@ def make_graph(
     fix_std: float,
     bias_time_constant: float | None,
 ) -> tuple[Graph, Floats]:
-    """Build a graph and its initial states (T + 1, D): the vehicle's own estimate.
+    """Build the factor graph of a flight with ranges; also return initial states (T + 1, D): the vehicle's estimate.
 
     Args:
         flight, ranging: what was flown and measured.

@@ -18,7 +18,7 @@ SLOPE_WINDOWS = (0.4, 10.0)
 
 
 def interval(values: Floats) -> dict[str, float]:
-    """Return mean and Student t interval of values as a dict; the mean alone for one value, {} for none."""
+    """Return the mean of values with its Student t interval, by name; only the mean for one value, {} for none."""
     known = values[np.isfinite(values)]
     if not len(known):
         return {}
@@ -30,7 +30,7 @@ def interval(values: Floats) -> dict[str, float]:
 
 
 def paired(one: Floats, other: Floats) -> dict[str, float]:
-    """Return the mean of ``other - one`` over the pairs, its Student t interval, and Wilcoxon's signed-rank p."""
+    """Return the mean of ``other - one`` over pairs, its Student t interval, and Wilcoxon's signed-rank p, by name."""
     both = np.isfinite(one) & np.isfinite(other)
     difference = other[both] - one[both]
     found = interval(difference)
@@ -41,7 +41,7 @@ def paired(one: Floats, other: Floats) -> dict[str, float]:
 
 
 def recovered(white: Floats, coloured: Floats, remedied: Floats) -> dict[str, float]:
-    """Return the share ("part", "low", "high") of the loss by coloured errors that a remedy recovers.
+    """Return the share of the accuracy lost by coloured errors that a remedy recovers: "part", "low", "high".
 
     The interval is a percentile bootstrap over seeds.
     """
@@ -49,7 +49,7 @@ def recovered(white: Floats, coloured: Floats, remedied: Floats) -> dict[str, fl
     rows = np.stack([white[both], coloured[both], remedied[both]], axis=1)
 
     def part(means: Floats) -> Floats:
-        """Return the recovered fraction for means over seeds."""
+        """Return the recovered share from means over seeds (..., 3): white, coloured, remedied."""
         return np.asarray((means[..., 1] - means[..., 2]) / (means[..., 1] - means[..., 0]))
 
     low, high = _bootstrapped(part(_resampled(rows).mean(axis=1)))
@@ -63,7 +63,7 @@ def _resampled(rows: Floats) -> Floats:
 
 
 def _bootstrapped(values: Floats) -> tuple[float, float]:
-    """Return the percentile interval of resampled values (RESAMPLES,)."""
+    """Return the percentile interval (low, high) of resampled values (RESAMPLES,)."""
     tail = 0.5 * (1.0 - CONFIDENCE)
     low, high = np.quantile(values, [tail, 1.0 - tail])
     return float(low), float(high)
@@ -90,7 +90,7 @@ def _allan_variances(errors: Sequence[Floats], period: float, longest: float | N
 
 
 def allan_slope(errors: Sequence[Floats], period: float) -> dict[str, float]:
-    """Return the slope of the pooled Allan deviation over SLOPE_WINDOWS in logarithms.
+    """Return the slope of the pooled Allan deviation of errors over SLOPE_WINDOWS, in log-log scale, with interval.
 
     Its interval is a percentile bootstrap over seeds; of one seed there is none.
     """
@@ -100,7 +100,7 @@ def allan_slope(errors: Sequence[Floats], period: float) -> dict[str, float]:
     centred = (abscissa - abscissa.mean()) / np.sum(np.square(abscissa - abscissa.mean()))
 
     def slope(pooled: Floats) -> Floats:
-        """Return the slope of a pooled Allan deviation in logarithms."""
+        """Return the slope of an Allan deviation over its windows, in log-log scale, from the pooled variances."""
         return np.asarray(0.5 * np.log(pooled[..., within]) @ centred)
 
     found = {"slope": float(slope(variances.mean(axis=0)))}

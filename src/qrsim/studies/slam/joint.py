@@ -40,7 +40,7 @@ class Common:
 
     @property
     def weights(self) -> tuple[float, float]:
-        """Inverse standard deviations [1/m] of the first common error and of the noise of a step."""
+        """Inverse standard deviations [1/m] of the first common GNSS error, and of its noise in one interval."""
         return 1.0 / self.std, 1.0 / (self.std * (1.0 - self.decay**2) ** 0.5)
 
 
@@ -60,34 +60,34 @@ class JointGraph:
 
     @property
     def size(self) -> int:
-        """Number of unknowns in the block of one time: all vehicles' states, and the common bias."""
+        """Number of unknowns at one time: all vehicles' states, and the common GNSS error."""
         return len(self.graphs) * self.graphs[0].size + 2 * (self.common is not None)
 
     def columns(self, vehicle: int) -> npt.NDArray[np.int64]:
-        """Return the columns (D,) of a vehicle's unknowns within a block."""
+        """Return the indices (D,) of a vehicle's unknowns among those of one time."""
         rest = self.graphs[0].size - 3
         places = 3 * vehicle + np.arange(3)
         others = 3 * len(self.graphs) + rest * vehicle + np.arange(rest)
         return np.concatenate([places, others])
 
     def joined(self, states: list[Floats]) -> Floats:
-        """Return the blocks (T + 1, size) of the vehicles' states, each (T + 1, D); the common error is 0."""
+        """Join the vehicles' states, each (T + 1, D), to unknowns (T + 1, size) with a common GNSS error of 0."""
         x = np.zeros((len(states[0]), self.size))
         for vehicle, values in enumerate(states):
             x[:, self.columns(vehicle)] = values
         return x
 
     def split(self, x: Floats) -> tuple[list[Floats], Floats | None]:
-        """Return the vehicles' states, each (T + 1, D), and the common error (T + 1, 2), None where there is none."""
+        """Split unknowns (T + 1, size) into the vehicles' states and the common GNSS error (T + 1, 2) (None: none)."""
         states = [x[:, self.columns(vehicle)] for vehicle in range(len(self.graphs))]
         return states, None if self.common is None else x[:, -2:]
 
     def positions(self, x: Floats) -> Floats:
-        """Return the positions (N, T + 1, 3) of blocks (T + 1, size) [m]."""
+        """Return the positions (N, T + 1, 3) [m] of N vehicles in unknowns x (T + 1, size)."""
         return x[:, : 3 * len(self.graphs)].reshape(len(x), -1, 3).transpose(1, 0, 2)
 
     def _alone(self, x: Floats) -> list[tuple[Graph, Floats]]:
-        """Return (graph, states) of each vehicle, with the common error subtracted from its fixes."""
+        """Return each vehicle's (graph, states), with the common GNSS error subtracted from its fixes."""
         states, common = self.split(x)
         if common is None:
             return list(zip(self.graphs, states, strict=True))
@@ -95,14 +95,14 @@ class JointGraph:
         return [(replace(g, fixes=g.fixes - shift), own) for g, own in zip(self.graphs, states, strict=True)]
 
     def _range_residuals(self, x: Floats) -> tuple[Floats, Floats]:
-        """Return weights [1/m] and residuals of the ranges between vehicles, (T + 1, P), 0 for missing ranges."""
+        """Return weights [1/m] and residuals (T + 1, P) of ranges between P pairs; 0 for missing ranges."""
         seen = np.isfinite(self.between.ranges)
         weight = np.where(seen, np.sqrt(self.between.counts) / self.between.std, 0.0)
         apart = distances(self.positions(x), self.between.pairs) - np.where(seen, self.between.ranges, 0.0)
         return weight, weight * apart
 
     def _common_residuals(self, x: Floats) -> tuple[Floats, Floats]:
-        """Return the residuals of the common error: its first one (2,), its steps (T, 2)."""
+        """Return residuals of the common GNSS error: of its first value (2,), of its changes (T, 2)."""
         if self.common is None:
             return np.zeros(2), np.zeros((len(x) - 1, 2))
         first, following = self.common.weights
@@ -110,14 +110,14 @@ class JointGraph:
         return first * error[0], following * (error[1:] - self.common.decay * error[:-1])
 
     def cost(self, x: Floats, landmarks: Floats) -> float:
-        """Return half the sum of all squared residuals at blocks (T + 1, size) and landmarks (L, 3)."""
+        """Return half the sum of all squared residuals at unknowns x (T + 1, size) and landmarks (L, 3)."""
         alone = sum(float(cost(g, jnp.asarray(own), jnp.asarray(landmarks))) for g, own in self._alone(x))
         return alone + 0.5 * sum(
             float(np.sum(part**2)) for part in (self._range_residuals(x)[1], *self._common_residuals(x))
         )
 
     def linearise(self, x: Floats, landmarks: Floats) -> Normal:
-        """Return the normal equations at blocks (T + 1, size) and landmarks (L, 3)."""
+        """Return the normal equations at unknowns x (T + 1, size) and landmarks (L, 3)."""
         count, size, places = len(x), self.size, 3 * len(self.graphs)
         marks = len(landmarks)
         diagonal, below = np.zeros((count, size, size)), np.zeros((count - 1, size, size))
@@ -146,7 +146,7 @@ class JointGraph:
     def _add_fixes(
         self, graph: Graph, columns: npt.NDArray[np.int64], own: Floats, diagonal: Floats, gradient: Floats
     ) -> None:
-        """Add the fixes' terms in the common error to a vehicle's ``diagonal`` and ``gradient``, as in ``_alone``."""
+        """Add the fixes' terms in the common GNSS error to ``diagonal`` and ``gradient``, in place."""
         weight = np.asarray(graph.fix_weight) ** 2
         at = self.size - 2 + np.arange(2)
         by = [columns[:2]] + ([columns[graph.vehicle_size :]] if graph.bias else [])
@@ -158,7 +158,7 @@ class JointGraph:
         gradient[:, -2:] += weight[:, None] * (believed - np.asarray(graph.fixes))
 
     def _add_between(self, x: Floats, diagonal: Floats, gradient: Floats) -> float:
-        """Add the range terms between vehicles in place; return half their sum of squares."""
+        """Add the terms of ranges between vehicles to ``diagonal`` and ``gradient`` in place; return their cost."""
         weight, residual = self._range_residuals(x)
         position = self.positions(x)
         for p, (one, other) in enumerate(self.between.pairs):
@@ -176,7 +176,7 @@ class JointGraph:
         return 0.5 * float(np.sum(residual**2))
 
     def _add_common(self, x: Floats, common: Common, diagonal: Floats, below: Floats, gradient: Floats) -> float:
-        """Add the prior and the steps of the common error in place; return half their sum of squares."""
+        """Add prior and changes of the common GNSS error to the normal equations in place; return their cost."""
         first, following = common.weights
         start, steps = self._common_residuals(x)
         at = self.size - 2 + np.arange(2)

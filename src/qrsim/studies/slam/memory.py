@@ -13,12 +13,12 @@ SMALLER = "take a longer state_period, states poses, or fewer landmarks"
 
 
 def state_size(states: str, bias: bool) -> int:
-    """Return the number of unknowns per state."""
+    """Return the number of unknowns of one state: "full" or "poses", with ``bias`` two more for GNSS errors."""
     return (SIZE if states == "full" else len(POSE)) + 2 * bias
 
 
 def bytes_needed(states: int, size: int, landmarks: int) -> int:
-    """Return the peak memory [bytes] of a problem with ``states`` states of ``size`` unknowns and landmarks.
+    """Return the peak memory [bytes] that solving a problem of this size needs; ``size``: unknowns per state.
 
     Each state has its blocks of Jacobians and of the matrix, its rows of what the landmarks are eliminated with, and
     its ranges. The factors are above those of measured problems (docs/explanation/slam.md); compiled
@@ -43,7 +43,7 @@ def available_bytes() -> int:
 def check_memory(
     states: int, size: int, landmarks: int, available: int, flights: int = 0, smaller: str = SMALLER
 ) -> None:
-    """Raise a RunError if a problem does not fit into memory alongside the flights."""
+    """Raise RunError if a problem of this size does not fit into memory next to its flights [bytes]."""
     needed = bytes_needed(states, size, landmarks) + flights
     if needed > available:
         raise RunError(

@@ -36,7 +36,7 @@ class Mirrors:
 
 
 def mirrors(point: Point, ranging: Ranging) -> Mirrors:
-    """Return the reflections of a solution's landmarks, refitted to the ranges with the trajectory fixed."""
+    """Reflect a solution's landmarks in the plane of the positions, refit them with fixed trajectory, compare."""
     count = len(point.landmarks)
     places, excess = np.full((count, 3), np.nan), np.full(count, np.nan)
     apart = np.zeros(count, bool)
@@ -60,13 +60,13 @@ def mirrors(point: Point, ranging: Ranging) -> Mirrors:
 
 
 def _chi_squared(position: Floats, measured: Floats, weight: Floats, landmark: Floats) -> float:
-    """Return the weighted sum of squared range errors of a landmark (3,), seen from positions (T, 3)."""
+    """Return the weighted sum of squared range errors of a landmark (3,) from positions (T, 3)."""
     distance = np.linalg.norm(position - landmark, axis=1)
     return float(np.sum(np.square(weight * (distance - measured))))
 
 
 def _fit_landmark(position: Floats, measured: Floats, weight: Floats, landmark: Floats) -> tuple[Floats, float]:
-    """Return the landmark (3,) that fits the ranges best, searched from ``landmark`` on, and its chi^2."""
+    """Fit a landmark (3,) to ranges from positions (T, 3), starting at ``landmark``; return it and its chi^2."""
     best, damping = _chi_squared(position, measured, weight, landmark), 1e-3
     for _ in range(STEPS):
         away = landmark - position

@@ -39,28 +39,28 @@ class Ranging:
 
     @property
     def per_landmark(self) -> npt.NDArray[np.int64]:
-        """Number of ranges (L,) to each landmark."""
+        """Number of ranges to each landmark (L,)."""
         return self.counts.sum(axis=0).astype(np.int64)
 
 
 def generator(seed: int, purpose: int, *numbers: int) -> np.random.Generator:
-    """Return the random generator of a seed for one purpose, and of vehicles by their numbers."""
+    """Return a random generator for a seed, a purpose and further numbers, such as a vehicle's."""
     return np.random.default_rng((seed, purpose, *numbers))
 
 
 def _vehicle_words(vehicle: int) -> tuple[int, ...]:
-    """Return the seed words that separate a vehicle's draws from other vehicles'; () for vehicle 0."""
+    """Return the extra seed numbers of a vehicle, which separate its draws; () for vehicle 0."""
     return (vehicle,) if vehicle else ()
 
 
 def draw_landmarks(seed: int, purpose: int, count: int, centre: Floats, side: float, vehicle: int = 0) -> Floats:
-    """Draw positions (count, 3) on the ground, uniform over a square of ``side`` [m] about a centre (2,)."""
+    """Draw ``count`` positions (count, 3) on the ground, uniform in a square of ``side`` [m] about a centre (2,)."""
     horizontal = centre + side * (generator(seed, purpose, *_vehicle_words(vehicle)).random((count, 2)) - 0.5)
     return np.concatenate([horizontal, np.zeros((count, 1))], axis=1)
 
 
 def landmarks_of(seed: int, centre: Floats) -> Floats:
-    """Draw the true landmarks (L, 3) of a seed about a centre (2,)."""
+    """Draw the true positions (L, 3) of a seed's landmarks about a centre (2,)."""
     return draw_landmarks(seed, PLACES, LANDMARKS, centre, SIDE)
 
 
@@ -72,7 +72,7 @@ def guesses_of(seed: int, centre: Floats, count: int = LANDMARKS) -> Floats:
 def landmarks_given(
     north_east: Floats, true_ned: object, guess_ned: object, ranged: bool, seed: int
 ) -> tuple[Floats | None, Floats]:
-    """Return true landmarks (L, 3), or None if unknown, and first guesses of them, given or drawn.
+    """Return landmarks' true positions (L, 3) or None, and first guesses; ``ranged``: a user gives the ranges.
 
     Args:
         north_east: (T, 2) where was flown.
@@ -100,7 +100,7 @@ def landmarks_given(
 
 
 def _checked_positions(name: str, values: object) -> Floats:
-    """Return values as an array of positions (L, 3) [m]; raises UsageError unless they are finite."""
+    """Convert values to positions (L, 3) [m]; raises UsageError, which names them, unless they are finite."""
     array = np.asarray(values, np.float64)
     if array.ndim != 2 or array.shape[1:] != (3,) or not len(array) or not np.isfinite(array).all():
         raise UsageError(f"{name}: expected finite places (L, 3) [m], found shape {array.shape}")
@@ -117,7 +117,7 @@ def measure_ranges(
     vehicle: int = 0,
     alone: bool = True,
 ) -> Ranging:
-    """Measure ranges from positions (T + 1, 3) to landmarks (L, 3) within ``limit`` [m], with white noise.
+    """Simulate ranges (T + 1, L) to landmarks within ``limit`` [m], with white noise; ``alone``: raise if none is.
 
     The noise is of the seed and of the vehicle's number.
 
@@ -135,7 +135,7 @@ def measure_ranges(
 def given_ranges(
     rows: npt.ArrayLike, time: Floats, count: int, std: float, guess_ned: Floats, true_ned: Floats | None
 ) -> Ranging:
-    """Check a user's ranges: rows (R, 3) of time [s], index of the landmark from 0, and range [m].
+    """Check a user's ranges: rows (R, 3) of time [s], landmark index from 0, range [m]; return them by state.
 
     Raises:
         UsageError: a row that is not finite, a range that is negative, a landmark that is not there, or a time without

@@ -31,7 +31,7 @@ TRUE_STATE = (
 
 
 def flight_of_run(run: Run, vehicle: str | None, state_period: float, process_noise: float | None) -> Flight:
-    """Read the flight of one vehicle of a run.
+    """Read the flight of one vehicle from a run, with states every ``state_period`` [s] and given process noise.
 
     Args:
         run: the run folder, with truth, measurements and commands of every tick.
@@ -72,7 +72,7 @@ def flight_of_run(run: Run, vehicle: str | None, state_period: float, process_no
 
 
 def _vehicle_index(run: Run, vehicle: str | None) -> int:
-    """Return the index of a vehicle of a run by name; without a name, of the only one; raises UsageError."""
+    """Return the index of a run's vehicle by name, without a name of the only one; raises UsageError."""
     if vehicle is None:
         if len(run.vehicles) > 1:
             raise UsageError(
@@ -85,7 +85,7 @@ def _vehicle_index(run: Run, vehicle: str | None) -> int:
 
 
 def _fleet_at(fleets: tuple[Fleet, ...], index: int) -> tuple[Fleet, int]:
-    """Return the fleet of the vehicle at an index of the world, and its index in the fleet."""
+    """Return the fleet of the vehicle at an index of the world, and the vehicle's index in that fleet."""
     for fleet in fleets:
         if index < fleet.size:
             return fleet, index
@@ -94,12 +94,12 @@ def _fleet_at(fleets: tuple[Fleet, ...], index: int) -> tuple[Fleet, int]:
 
 
 def _vehicle_value(value: Any, number: int) -> Any:
-    """Return one vehicle's value of a parameter that may be given for each vehicle."""
+    """Return vehicle ``number``'s value of a parameter that is one number or one for each vehicle."""
     return value[number] if np.ndim(value) else value
 
 
 def _tick_count(run: Run, stream: str) -> int:
-    """Return the number of ticks of a stream, after a check that it has all ticks from the start."""
+    """Return the number of ticks in a stream; raises an error unless it has all ticks from the start."""
     if stream not in run or not len(run[stream].tick):
         known = ", ".join(name for name in run.streams)
         raise RunError(f"{run.folder}: there are no {stream} in it (it has {known}); slam needs those of every tick")
@@ -112,7 +112,7 @@ def _tick_count(run: Run, stream: str) -> int:
 
 
 def _columns(run: Run, stream: str, names: tuple[str, ...], index: int, count: int) -> Floats:
-    """Return some columns (count, K) of a vehicle, in float64."""
+    """Read the named columns (count, K) of one vehicle from a stream, in float64."""
     if _tick_count(run, stream) < count:
         raise RunError(f"{run.folder}: {stream} end before truth does")
     for name in names:
@@ -124,13 +124,13 @@ def _columns(run: Run, stream: str, names: tuple[str, ...], index: int, count: i
 
 
 def _sensor_with(stream: Stream, column: str) -> str | None:
-    """Return the name of the first sensor that has a column."""
+    """Return the name of the first sensor that logs a column; None if no sensor does."""
     found = [name.removesuffix(f".{column}") for name in stream.columns() if name.endswith(f".{column}")]
     return found[0] if found else None
 
 
 def _read_estimate(run: Run, index: int, count: int, truth: Floats) -> tuple[Believed, str]:
-    """Read the vehicle's own estimate from its sensors, and the name of its GNSS receiver."""
+    """Read the vehicle's own estimate from its sensors; also return the name of its GNSS receiver."""
     _tick_count(run, "measurements")
     stream = run["measurements"]
     parts = {}
@@ -155,7 +155,7 @@ def _read_estimate(run: Run, index: int, count: int, truth: Floats) -> tuple[Bel
 
 
 def _mean_wind(run: Run, index: int, count: int) -> Floats:
-    """Return the mean wind (count, 3) [m/s] at each tick, the last one logged; zeros if none was logged."""
+    """Return the mean wind (count, 3) [m/s] at each tick, from the last one logged; zeros if none was logged."""
     if "wind" not in run or not len(run["wind"].tick):
         return np.zeros((count, 3))
     stream = run["wind"]
@@ -165,7 +165,7 @@ def _mean_wind(run: Run, index: int, count: int) -> Floats:
 
 
 def _fixes(fleet: Fleet, gnss: str, position: Floats, time_step: float, ticks: int) -> tuple[Any, Floats]:
-    """Return the ticks (F,) of fixes, and their positions north and east (F, 2) [m].
+    """Return the ticks (F,) of GNSS fixes, and their positions north and east (F, 2) [m].
 
     Raises:
         UsageError: fixes come between two states, or at times of their own.
@@ -180,7 +180,7 @@ def _fixes(fleet: Fleet, gnss: str, position: Floats, time_step: float, ticks: i
 def _epochs(
     fleet: Fleet, name: str, what: str, late: int, count: int, time_step: float, ticks: int
 ) -> tuple[npt.NDArray[np.int64], int]:
-    """Return the ticks (F,) below ``count`` at which a sensor reports, and its latency in ticks.
+    """Return the ticks (F,), below ``count``, at which sensor ``name`` reports, and its latency in ticks.
 
     Args:
         fleet, name: of the sensor.
@@ -206,7 +206,7 @@ def _epochs(
 
 
 def between_of_run(run: Run, vehicles: Sequence[str], state_period: float, states: int, std: float | None) -> Between:
-    """Read the ranges between vehicles of a run; the mean of both where both vehicles of a pair measured.
+    """Read ranges between vehicles, of deviation ``std`` [m], from a run; the mean if both of a pair measured.
 
     Args:
         run: the run folder, with measurements of every tick.
@@ -249,7 +249,7 @@ def between_of_run(run: Run, vehicles: Sequence[str], state_period: float, state
 
 
 def _partners(sensor: Any, size: int, number: int, index: int, indices: list[int]) -> list[tuple[int, int]]:
-    """Return the vehicles, among ``indices``, that a vehicle ranges to: position in ``indices`` and column.
+    """Return (position in ``indices``, column of the sensor) of each vehicle that a vehicle ranges to.
 
     Args:
         sensor: of type ranging or ideal_ranging.

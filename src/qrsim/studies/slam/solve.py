@@ -79,7 +79,7 @@ class Damping:
 
     @classmethod
     def of(cls, normal: Normal, kind: str, amount: float) -> Damping:
-        """Return the damping of a kind in DAMPINGS for an amount."""
+        """Return the damping terms of one of DAMPINGS, times ``amount``."""
         states, landmarks = np.zeros(normal.gradient.shape), np.ones(normal.gradient_landmarks.shape)
         states[:, : normal.places] = 1.0
         if kind == "diagonal":
@@ -121,12 +121,13 @@ class Reduced:
     border: Floats
 
     def back(self, right: Floats) -> Floats:
-        """Solve L' x = right for right-hand sides ((T + 1) D,) or ((T + 1) D, N)."""
+        """Solve L' x = right, with L the Cholesky factor of the states' matrix; right ((T + 1) D,) or
+        ((T + 1) D, N)."""
         return _triangular(self.factor, right, "T")
 
 
 def _triangular(factor: Floats, right: Floats, trans: str) -> Floats:
-    """Solve with a banded lower triangle (``trans`` "N") or its transpose ("T"); LAPACK's tbtrs."""
+    """Solve with a banded lower triangular matrix (``trans`` "N") or its transpose ("T"), by LAPACK's tbtrs."""
     found, info = dtbtrs(factor, right, uplo="L", trans=trans)
     if info:
         raise LinAlgError(f"the matrix is singular at row {info}")
@@ -134,7 +135,7 @@ def _triangular(factor: Floats, right: Floats, trans: str) -> Floats:
 
 
 def reduce(normal: Normal, damping: Damping) -> Reduced:
-    """Return the normal equations with all states eliminated: the Schur complement of the landmarks.
+    """Eliminate the states from damped normal equations; return the Schur complement of the landmarks.
 
     Raises:
         LinAlgError: the matrix is not positive definite.
@@ -166,7 +167,7 @@ def step(normal: Normal, damping: Damping) -> tuple[Floats, Floats]:
 
 
 def _predicted_decrease(normal: Normal, dx: Floats, da: Floats, damping: Damping) -> float:
-    """Return the decrease of the cost that the quadratic model predicts for a step."""
+    """Return the decrease of the cost that the quadratic model predicts for a step (dx, da)."""
     damped = np.sum(damping.states * dx**2) + np.sum(damping.landmarks * da**2)
     slope = np.sum(dx * np.asarray(normal.gradient)) + np.sum(da * np.asarray(normal.gradient_landmarks))
     return float(0.5 * (damped - slope))
@@ -196,7 +197,7 @@ def solve(
 def _minimise(
     problem: Problem, x: Floats, landmarks: Floats, iterations: int, keep: tuple[int, ...], kind: str
 ) -> Solution:
-    """Run Levenberg-Marquardt from a point; return the last solution, with the points of some iterations."""
+    """Run Levenberg-Marquardt from states x and landmarks; return the solution, with the iterates in ``keep``."""
     normal = problem.linearise(x, landmarks)
     point = Point(x, landmarks, float(normal.cost))
     solution = Solution(point, 0, False, [point.cost], {0: point} if 0 in keep else {})

@@ -62,7 +62,7 @@ class Arm:
     converged: list[bool] = field(default_factory=list)
 
     def add(self, position: Floats, landmarks: Floats, solved: Slam) -> None:
-        """Append the solution of one more seed."""
+        """Append the solution of one more seed to the results of this estimator."""
         self.position_ned.append(position)
         self.landmarks_ned.append(landmarks)
         self.determined.append(solved.determined)
@@ -90,12 +90,12 @@ class Study:
     arms: dict[tuple[str, str], Arm]
 
     def trajectory_errors(self, noise: str, arm: str) -> Floats:
-        """Return the root mean square error of the trajectory of each seed (S,) [m]."""
+        """Return each seed's root mean square trajectory error (S,) [m], by GNSS noise and estimator (arm)."""
         pairs = zip(self.arms[noise, arm].position_ned, self.flights[noise], strict=True)
         return np.array([rms_distance(position, flight.truth[:, :3]) for position, flight in pairs])
 
     def landmark_errors(self, noise: str, arm: str) -> Floats:
-        """Return the root mean square error of the landmarks of each seed (S,) [m].
+        """Return each seed's root mean square landmark error (S,) [m], by GNSS noise and estimator (arm).
 
         Over those that are determined in every arm of the seed; NaN where there are none.
         """
@@ -106,7 +106,7 @@ class Study:
         return np.array(errors)
 
     def position_errors(self, noise: str, arm: str, period: float) -> list[Floats]:
-        """Return the errors north and east (N, 2) [m] of each seed, one every ``period`` [s]."""
+        """Return each seed's position errors (N, 2) [m], one every ``period`` [s], by GNSS noise and estimator."""
         found = []
         for position, flight in zip(self.arms[noise, arm].position_ned, self.flights[noise], strict=True):
             every = round(period / (flight.ticks * flight.time_step))
@@ -117,7 +117,7 @@ class Study:
 def check_size(
     seeds: int, noises: int, duration: float, states: str, state_period: float = example.STATE_PERIOD
 ) -> None:
-    """Raise a RunError, before anything is flown, if a study does not fit into memory.
+    """Raise RunError, before anything is flown, if a study of this size does not fit into memory.
 
     Raises:
         UsageError: a duration that is no whole number of ticks.
@@ -138,7 +138,7 @@ def fly(
     state_period: float = example.STATE_PERIOD,
     gnss: str | None = None,
 ) -> dict[str, list[Flight]]:
-    """Fly all seeds with each noise; white noise takes its size from the coloured flights.
+    """Fly all seeds with each GNSS noise, "white" or "coloured", of equal size; return noise -> flights.
 
     Coloured flights are those of the published receiver, or of one of type gnss with the preset ``gnss``.
 
@@ -168,7 +168,7 @@ def study(
     bias_time_constant: float = BIAS_TIME_CONSTANT,
     progress: Callable[[], None] = lambda: None,
 ) -> Study:
-    """Solve all flights in all arms of a graph.
+    """Estimate all flights with every estimator (arm) of a graph; return the study's results.
 
     Args:
         graph: paper or gnss.
@@ -196,7 +196,7 @@ def study(
 def _solve_arms(
     flight: Flight, ranging: Ranging, bias: float | None, **options: Any
 ) -> dict[str, tuple[Floats, Floats, Slam]]:
-    """Return the positions of vehicle and landmarks in each arm, and their solution."""
+    """Return estimator (arm) -> (vehicle's positions, landmarks, solution); ``bias``: error's time constant [s]."""
     whole = estimate(flight, ranging, keep=(TEN,), **options)
     converged = (whole.position_ned, whole.landmarks_ned, whole)
     if options["graph"] == "paper":
@@ -215,7 +215,7 @@ def _solve_arms(
 
 
 def numbers(flown: Study) -> Content:
-    """Return all numbers of a study as plain dicts."""
+    """Return all results of a study as a dict for JSON."""
     result: Content = {"seeds": len(flown.seeds), "confidence": CONFIDENCE, "errors": {}, "paired": {}}
     measures = {"trajectory_m": flown.trajectory_errors, "landmarks_m": flown.landmark_errors}
     for noise, arm in flown.arms:
@@ -239,7 +239,7 @@ def numbers(flown: Study) -> Content:
 
 
 def _compare_bias(measures: Mapping[str, Callable[[str, str], Floats]]) -> Content:
-    """Compare the estimates with and without the error as a state; return the recovered fraction of the loss."""
+    """Compare estimates with and without the GNSS error as a state; also return the share of the loss recovered."""
     found: Content = {}
     for name, measure in measures.items():
         white, coloured, remedied = measure("white", "plain"), measure("coloured", "plain"), measure("coloured", "bias")
@@ -250,7 +250,7 @@ def _compare_bias(measures: Mapping[str, Callable[[str, str], Floats]]) -> Conte
 
 
 def _fix_statistics(flown: list[Flight]) -> Content:
-    """Return the size of the fixes' errors [m], and the slope of their Allan deviation."""
+    """Return the size [m] of the flights' GNSS errors, and the slope of their Allan deviation."""
     errors = [flight.fix_error for flight in flown]
     found: Content = {"rms_m": float(np.sqrt(np.mean([np.mean(np.square(error)) for error in errors])))}
     period = flown[0].fix_period
@@ -273,7 +273,7 @@ class Sweep:
     bias: Floats
 
     def numbers(self) -> Content:
-        """Return the intervals and the paired tests against white noise."""
+        """Return the errors by correlation time, with intervals and tests against white noise, as a dict for JSON."""
         found: Content = {}
         for i, tau in enumerate(self.time_constants):
             name = "white" if tau == example.WHITE else f"tau_{tau:g}_s"
@@ -293,7 +293,7 @@ def sweep(
     progress: Callable[[], None] = lambda: None,
     gnss: str | None = None,
 ) -> Sweep:
-    """Fly and solve with errors of each correlation time, all as large as in the coloured flight of the seed."""
+    """Fly and estimate with GNSS errors of each correlation time [s], equal in size to the coloured flight's."""
     coloured, base = flights["coloured"], example.base_world(gnss=gnss)
     duration = coloured[0].time[-1]
     period = coloured[0].ticks * coloured[0].time_step

@@ -26,13 +26,13 @@ NEXT_WORLD = 2**40
 
 
 def check_vehicles(vehicles: int) -> None:
-    """Raise a UsageError for more vehicles than the example has room for."""
+    """Raise UsageError for more vehicles than the example's area has room for."""
     if not 1 <= vehicles <= MOST_VEHICLES:
         raise UsageError(f"vehicles: {vehicles}; expected a number from 1 to {MOST_VEHICLES}")
 
 
 def team_world(vehicles: int, gnss: str | None = None) -> World:
-    """Return the world of the example with N vehicles under one sky.
+    """Return the example's world with N vehicles under one sky; ``gnss`` is a receiver preset.
 
     They fly on levels a metre apart and take no notice of each other: none of them collides.
 
@@ -62,7 +62,7 @@ def shared_flights(
     state_period: float = example.STATE_PERIOD,
     gnss: str | None = None,
 ) -> list[list[Flight]]:
-    """Fly N vehicles of each seed in one world, whose sky they share; returns (S)(N) flights."""
+    """Fly N vehicles of each seed in one world under a common sky; return N flights for each seed."""
     base = team_world(vehicles, gnss)
     worlds = [example.world_of(base, seed, range(vehicles)) for seed in seeds]
     return example.flown_together("shared", worlds, seeds, duration, state_period)
@@ -75,7 +75,7 @@ def own_flights(
     state_period: float = example.STATE_PERIOD,
     gnss: str | None = None,
 ) -> list[list[Flight]]:
-    """Fly N vehicles of each seed in separate worlds with separate skies; returns (S)(N) flights."""
+    """Fly N vehicles of each seed, each in a world with a sky of its own; return N flights for each seed."""
     check_vehicles(vehicles)
     base = example.base_world(gnss=gnss)
     worlds = [example.world_of(base, seed, (i,)) for seed in seeds for i in range(vehicles)]
@@ -89,7 +89,7 @@ def white_flights(
     duration: float = example.DURATION,
     state_period: float = example.STATE_PERIOD,
 ) -> list[list[Flight]]:
-    """Fly the vehicles of each seed with white errors, as large as those of their coloured flights (S)(N)."""
+    """Fly the vehicles of each seed with white GNSS errors, equal in size to those of their coloured flights."""
     vehicles, base = len(coloured[0]), example.base_world()
     worlds = [
         example.with_correlated(
@@ -103,15 +103,15 @@ def white_flights(
 
 
 def _world_seeds(seeds: Sequence[int], vehicles: int) -> list[int]:
-    """Return the seed of each vehicle's own world; vehicle 0 has the given one."""
+    """Return the seeds of each vehicle's separate world; vehicle 0 gets the given seed."""
     return [seed + i * NEXT_WORLD for seed in seeds for i in range(vehicles)]
 
 
 def rangings_of(flights: Sequence[Flight], seed: int) -> list[Ranging]:
-    """Measure ranges of N flights to the landmarks of their seed; return one ``Ranging`` each."""
+    """Simulate the ranges of N flights to the landmarks of their seed; return a ``Ranging`` for each."""
     return [example.ranging_of(flight, seed, vehicle=i) for i, flight in enumerate(flights)]
 
 
 def between_of(flights: Sequence[Flight], seed: int, std: float = BETWEEN_STD) -> Between:
-    """Measure ranges between the vehicles of N flights of a seed, with noise and losses of the sensor ``ranging``."""
+    """Simulate ranges between the vehicles of N flights, with noise and losses of the sensor ``ranging``."""
     return measure_between(np.stack([flight.truth[:, :3] for flight in flights]), seed, std)

@@ -20,7 +20,7 @@ SHORT = {
 
 
 def draw_together(solved: CooperativeSlam, title: str) -> Figure:
-    """Draw the estimate of several vehicles and their landmarks in plan view, north up."""
+    """Draw estimated trajectories of several vehicles and their landmarks in plan view, north up."""
     figure = new_figure(7.0, 6.6)
     axes = figure.subplots()
     for vehicle, (places, truth) in enumerate(zip(solved.position_ned, solved.truth_ned, strict=True)):
@@ -43,7 +43,7 @@ def draw_together(solved: CooperativeSlam, title: str) -> Figure:
 
 
 def draw_gain(found: TeamStudy) -> Figure:
-    """Draw the error of the first vehicle of each seed alone and together, and relative errors, by case."""
+    """Draw the first vehicle's error of each seed alone and in the team, and relative errors, by case."""
     figure = new_figure(12.0, 5.0)
     panels = figure.subplots(1, 2, sharey=True)
     for i, case in enumerate(found.alone):

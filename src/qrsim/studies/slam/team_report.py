@@ -23,7 +23,7 @@ MEANING = {
 
 
 def check_together(vehicles: int, graph: str, of_run: bool, given: Sequence[str]) -> None:
-    """Raise a UsageError for options that do not work with several vehicles.
+    """Raise UsageError for options (``given``) that several vehicles cannot have; ``of_run``: of a run.
 
     Args:
         vehicles: how many.
@@ -49,7 +49,7 @@ def check_together(vehicles: int, graph: str, of_run: bool, given: Sequence[str]
 
 
 def numbers_of_run(found: CooperativeSlam) -> Content:
-    """Return the errors of a solved run of several vehicles as plain values, None for undefined ones."""
+    """Return the errors [m] of a solved run of several vehicles as a dict for JSON; None for undefined ones."""
     import math
 
     import numpy as np
@@ -73,7 +73,7 @@ def numbers_of_run(found: CooperativeSlam) -> Content:
 
 
 def solve_run_together(run: Run, vehicles: int, states: Literal["full", "poses"]) -> tuple[CooperativeSlam, Content]:
-    """Solve the first vehicles of a run together; return the solution and its numbers.
+    """Solve the first ``vehicles`` vehicles of a run together; return the solution and its errors by name.
 
     Raises:
         UsageError: the run has fewer vehicles.
@@ -87,7 +87,7 @@ def solve_run_together(run: Run, vehicles: int, states: Literal["full", "poses"]
 
 
 def text_of_run(found: CooperativeSlam, numbers: Content) -> str:
-    """Return the errors of several vehicles of a run as text."""
+    """Return the errors of a solved run of several vehicles as text."""
     count = f"{len(found.flights)} vehicles, {numbers['states']} states"
     lines = [f"{count}, {numbers['ranges_between']} ranges to each other", ""]
     for flight, error in zip(found.flights, numbers["trajectory_rmse_m"], strict=True):
@@ -100,7 +100,7 @@ def text_of_run(found: CooperativeSlam, numbers: Content) -> str:
 
 
 def text_of_study(result: Content) -> str:
-    """Return the errors of the first vehicle alone and together with others as text."""
+    """Return the errors of the first vehicle alone and in the team, of a study, as text."""
     count = f"{result['seeds']} flight{'s' if result['seeds'] > 1 else ''}"
     lines = [f"{result['vehicles']} vehicles, {count} of {result['duration_s']:g} s each", ""]
     lines.append(f"  {'RMSE [m], mean over flights':<36} {'alone':>8} {'together':>8} {'relative':>8}   p of the gain")

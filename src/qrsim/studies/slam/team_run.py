@@ -42,7 +42,7 @@ def cooperative_from_run(
     iterations: int = MOST_ITERATIONS,
     damping: Literal["metres", "diagonal"] = "metres",
 ) -> CooperativeSlam:
-    """Smooth the trajectories of several vehicles of a run together, and estimate landmarks that they share.
+    """Estimate the trajectories of several vehicles of a run together, and landmarks that they share.
 
     The vehicles are coupled by the landmarks and by ranges to each other; see docs/explanation/slam_together.md.
 
@@ -114,7 +114,7 @@ def cooperative_from_run(
 
 
 def _check_names(names: Sequence[str]) -> None:
-    """Raise UsageError if no vehicle is named, or one twice."""
+    """Raise UsageError if no vehicle is named, or one is named twice."""
     if not names:
         raise UsageError("vehicles: none; cooperative SLAM is of at least one")
     for name in names:
@@ -131,7 +131,7 @@ def _rangings(
     limit: float,
     seed: int,
 ) -> list[Ranging]:
-    """Return the ranges of each vehicle to the landmarks: given, or simulated to given or drawn landmarks."""
+    """Return each vehicle's ranges to the landmarks: a user's, or simulated to given or drawn landmarks."""
     north_east = np.concatenate([flight.truth[:, :2] for flight in flights])
     known, guess = landmarks_given(north_east, landmarks_ned, guess_ned, ranges is not None, seed)
     if ranges is not None:
@@ -155,7 +155,7 @@ def _vehicle_ranges(
     state_period: float,
     seed: int,
 ) -> Between:
-    """Return the ranges between vehicles: none, simulated, or those that a run recorded."""
+    """Return the ranges between vehicles by ``kind``: "none", "simulated" with deviation ``std``, or "measured"."""
     count = len(flights[0].truth)
     if kind == "none" or len(names) == 1:
         return no_ranges(len(names), count)

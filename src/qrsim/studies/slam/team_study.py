@@ -44,7 +44,7 @@ class TeamStudy:
     together: dict[str, list[CooperativeSlam]]
 
     def numbers(self) -> Content:
-        """Return errors [m] and tests over the seeds as plain dicts: of the first vehicle, and relative ones."""
+        """Return errors [m] of the first vehicle and between vehicles, with tests over seeds, as a dict for JSON."""
         found: Content = {"vehicles": self.vehicles, "seeds": len(self.seeds), "cases": {}}
         for case in self.alone:
             one, all_of_them = (_first_errors(part[case]) for part in (self.alone, self.together))
@@ -59,7 +59,7 @@ class TeamStudy:
 
 
 def _first_errors(solved: list[CooperativeSlam]) -> NumpyArray:
-    """Return the root mean square errors (S,) of the trajectory of the first vehicle [m]."""
+    """Return the root mean square trajectory error (S,) [m] of the first vehicle in each of S solutions."""
     return np.array([each.trajectory_rmse_m[0] for each in solved])
 
 
@@ -73,7 +73,7 @@ def compare(
     state_period: float = STATE_PERIOD,
     progress: Callable[[], None] = lambda: None,
 ) -> TeamStudy:
-    """Fly and solve N vehicles of each seed in all CASES.
+    """Fly and solve N vehicles of each seed alone and together, in all CASES of GNSS noise.
 
     Args:
         seeds: of the flights.
@@ -114,6 +114,6 @@ def compare(
 
 
 def _solve_team(flights: Sequence[Flight], seed: int, options: dict[str, Any]) -> CooperativeSlam:
-    """Estimate the flights of one seed together, with ranges drawn for the seed."""
+    """Estimate the flights of one seed together, with simulated ranges of that seed."""
     rangings, between = team.rangings_of(flights, seed), team.between_of(flights, seed)
     return estimate_together(flights, rangings, between, **options)

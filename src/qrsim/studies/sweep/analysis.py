@@ -36,7 +36,7 @@ class Response:
 def response(
     results: Results, parameter: Parameter, values: NumpyArray, limits: tuple[float, float] = (-np.inf, np.inf)
 ) -> Response:
-    """Return the response (mean and interval at each level) of values (E,), which lie within limits by definition.
+    """Return the mean of values (E,) of E episodes at each level of a parameter, with intervals clipped to ``limits``.
 
     At each level the means of the seeds (of sampled points: of the points) are what is independent; their Student t
     interval is the band, cut where the metric ends. All points of a study share their seeds, so that episodes are not
@@ -53,7 +53,7 @@ def response(
 
 
 def _mean(values: NumpyArray, groups: NumpyArray, limits: tuple[float, float]) -> tuple[float, float, float]:
-    """Return mean and interval (mean, low, high) of values with independent groups, clipped to limits."""
+    """Return (mean, low, high), clipped to ``limits``, of values (E,) that depend within each of ``groups`` (E,)."""
     from scipy.stats import t
 
     mean = float(values.mean())
@@ -70,7 +70,7 @@ def _mean(values: NumpyArray, groups: NumpyArray, limits: tuple[float, float]) -
 
 
 def share_interval(share: float, shares: NumpyArray, count: int) -> tuple[float, float]:
-    """Return the exact interval (Clopper and Pearson 1934) of a share of ``count`` episodes.
+    """Return the exact interval (Clopper and Pearson 1934) of a share of ``count`` episodes; ``shares`` is by group.
 
     Episodes of one group are not independent: as many count as would give the variance between the groups (Korn and
     Graubard, Survey Methodology 24, 1998, with their correction by Student's t), and none beyond the number of groups
@@ -98,12 +98,12 @@ def share_interval(share: float, shares: NumpyArray, count: int) -> tuple[float,
 
 
 def failures(results: Results, parameter: Parameter) -> Response:
-    """Return the response of the failed share at each level of a parameter, with its exact interval."""
+    """Return the share of failed episodes at each level of a parameter, with its exact interval."""
     return response(results, parameter, results.failed.astype(float))
 
 
 def heat_map(one: Parameter, other: Parameter, values: NumpyArray) -> NumpyArray:
-    """Return the mean of values (E,) at each pair of levels (L1, L2), NaN for a pair without episodes."""
+    """Return the mean of values (E,) of E episodes at each pair of two parameters' levels (L1, L2); NaN if none."""
     fine = np.isfinite(values)
     cell = one.level[fine] * len(other.levels) + other.level[fine]
     size = len(one.levels) * len(other.levels)
@@ -133,11 +133,11 @@ class Boundary:
     resampled: NumpyArray
 
     def probability(self, values: NumpyArray) -> NumpyArray:
-        """Return the probability of failure at values (..., d) on even scales."""
+        """Return the fitted probability of failure at d parameters' values (..., d), on their even scales."""
         return _logistic(self._terms(values) @ self.coefficients)
 
     def band(self, values: NumpyArray) -> tuple[NumpyArray, NumpyArray] | None:
-        """Return the interval (low, high) of the probability at values (..., d); None with too few seeds."""
+        """Return the interval (low, high) of the failure probability at values (..., d); None with too few seeds."""
         if not len(self.resampled):
             return None
         found = _logistic(self._terms(values) @ self.resampled.T)
@@ -145,11 +145,12 @@ class Boundary:
         return low, high
 
     def _terms(self, values: NumpyArray) -> NumpyArray:
-        """Return the terms of the logistic model at points (k, parameters), scaled as in the fit."""
+        """Return the terms (k, terms) of the logistic model at values (k, d), standardised as in the fit."""
         return terms((values - self.middle) / self.scale, self.squares)
 
     def crossing(self, number: int) -> tuple[float, float, float] | None:
-        """Return (value, low, high) of a parameter where half of the episodes fail, others mid-range; or None.
+        """Return (value, low, high) of parameter ``number`` where half of the episodes fail, others mid-range; else
+        None.
 
         None where it does not within the values that were flown.
         """
@@ -171,14 +172,14 @@ class Boundary:
         return tuple(parameter.uneven(np.array([at, low, high])).tolist())
 
     def line(self, number: int, count: int) -> NumpyArray:
-        """Return values (count, d) along one parameter, with the others mid-range."""
+        """Return ``count`` values (count, d) along parameter ``number``, with the other parameters mid-range."""
         line = np.tile(self.middle, (count, 1))
         middle, scale = float(self.middle[number]), float(self.scale[number])
         line[:, number] = np.linspace(middle - scale, middle + scale, count)
         return line
 
     def _beside(self, number: int, at: float) -> tuple[float, float]:
-        """Return the levels on both sides of a value if the fit is sure at each; else (value, value)."""
+        """Return the levels below and above a value if the fit is sure at both; else (value, value)."""
         levels = self.parameters[number].even(np.asarray(self.parameters[number].levels, float))
         i = int(np.clip(np.searchsorted(levels, at), 1, len(levels) - 1))
         pair = np.tile(self.middle, (2, 1))
@@ -189,7 +190,7 @@ class Boundary:
 
 
 def _half(values: NumpyArray, score: NumpyArray) -> float | None:
-    """Return the value where the score first crosses 0, interpolated; None if it does not."""
+    """Return the value at which ``score``, the log odds of failure, first crosses 0, interpolated; else None."""
     crossings = np.flatnonzero(np.diff(np.signbit(score)))
     if not len(crossings):
         return None
@@ -198,7 +199,7 @@ def _half(values: NumpyArray, score: NumpyArray) -> float | None:
 
 
 def terms(values: NumpyArray, squares: bool) -> NumpyArray:
-    """Return the terms of a logistic model at standardised values (..., d)."""
+    """Return the terms of a logistic model (1, values, with ``squares`` also products) at scaled values (..., d)."""
     count = values.shape[-1]
     parts = [np.ones(values.shape[:-1]), *(values[..., i] for i in range(count))]
     if squares:
@@ -207,12 +208,12 @@ def terms(values: NumpyArray, squares: bool) -> NumpyArray:
 
 
 def _logistic(score: NumpyArray) -> NumpyArray:
-    """Return the logistic function of a score, a probability."""
+    """Return the probability with a given log odds, the logistic function."""
     return 1.0 / (1.0 + np.exp(-np.clip(score, -50.0, 50.0)))
 
 
 def boundary(results: Results) -> Boundary | str:
-    """Fit the boundary of failure; return a text instead that says why there is none."""
+    """Fit the boundary at which half of the episodes fail; return a text that says why if it cannot be fitted."""
     parameters = tuple(p for p in results.parameters.values() if p.numeric and np.ptp(p.values) > 0)
     failed = results.failed
     if not parameters:
@@ -244,12 +245,12 @@ class _Counts:
         self.flown, self.failed = self._count(np.ones(self._seeds if self._seeds > 1 else len(first)))
 
     def _count(self, weights: NumpyArray) -> tuple[NumpyArray, NumpyArray]:
-        """Return episodes and failed episodes at each point, weighted: by seed if there are several."""
+        """Return episodes and failed episodes at each point, weighted by seed (by point with a single seed)."""
         weight = weights[self._seed if self._seeds > 1 else self._point]
         return np.bincount(self._point, weight), np.bincount(self._point, weight * self._failed)
 
     def drawn(self, number: int) -> tuple[NumpyArray, NumpyArray]:
-        """Return episodes and failures at each point for a bootstrap resample, selected by its number."""
+        """Return episodes and failed episodes at each point for bootstrap resample ``number``."""
         size = self._seeds if self._seeds > 1 else len(self.values)
         random = np.random.default_rng(number)
         return self._count(np.bincount(random.integers(0, size, size), minlength=size).astype(float))
@@ -258,13 +259,13 @@ class _Counts:
 def _fit(
     rows: NumpyArray, flown: NumpyArray, failed: NumpyArray, start: NumpyArray | None = None
 ) -> tuple[NumpyArray, float]:
-    """Return the coefficients of the most likely logistic model, and Akaike's criterion."""
+    """Fit a logistic model to failures; ``rows`` are its terms. Return coefficients and Akaike's criterion."""
     from scipy.optimize import minimize
 
     total = flown.sum()
 
     def loss(coefficients: NumpyArray) -> tuple[float, NumpyArray]:
-        """Return the penalised mean negative log-likelihood of coefficients, and its gradient."""
+        """Return the penalised mean negative log-likelihood of the model's coefficients, and its gradient."""
         score = rows @ coefficients
         unlikely = flown * np.logaddexp(0.0, score) - failed * score
         slope = rows.T @ (flown * _logistic(score) - failed)
@@ -295,7 +296,7 @@ class Sensitivity:
 
 
 def sensitivity(results: Results, values: NumpyArray) -> Sensitivity | str:
-    """Return the Sobol indices of values, computed by SALib; or a text that says why there are none."""
+    """Return the Sobol indices of values (E,) of E episodes, by SALib; or a text that says why not."""
     sampling = results.spec.sampling
     if sampling is None or sampling.type != "saltelli":
         return "they need 'sampling: {type: saltelli, ...}'"
@@ -319,7 +320,7 @@ def sensitivity(results: Results, values: NumpyArray) -> Sensitivity | str:
 
 
 def worst(results: Results, ranking: Mapping[str, bool], count: int) -> list[int]:
-    """Return the indices of the worst episodes; those without a value are left out.
+    """Return indices of at most ``count`` worst episodes with a value; ``ranking``: metric -> whether small is bad.
 
     Args:
         results: of the store.

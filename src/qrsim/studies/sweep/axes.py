@@ -44,7 +44,7 @@ class Axis:
 
     @property
     def numeric(self) -> bool:
-        """Whether all its values are numbers; a number of vehicles changes the structure and does not count."""
+        """Whether all values of the axis are numbers; a number of vehicles does not count: it changes the structure."""
         if self.path.endswith(COUNT):
             return False
         return self.values is None or all(
@@ -53,7 +53,7 @@ class Axis:
 
     @property
     def labels(self) -> NumpyArray:
-        """Return the axis's values as coordinates: numbers, or texts if any value is not a number."""
+        """Return the axis's values as coordinates of a Dataset: numbers, or texts if any value is not a number."""
         assert self.values is not None
         if all(isinstance(value, int | float) and not isinstance(value, bool) for value in self.values):
             return np.array(self.values, np.float64)
@@ -65,7 +65,7 @@ class Axis:
         return (self.low, self.high) if self.values is None else (min(self.values), max(self.values))
 
     def scaled(self, unit: NumpyArray) -> NumpyArray:
-        """Return the values of a numeric axis for numbers in [0, 1), by its scale."""
+        """Map numbers in [0, 1) to values of a numeric axis, by its scale (linear, log or normal)."""
         if self.scale == "normal":
             from scipy.stats import truncnorm
 
@@ -83,7 +83,7 @@ def in_ticks(values: NumpyArray, step: float) -> NumpyArray:
 
 
 def axes_of(spec: StudySpec, time_step: float = 0.0) -> tuple[Axis, ...]:
-    """Return the axes of a study in its order.
+    """Return the varied parameters of a study as axes, in its order; ``time_step`` [s] rounds times of faults.
 
     Args:
         spec: of the study.
@@ -106,13 +106,13 @@ def axes_of(spec: StudySpec, time_step: float = 0.0) -> tuple[Axis, ...]:
 
 
 def apply(content: Content, path: str, value: object) -> None:
-    """Set a value, or the values of a condition, in a scenario's content, in place."""
+    """Set the value at a path of a scenario's content, or all values of a named condition, in place."""
     for text in overrides(content, path, value):
         apply_override(content, text)
 
 
 def overrides(content: Content, path: str, value: object) -> list[str]:
-    """Return ``qrsim run --set`` arguments that set a value, or the values of a condition.
+    """Return the ``qrsim run --set`` arguments that set a value at a path, or the values of a named condition.
 
     Raises:
         UsageError: a fleet has not so many vehicles.

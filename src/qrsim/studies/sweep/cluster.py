@@ -28,7 +28,7 @@ class Tls:
     key: Path
 
     def security(self) -> object:
-        """Return the settings as Dask's ``Security`` object.
+        """Return the TLS settings as a Dask ``Security`` object.
 
         Raises:
             UsageError: a file cannot be read.
@@ -48,7 +48,7 @@ class Tls:
 
 @contextmanager
 def workers_of(scheduler: str | None, workers: int, tls: Tls | None = None) -> Iterator[object]:
-    """Yield a Dask client whose workers have this process's versions.
+    """Yield a Dask client for a scheduler's workers, or for new local ones, with the versions of this process.
 
     The cluster of this machine takes nobody who has not the key that is made for it, because whoever talks to a
     scheduler can run code as its user.
@@ -107,12 +107,12 @@ def workers_of(scheduler: str | None, workers: int, tls: Tls | None = None) -> I
 
 
 def _reason(error: Exception) -> str:
-    """Return the first line of an error, or its type if it has no text."""
+    """Return the first line of an error's text, or its type if it has no text."""
     return str(error).partition("\n")[0] or type(error).__name__
 
 
 def check_workers(client: Client, address: str) -> None:
-    """Raise an error if a worker of the scheduler has other versions, which could give other numbers.
+    """Raise an error if a Dask worker runs other versions than this process, which could give other numbers.
 
     Raises:
         RunError: there is no worker, or one has no qrsim or other versions; the message says which.

@@ -25,7 +25,7 @@ LETTERS_PER_INCH = 11
 
 
 def _name(figure: Figure, results: Results, what: str) -> None:
-    """Set a figure's title, wrapped to its width."""
+    """Set a figure's title, which says what it shows (``what``) and is wrapped to its width."""
     some = "" if results.episodes == results.planned else f" of {results.planned}"
     text = f"{results.spec.name}: {what}\n{results.episodes}{some} episodes of {results.scenario['name']}"
     width = int(LETTERS_PER_INCH * figure.get_figwidth())
@@ -33,18 +33,18 @@ def _name(figure: Figure, results: Results, what: str) -> None:
 
 
 def _metric(results: Results, name: str) -> str:
-    """Return the label of a metric's axis: name and unit."""
+    """Return the axis label of a metric: name and unit."""
     unit = results.unit(name)
     return f"{name} [{unit}]" if unit != "1" else name
 
 
 def _places(parameter: Parameter) -> NumpyArray:
-    """Return the positions (L,) of a parameter's levels on an axis: the values, or 0, 1, 2, ..."""
+    """Return where a parameter's L levels lie on a figure's axis (L,): their values, or 0, 1, 2, ... if not numeric."""
     return np.asarray(parameter.levels, float) if parameter.numeric else np.arange(len(parameter.levels), dtype=float)
 
 
 def edges(parameter: Parameter) -> NumpyArray:
-    """Return the limits (L + 1,) of the levels of a parameter on an axis.
+    """Return the limits (L + 1,) between a parameter's L levels on a figure's axis.
 
     Of numbers the outermost are the lowest and the highest that were flown: a map says nothing beyond them.
     """
@@ -64,14 +64,14 @@ def edges(parameter: Parameter) -> NumpyArray:
 
 
 def _name_levels(axis: Axis, parameter: Parameter) -> None:
-    """Label an axis with the levels of a parameter that is not numeric."""
+    """Label the ticks of a figure's axis with the levels of a parameter that is not numeric."""
     if not parameter.numeric:
         texts = [text if len(text) < 24 else f"{text[:21]}..." for text in parameter.levels]
         axis.set_ticks(_places(parameter), texts)
 
 
 def draw_responses(results: Results, metrics: Sequence[str], found: dict[str, list[Response]]) -> Figure:
-    """Draw every metric against every parameter, a row for each metric."""
+    """Draw every metric over every parameter, with intervals, a row of panels for each metric."""
     rows, columns = len(metrics), len(results.parameters)
     figure = new_figure(4.4 * columns + 0.6, 3.0 * rows + 0.9)
     panels = figure.subplots(rows, columns, squeeze=False, sharey="row", sharex="col")
@@ -102,7 +102,7 @@ def draw_responses(results: Results, metrics: Sequence[str], found: dict[str, li
 
 
 def draw_map(results: Results, pair: tuple[Parameter, Parameter], metric: str) -> Figure:
-    """Draw the mean of a metric over two parameters."""
+    """Draw the mean of a metric over two parameters as a colour map."""
     figure = new_figure(7.2, 5.6)
     axes = figure.subplots()
     image = _mesh(axes, pair, heat_map(*pair, results.metric(metric)), "viridis")
@@ -114,7 +114,7 @@ def draw_map(results: Results, pair: tuple[Parameter, Parameter], metric: str) -
 def _mesh(
     axes: Axes, pair: tuple[Parameter, Parameter], values: NumpyArray, colours: str, most: float | None = None
 ) -> QuadMesh:
-    """Draw values at pairs of levels (L1, L2) as a colour mesh, the first parameter to the right."""
+    """Draw values at pairs of levels (L1, L2) as a colour mesh, the first parameter to the right, 0 to ``most``."""
     one, other = pair
     least = None if most is None else 0.0
     image = axes.pcolormesh(edges(one), edges(other), values.T, cmap=colours, vmin=least, vmax=most)
@@ -128,7 +128,7 @@ def _mesh(
 
 
 def _scale(axes: Axes, one: Parameter, other: Parameter | None = None) -> None:
-    """Make the axes of logarithmic parameters logarithmic."""
+    """Give the axes of logarithmic parameters a logarithmic scale."""
     if one.log:
         axes.set_xscale("log")
     if other is not None and other.log:
@@ -136,7 +136,7 @@ def _scale(axes: Axes, one: Parameter, other: Parameter | None = None) -> None:
 
 
 def draw_boundary(results: Results, found: Boundary, pair: tuple[Parameter, Parameter] | None) -> Figure:
-    """Draw the share of failed episodes, and the fitted line at which half of them fail."""
+    """Draw the share of failed episodes over two parameters, and the fitted line where half of them fail."""
     numbers = {parameter.name: i for i, parameter in enumerate(found.parameters)}
     if pair is None or any(parameter.name not in numbers for parameter in pair):
         return _failure_curves(results, found)
@@ -159,7 +159,7 @@ def draw_boundary(results: Results, found: Boundary, pair: tuple[Parameter, Para
 
 
 def _is_flown(pair: tuple[Parameter, Parameter], lines: list[NumpyArray], values: NumpyArray) -> NumpyArray:
-    """Return whether places (Y, X) lie in a cell of a map (L1, L2) that has episodes."""
+    """Return a mask (Y, X) of places in those cells of a map (L1, L2) that have episodes; ``lines`` are coordinates."""
     cells = [
         np.clip(np.searchsorted(edges(parameter), line, side="right") - 1, 0, len(parameter.levels) - 1)
         for parameter, line in zip(pair, lines, strict=True)
@@ -168,7 +168,7 @@ def _is_flown(pair: tuple[Parameter, Parameter], lines: list[NumpyArray], values
 
 
 def _failure_curves(results: Results, found: Boundary) -> Figure:
-    """Draw the part that failed against each parameter."""
+    """Draw the share of failed episodes over each parameter."""
     figure = new_figure(4.8 * len(found.parameters) + 1.0, 4.2)
     panels = figure.subplots(1, len(found.parameters), squeeze=False, sharey=True)[0]
     for i, (axes, parameter) in enumerate(zip(panels, found.parameters, strict=True)):
@@ -203,7 +203,7 @@ def _failure_curves(results: Results, found: Boundary) -> Figure:
 def failure_parts(
     parameter: Parameter, failed: NumpyArray, groups: NumpyArray
 ) -> tuple[NumpyArray, NumpyArray, NumpyArray]:
-    """Return low end, share and high end of the failed share at each level (L,), with its exact interval.
+    """Return low end, share and high end of the share of failed episodes at each level (L,), by its exact interval.
 
     ``groups`` (E,) are what is independent; see ``share_interval``.
     """
@@ -219,7 +219,7 @@ def failure_parts(
 
 
 def draw_sensitivity(results: Results, found: Sensitivity, metric: str) -> Figure:
-    """Draw Sobol indices as bars."""
+    """Draw the Sobol indices of a metric as bars, one pair for each parameter."""
     figure = new_figure(7.0, 1.8 + 0.7 * len(found.names))
     axes = figure.subplots()
     places = np.arange(len(found.names))

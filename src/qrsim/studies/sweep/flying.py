@@ -27,7 +27,7 @@ _ALONE = threading.Lock()
 
 
 def fly(job: Job, threads: int = 1) -> dict[str, NumpyArray] | str:
-    """Fly a batch and return its metrics (W,), or the reason it cannot be flown."""
+    """Fly a batch of W episodes; return name -> metric (W,), or a text that says why it cannot be flown."""
     from qrsim.engine.settings import configure
 
     with _ALONE:
@@ -51,7 +51,7 @@ def fly(job: Job, threads: int = 1) -> dict[str, NumpyArray] | str:
 
 @lru_cache(maxsize=8)
 def _group(dumped: bytes) -> Group:
-    """Unpickle a group in a worker, with its components from outside; kept for the next batches."""
+    """Unpickle a ``Group`` in a worker, after loading components that are not built in; cached for the next batches."""
     from qrsim.errors import UsageError
     from qrsim.scenarios.providing import provide_components
 
@@ -71,7 +71,7 @@ def dumped(group: Group) -> bytes:
 
 @lru_cache(maxsize=8)
 def _function(what: str, source: str, digest: str) -> Any:
-    """Load a user's function; all batches get the same object, so that it compiles once."""
+    """Load a user's function by its source; all batches get the same object, so that JAX compiles it once."""
     from pathlib import Path
 
     from qrsim.errors import UsageError
@@ -85,7 +85,7 @@ def _function(what: str, source: str, digest: str) -> Any:
 
 
 def _own_metrics(job: Job) -> tuple[Any, Mapping[str, Metric]]:
-    """Return the user's metrics object of a job, and name -> ``Metric`` for it."""
+    """Load the user's metrics object of a job; return it, and name -> ``Metric``."""
     from qrsim.studies.sweep.study import OWN
 
     if job.own_metrics is None:
@@ -95,7 +95,7 @@ def _own_metrics(job: Job) -> tuple[Any, Mapping[str, Metric]]:
 
 
 def _roll_out(job: Job) -> dict[str, NumpyArray]:
-    """Fly the worlds of a batch side by side, and return their metrics by name."""
+    """Fly the W worlds of a batch in parallel; return name -> metric (W,)."""
     import jax
 
     from qrsim.engine.settings import use_compilation_cache
@@ -134,7 +134,7 @@ def _roll_out(job: Job) -> dict[str, NumpyArray]:
 
 @lru_cache(maxsize=8)
 def _beside_built_in(own_metrics: object, missions: bool) -> Any:
-    """Return an object with built-in and user's metrics, the same for all batches, so that it compiles once."""
+    """Return an object with built-in (``missions``: also of missions) and user's metrics, the same for all batches."""
     from qrsim.interface.metrics import FLIGHT_METRICS
     from qrsim.interface.mission_metrics import MISSION_METRICS
     from qrsim.studies.sweep.own_metrics import BothMetrics
@@ -144,7 +144,7 @@ def _beside_built_in(own_metrics: object, missions: bool) -> Any:
 
 @lru_cache(maxsize=8)
 def _recorder(dumped: bytes) -> Any:
-    """Return the function from a state to its track record, the same object for all batches of a group."""
+    """Return a function that maps a state to a track record; the same for all batches of a group."""
     import jax.numpy as jnp
 
     from qrsim.interface.endurance import charges
@@ -152,7 +152,7 @@ def _recorder(dumped: bytes) -> Any:
     world = _group(dumped).world
 
     def place(state: State) -> object:
-        """Return north, east, down [m] and charge of all vehicles."""
+        """Return north, east, down [m] and battery charge (0 to 1) of all vehicles."""
         positions = [fleet.vehicle.position_ned for fleet in state.fleets]
         axes = [jnp.concatenate([getattr(position, axis) for position in positions]) for axis in "xyz"]
         return (*axes, charges(world, state))
@@ -161,14 +161,14 @@ def _recorder(dumped: bytes) -> Any:
 
 
 def _until_the_end(tracks: NumpyArray, flown_s: NumpyArray, every: float) -> NumpyArray:
-    """Return tracks (W, R, n, 4) with NaN after the end of each run, the longest flight of ``flown_s`` (W, n) [s]."""
+    """Return tracks (W, R, n, 4) with NaN after each run's longest flight; ``every`` [s] separates R records."""
     time = np.arange(tracks.shape[1]) * every
     late = time[None, :] > np.max(flown_s, axis=1)[:, None] + 1e-3
     return np.where(late[..., None, None], np.nan, tracks).astype(np.float32)
 
 
 def _stacked(group: Group, job: Job, functions: dict[str, Any]) -> Any:
-    """Return the set-up of a rollout, shared leaves and varied leaves, without one World per episode."""
+    """Return a rollout's set-up, world leaves shared by all episodes, and leaves (W, ...) that vary."""
     from dataclasses import replace
 
     import jax.numpy as jnp

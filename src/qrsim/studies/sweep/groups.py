@@ -67,19 +67,19 @@ class Group:
 
     @property
     def vehicles(self) -> int:
-        """Number of vehicles of all fleets."""
+        """Number of vehicles in all fleets of the group's world."""
         return sum(fleet.size for fleet in self.world.fleets)
 
     @cached_property
     def _leaves(self) -> tuple[list[NumpyArray], PyTreeDef]:
-        """The leaves of the world as arrays, and its structure."""
+        """PyTree leaves of the group's world as arrays, and the tree's structure."""
         leaves, structure = jax.tree.flatten(self.world)
         return [np.asarray(leaf) for leaf in leaves], structure
 
     def varied(
         self, numbers: Mapping[str, NumpyArray]
     ) -> tuple[PyTreeDef, list[NumpyArray], list[NumpyArray], tuple[bool, ...]]:
-        """Return a world's tree structure, shared leaves, varied leaves (W, ...), and per leaf whether it is varied."""
+        """Return (tree structure, shared leaves, varied leaves (W, ...), mask of varied leaves) of W worlds."""
         assert self.places is not None
         leaves, structure = self._leaves
         own: dict[int, NumpyArray] = {}
@@ -94,7 +94,7 @@ class Group:
         return structure, fixed, [own[i] for i in sorted(own)], which
 
     def loaded(self, numbers: Mapping[str, NumpyArray], precision: str) -> list[World]:
-        """Return the World of each point, built by loading its scenario."""
+        """Return the World of each of W points, built by loading its scenario; ``numbers``: path -> values (W,)."""
         found: dict[Hashable, World] = {}
         rows = list(zip(*(numbers[path].tolist() for path in self.paths), strict=True))
         for row in rows:
@@ -103,12 +103,12 @@ class Group:
         return [found[row] for row in rows]
 
     def scenario(self, values: Mapping[str, object]) -> Scenario:
-        """Return the scenario of the point with the given values."""
+        """Return the scenario of the point at which the paths have the given values."""
         return scenario_at(self.content, values)
 
 
 def scenario_at(content: Content, values: Mapping[str, object]) -> Scenario:
-    """Load a scenario's content with the values of a point set.
+    """Load a scenario from its content with values set; ``values``: path -> value.
 
     Raises:
         UsageError, ScenarioError: it cannot be.
@@ -120,7 +120,7 @@ def scenario_at(content: Content, values: Mapping[str, object]) -> Scenario:
 
 
 def faults(content: Content, values: Mapping[str, object]) -> list[str]:
-    """Return the problems of the scenario at a point, one sentence each; [] if it is valid."""
+    """Return the errors of a scenario with values set, one sentence each; [] if it is valid."""
     try:
         scenario_at(content, values)
     except ScenarioError as error:
@@ -132,7 +132,7 @@ def faults(content: Content, values: Mapping[str, object]) -> list[str]:
 
 
 def same_structure(one: Scenario, other: Scenario, precision: str) -> bool:
-    """Return whether one compiled program flies both scenarios."""
+    """Return whether one compiled program can fly both scenarios."""
     if one.ticks != other.ticks:
         return False
     (mine, structure), (theirs, another) = (jax.tree.flatten(item.world(precision)) for item in (one, other))
@@ -143,7 +143,7 @@ def same_structure(one: Scenario, other: Scenario, precision: str) -> bool:
 
 
 def make_group(content: Content, choices: Mapping[str, object], numbers: Iterable[Axis], precision: str) -> Group:
-    """Build the group of structural choices, in which the numbers of ``numbers`` vary.
+    """Build the group of worlds with the same compiled program: structural ``choices`` made, ``numbers`` vary.
 
     Raises:
         ScenarioError: the scenario with these choices is wrong.
@@ -169,7 +169,7 @@ def make_group(content: Content, choices: Mapping[str, object], numbers: Iterabl
 
 
 def regrouped(group: Group, content: Content, axes: tuple[Axis, ...], precision: str) -> Group:
-    """Return the group for another scenario, reusing the places in ``group`` if they fit.
+    """Return a group for another scenario; places of varied numbers in the World are reused if they fit.
 
     Raises:
         ScenarioError: the scenario is wrong.
@@ -185,14 +185,14 @@ def regrouped(group: Group, content: Content, axes: tuple[Axis, ...], precision:
 
 
 def _mixed(axes: tuple[Axis, ...]) -> list[Content]:
-    """Return two test points: all axes highest, and lowest and highest in turn."""
+    """Return two points to test: all axes at their highest, and axes alternately at their lowest and highest."""
     highest = {axis.path: axis.ends()[1] for axis in axes}
     other = {axis.path: axis.ends()[i % 2] for i, axis in enumerate(axes)}
     return [highest, other]
 
 
 def _alike(group: Group, base: Content, values: Mapping[str, object], precision: str) -> bool:
-    """Return whether a world made from arrays equals, bit by bit, the one built from the scenario."""
+    """Return whether a world made by setting array elements equals, bit by bit, the one built from the scenario."""
     structure, fixed, own, which = group.varied({path: np.array([value], float) for path, value in values.items()})
     shares, owns = iter(fixed), iter(own)
     mine = [next(owns)[0] if varies else next(shares) for varies in which]
@@ -209,7 +209,7 @@ def _same_bits(one: object, other: object) -> bool:
 def _places(
     base: Content, axes: tuple[Axis, ...], lowest: Mapping[str, object], world: World, precision: str
 ) -> tuple[Place, ...] | None:
-    """Return the place of each axis's number in the World; None if one has none, or two share one."""
+    """Return the place of each axis's number in the World; None if one has no place, or two share one."""
     if len(axes) >= MANY and all(axis.values is None for axis in axes):
         together = _places_together(base, axes, lowest, world, precision)
         if together is not None:
@@ -231,7 +231,7 @@ def _places(
 def _places_together(
     base: Content, axes: tuple[Axis, ...], lowest: Mapping[str, object], world: World, precision: str
 ) -> tuple[Place, ...] | None:
-    """Return the place of each range in the World, found by changing all at once; None if one is ambiguous.
+    """Find the places of all axes' numbers in the World by changing all at once; None if one is ambiguous.
 
     Two further worlds are built, in which each number has another part of its range, so that a changed element of the
     World belongs to the one number that has its three values.
@@ -270,7 +270,7 @@ def _places_together(
 
 
 def _place(base: Content, axis: Axis, lowest: Mapping[str, object], world: World, precision: str) -> Place | None:
-    """Return the elements of the World that an axis sets, found by changing its value; None without any."""
+    """Find the elements of the World that an axis sets, by changing its value; None if it sets no element."""
     low, high = axis.ends()
     values = [low, _middle(axis), high]
     worlds = [world, *(scenario_at(base, {**lowest, axis.path: value}).world(precision) for value in values[1:])]
@@ -283,21 +283,21 @@ def _place(base: Content, axis: Axis, lowest: Mapping[str, object], world: World
 
 
 def _in_world(value: Any, step: float, in_degrees: bool) -> Any:
-    """Convert a scenario's value to its number in the World: radians, ticks or unchanged."""
+    """Convert a scenario's value to its number in the World: ticks of ``step`` [s], radians if ``in_degrees``."""
     if in_degrees:
         return math.radians(value)
     return round(value / step) if step else value
 
 
 def _middle(axis: Axis) -> object:
-    """Return the middle value of an axis."""
+    """Return the middle of an axis's values."""
     if axis.values is None:
         return float(in_ticks(np.array(0.5 * (axis.low + axis.high)), axis.step))
     return sorted(axis.values)[len(axis.values) // 2]
 
 
 def _parts(leaves: list[list[NumpyArray]], values: list[float]) -> tuple[tuple[int, NumpyArray], ...]:
-    """Return (leaf index, mask) of the elements that equal ``values`` in turn; () if others change too."""
+    """Return (leaf index, mask) of elements that equal ``values[i]`` in world i of several; () if others differ too."""
     found = []
     for number, versions in enumerate(zip(*leaves, strict=True)):
         differs = _differs(versions)
@@ -311,7 +311,7 @@ def _parts(leaves: list[list[NumpyArray]], values: list[float]) -> tuple[tuple[i
 
 
 def _differs(versions: tuple[NumpyArray, ...]) -> NumpyArray:
-    """Return a mask of the elements that are not the same in all versions of a leaf; NaN equals NaN."""
+    """Return a mask of the elements that differ between several versions of an array; NaN equals NaN."""
     first, differs = versions[0], np.zeros(versions[0].shape, bool)
     for other in versions[1:]:
         differs = differs | ~((first == other) | ((first != first) & (other != other)))

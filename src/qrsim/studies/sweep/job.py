@@ -40,7 +40,7 @@ class Job:
 
 
 def goals(world: World) -> NumpyArray:
-    """Return the last waypoint of each vehicle (n, 3) [m]."""
+    """Return the last waypoint of each vehicle (n, 3) NED [m]."""
     found = []
     for fleet in world.fleets:
         route = fleet.route

@@ -37,10 +37,10 @@ class Metric:
 
 
 def _over(reduce: Callable[..., NumpyArray], name: str) -> Callable[[Found], NumpyArray]:
-    """Return a function that reduces a per-vehicle metric to one value per episode, ignoring NaN."""
+    """Return a function that reduces the metric ``name`` (W, n) of vehicles to one value per episode, ignoring NaN."""
 
     def of(found: Found) -> NumpyArray:
-        """Return the metric (W,) of W worlds, reduced over the vehicles; NaN if no vehicle has a value."""
+        """Return a metric (W,) of W episodes, reduced over vehicles; NaN if no vehicle has a value."""
         with warnings.catch_warnings():
             # A vehicle without a value does not count; an episode in which nobody has one has none.
             warnings.simplefilter("ignore", RuntimeWarning)
@@ -50,7 +50,7 @@ def _over(reduce: Callable[..., NumpyArray], name: str) -> Callable[[Found], Num
 
 
 def _if_known(reduce: Callable[..., NumpyArray], name: str) -> Callable[[Found], NumpyArray]:
-    """Return a per-episode metric that is NaN in worlds without the quantity ``name``."""
+    """Return a function that reduces ``name`` to one value per episode; NaN in worlds that do not measure it."""
     of = _over(reduce, name)
     return lambda found: of(found) if name in found else np.full(len(found["reason"]), np.nan)
 
@@ -61,10 +61,10 @@ def _root_mean_square(values: NumpyArray, axis: int) -> NumpyArray:
 
 
 def _stopped(*kinds: str) -> Callable[[Found], NumpyArray]:
-    """Return a function that counts each episode's vehicles that stopped for one of ``kinds``, or any reason."""
+    """Return a function that counts an episode's vehicles that stopped for one of the reasons ``kinds``, or any."""
 
     def of(found: Found) -> NumpyArray:
-        """Return the number of vehicles (W,) that stopped for one of the reasons."""
+        """Return the number of vehicles (W,) of W episodes that stopped for one of the reasons."""
         from qrsim.models.scene.area import REASONS
 
         bad = [code for code, (kind, _) in enumerate(REASONS) if code and (not kinds or kind in kinds)]
@@ -74,22 +74,22 @@ def _stopped(*kinds: str) -> Callable[[Found], NumpyArray]:
 
 
 def _not_finished(found: Found) -> NumpyArray:
-    """Return the number of vehicles of each episode that have not finished their mission."""
+    """Return the number of vehicles (W,) of W episodes that have not finished their mission."""
     # NaN for a vehicle without a mission, such as the station of a radio.
     return np.sum(np.asarray(found["finished"]) == 0.0, axis=1).astype(np.float64)
 
 
 def _end_error(found: Found) -> NumpyArray:
-    """Return the root mean square over vehicles of the distance to the goal at the end [m]."""
+    """Return the root mean square over vehicles of the distance to the goal at the end [m], (W,) for W episodes."""
     offset = np.asarray(found["position_ned"], np.float64) - found["goal_ned"]
     return _root_mean_square(np.sqrt(np.sum(offset * offset, axis=-1)), axis=1)
 
 
 def _of_least(name: str, part: str) -> Callable[[Found], NumpyArray]:
-    """Return a function for the ``part`` (or number) of the vehicle with the smallest ``name`` in each episode."""
+    """Return a function that gives ``part``, a metric or "vehicle", of each episode's vehicle with least ``name``."""
 
     def of(found: Found) -> NumpyArray:
-        """Return the value (W,) for the vehicle with the smallest metric; NaN if no vehicle has one."""
+        """Return a value (W,) of each episode's vehicle with the smallest metric; NaN if no vehicle has the metric."""
         values = np.asarray(found[name], np.float64)
         vehicle = np.argmin(np.where(np.isnan(values), np.inf, values), axis=1)
         parts = np.broadcast_to(np.arange(values.shape[1]), values.shape)
@@ -102,7 +102,7 @@ def _of_least(name: str, part: str) -> Callable[[Found], NumpyArray]:
 
 
 def _mission(metric: Metric) -> Metric:
-    """Return a metric marked as one that needs a mission."""
+    """Return a copy of a metric, marked as one that only missions have."""
     return replace(metric, mission=True)
 
 
@@ -116,7 +116,7 @@ _MARGINS = {
 
 
 def _of_missions() -> dict[str, Metric]:
-    """Return name -> metric of missions."""
+    """Return name -> metric for all metrics of missions."""
     found = {
         "not_finished": Metric("1", "vehicles that did not finish their mission", _not_finished),
         "finished_s": Metric(
@@ -218,7 +218,7 @@ METRICS: dict[str, Metric] = {
 
 
 def of_episodes(names: tuple[str, ...], found: Found, own: Mapping[str, Metric]) -> dict[str, NumpyArray]:
-    """Compute the named metrics (W,) of episodes from those of all vehicles (W, n, ...), in float32.
+    """Reduce metrics of vehicles (W, n, ...) to the named metrics of W episodes, each (W,), in float32.
 
     Args:
         names: built-in ones and own ones.

@@ -24,7 +24,7 @@ EXAMPLE = "numbers = {'speed_max_m_s': {'unit': 'm/s', 'doc': 'largest speed', '
 
 
 def own_metrics(source: str) -> tuple[Any, dict[str, Metric]]:
-    """Load a user's metrics object; return it, and name -> ``Metric``.
+    """Load a user's metrics object from FILE.py:CLASS or a registered name; return it, and name -> ``Metric``.
 
     Args:
         source: FILE.py:NAME, MODULE:NAME, or a registered name of kind ``metric``.
@@ -40,7 +40,7 @@ def own_metrics(source: str) -> tuple[Any, dict[str, Metric]]:
 
 
 def _metric(source: str, name: str, about: object) -> Metric:
-    """Return a metric of the user's class; raise UsageError for a wrong name, unit, doc or reduction."""
+    """Return a ``Metric`` from a user's description; raise UsageError for a wrong name, unit, doc or reduction."""
     where = f"own_metrics: {source}: numbers: {name}"
     if name in METRICS or not name.isidentifier():
         raise UsageError(f"{where}: the name is {'a built-in metric' if name in METRICS else 'no name'}; give another")
@@ -59,10 +59,10 @@ def _metric(source: str, name: str, about: object) -> Metric:
 
 
 def _episode(source: str, name: str, reduce: Callable[..., NumpyArray]) -> Callable[[Found], NumpyArray]:
-    """Return a function that reduces a user's metric (W, n) to episodes (W,), and leaves one of (W,) as it is."""
+    """Return a function that reduces a user's metric (W, n) to W episodes, and leaves one of shape (W,) as it is."""
 
     def of(found: Found) -> NumpyArray:
-        """Return the user's metric (W,) of the worlds; raises UsageError if it is missing or has another shape."""
+        """Return the user's metric (W,) of W episodes; raises UsageError if it is missing or has another shape."""
         if name not in found:
             raise UsageError(f"own_metrics: {source}: finish does not return '{name}'; it returns {sorted(found)}")
         values = np.asarray(found[name], np.float64)
@@ -87,13 +87,13 @@ class BothMetrics:
         self.first, self.second = first, second
 
     def init(self, world: Any, state: Any) -> Any:
-        """Return the initial memories of built-in and user's metrics."""
+        """Return the initial memories of the built-in and the user's metrics."""
         return self.first.init(world, state), self.second.init(world, state)
 
     def update(self, memory: Any, world: World, state: Any, tick: Any) -> Any:
-        """Return the memories of built-in and user's metrics after a tick."""
+        """Return the memories of the built-in and the user's metrics after a tick."""
         return self.first.update(memory[0], world, state, tick), self.second.update(memory[1], world, state, tick)
 
     def finish(self, memory: Any, world: World, state: Any) -> dict[str, Any]:
-        """Return the numbers of both metrics objects as one dict."""
+        """Return the metrics of both objects at the end of a flight, by name."""
         return {**self.second.finish(memory[1], world, state), **self.first.finish(memory[0], world, state)}

@@ -47,7 +47,7 @@ class Batch:
 
     @property
     def episodes(self) -> int:
-        """Number of episodes, W."""
+        """Number of episodes in the batch, W."""
         return len(self.seeds)
 
 
@@ -74,13 +74,13 @@ class Plan:
 
     @cached_property
     def dims(self) -> tuple[str, ...]:
-        """Names of the dimensions: those that are crossed, points that are sampled, seeds."""
+        """Names of the Dataset's dimensions: crossed parameters, sampled points, seeds."""
         names = [axis.name for axis in self.crossed]
         return (*names, *([POINT] if self.sampled else []), SEED)
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
-        """Size of each dimension."""
+        """Size of each dimension of the Dataset."""
         sizes = [len(axis.values or ()) for axis in self.crossed]
         if self.sample is not None:
             sizes.append(self.sample.size)
@@ -90,7 +90,7 @@ class Plan:
 
     @cached_property
     def track(self) -> tuple[int, ...]:
-        """Shape of a track: records, vehicles, numbers (north, east, down, charge); () without tracks."""
+        """Shape of an episode's track: records, vehicles, 4 (north, east, down, charge); () without tracks."""
         every = self.study.spec.track
         if every is None:
             return ()
@@ -103,7 +103,7 @@ class Plan:
 
     @property
     def points(self) -> int:
-        """Number of conditions of the study."""
+        """Number of points (conditions) of the study, without seeds."""
         return math.prod(self.shape[:-1])
 
     @property
@@ -113,7 +113,7 @@ class Plan:
 
     @cached_property
     def chunks(self) -> tuple[int, ...]:
-        """Size of a batch's block along each dimension."""
+        """Size of a batch along each dimension of the Dataset."""
         single = [axis.path in self.structural for axis in self.crossed]
         if self.sampled:
             single.append(any(axis.path in self.structural for axis in self.sampled))
@@ -127,7 +127,7 @@ class Plan:
 
     @property
     def _wanted(self) -> int:
-        """Return the number of episodes that a batch should have."""
+        """Return how many episodes a batch should have."""
         if self.study.spec.batch:
             return self.study.spec.batch
         if self.study.spec.policy == BASELINE:
@@ -139,7 +139,7 @@ class Plan:
 
     @cached_property
     def grid(self) -> tuple[int, ...]:
-        """Number of blocks along each dimension."""
+        """Number of batches along each dimension of the Dataset."""
         return tuple(-(-size // step) for size, step in zip(self.shape, self.chunks, strict=True))
 
     @property
@@ -148,7 +148,7 @@ class Plan:
         return math.prod(self.grid)
 
     def region(self, index: int) -> tuple[slice, ...]:
-        """Return the region of the Dataset that a batch fills."""
+        """Return the region of the Dataset, a slice per dimension, that batch ``index`` fills."""
         corner = np.unravel_index(index, self.grid)
         return tuple(
             slice(int(at) * step, min(size, (int(at) + 1) * step))
@@ -156,7 +156,7 @@ class Plan:
         )
 
     def batch(self, index: int) -> Batch:
-        """Return the batch with an index: its group, region, numbers and seeds."""
+        """Return batch ``index``: its group, region of the Dataset, varied numbers and seeds."""
         region = self.region(index)
         shape = tuple(part.stop - part.start for part in region)
         chosen: dict[str, int] = {}
@@ -176,7 +176,7 @@ class Plan:
         return Batch(index, region, shape, tuple(chosen[path] for path in self.structural), numbers, seeds)
 
     def _columns(self, region: tuple[slice, ...]) -> Iterator[tuple[Axis, NumpyArray, int]]:
-        """Yield (axis, its values in a region, dimension); indices in place of structural values."""
+        """Yield (axis, its values in a region of the Dataset, dimension); indices in place of structural values."""
         for dimension, axis in enumerate(self.crossed):
             yield axis, self._of(axis, region[dimension]), dimension
         if self.sampled:
@@ -186,21 +186,21 @@ class Plan:
                 yield axis, rows[axis.path], len(self.crossed)
 
     def _of(self, axis: Axis, part: slice) -> NumpyArray:
-        """Return a slice of an axis's values; indices of its choices if the axis is structural."""
+        """Return the values of an axis in the slice ``part``; indices of the values if the axis is structural."""
         assert axis.values is not None
         if axis.path in self.structural:
             return np.arange(part.start, part.stop)
         return np.array(axis.values)[part]
 
     def rows(self, start: int, stop: int) -> dict[str, NumpyArray]:
-        """Return path -> values of sampled parameters at points ``start`` to ``stop``; indices of structural ones."""
+        """Return path -> values of sampled parameters at points ``start`` to ``stop``; indices for structural ones."""
         if self.sample is None:
             return {axis.path: self._of(axis, slice(start, stop)) for axis in self.sampled}
         unit = self.sample.rows(start, stop)
         return {axis.path: axis.scaled(unit[:, i]) for i, axis in enumerate(self.sampled)}
 
     def values_at(self, position: tuple[int, ...]) -> dict[str, object]:
-        """Return the value of each parameter at an index of the Dataset, in the study's terms."""
+        """Return path -> value of each parameter at an index of the Dataset, in the scenario's terms."""
         found: dict[str, object] = {}
         for dimension, axis in enumerate(self.crossed):
             assert axis.values is not None
@@ -214,7 +214,7 @@ class Plan:
 
 
 def choices(axes: tuple[Axis, ...], listed: bool) -> Iterator[tuple[tuple[int, ...], Content]]:
-    """Yield every combination of structural axes with its indices; axes listed together vary together."""
+    """Yield (indices, path -> value) for each combination of structural axes; ``listed``: axes vary together."""
     lengths = [len(axis.values or ()) for axis in axes]
     indices = ((i,) * len(axes) for i in range(lengths[0])) if listed and axes else product(*map(range, lengths))
     for chosen in indices:

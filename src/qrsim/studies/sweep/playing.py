@@ -24,7 +24,7 @@ from qrsim.world.state import State, World
 
 
 def play(group: Group, job: Job) -> dict[str, NumpyArray]:
-    """Fly a batch with the baseline; return metrics of all vehicles (W, n, ...) and of the task (W,).
+    """Fly a batch with the task's baseline policy; return metrics of vehicles (W, n, ...) and of the task (W,).
 
     Raises:
         UsageError: the scenario has no task, or its task has no baseline.
@@ -44,7 +44,7 @@ class _Policy(BaselinePolicy):
     """A baseline that begins anew without being compiled anew."""
 
     def again(self, seed: int) -> None:
-        """Reset the policy for an episode with another seed."""
+        """Reset the baseline policy for an episode with another seed, without compiling it again."""
         self.seed, self._memory = seed, None
         self._baseline = baseline(self.play, seed)
 
@@ -61,7 +61,7 @@ class _Point:
         self.policy = _Policy(self.play)
 
     def episode(self, seed: int) -> dict[str, NumpyArray]:
-        """Fly an episode of the baseline; return its metrics, each (1, ...), with the goals."""
+        """Fly one episode with the baseline policy; return its metrics, each (1, ...), with the goals."""
         simulation, world = self.simulation, self.world
         simulation.reset(seed=seed)
         self.policy.again(seed)
@@ -84,13 +84,13 @@ _KEPT: dict[Hashable, _Point] = {}
 
 @cache
 def _summed() -> Any:
-    """Return the compiled program that updates flight metrics by the states of some ticks."""
+    """Return the compiled program that updates flight metrics with the states of several ticks."""
 
     def summed(flight: object, world: World, states: object, ticks: object) -> object:
-        """Return the flight's metrics, updated by the states of all ticks in turn."""
+        """Return a flight's metrics after an update with the state of each tick in order."""
 
         def one(known: Any, at: Any) -> Any:
-            """Update the metrics by the state of one tick."""
+            """Update the metrics with the state of one tick."""
             state, tick = at
             return FLIGHT_METRICS.update(known, world, state, tick), None
 
@@ -100,7 +100,7 @@ def _summed() -> Any:
 
 
 def _finds(state: State, time_step: float) -> dict[str, NumpyArray]:
-    """Return the metrics of persons found, (1,) each; NaN without persons."""
+    """Return the metrics of persons found, (1,) each; NaN in a world without persons."""
     persons = state.contents.persons
     if persons is None:
         return {name: np.full(1, np.nan) for name in ("persons_found", "found_share", "first_found_s")}

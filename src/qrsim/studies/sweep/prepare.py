@@ -24,7 +24,7 @@ MOST_TRIED, TRIED = 100, 8
 
 
 def plan_of(study: Study) -> Plan:
-    """Return which runs a study needs and what they compile, after checking the paths and values that it varies.
+    """Check the paths and values that a study varies; return the plan of its runs and of their compiled programs.
 
     Raises:
         ScenarioError: paths are unknown or values are not allowed; the message lists them.
@@ -52,7 +52,7 @@ def plan_of(study: Study) -> Plan:
 
 
 def plan_of_numbers(study: Study) -> Plan:
-    """Plan a study of numeric parameters with known valid ranges, skipping the checks.
+    """Plan a study of numeric parameters with ranges known to be valid, without the checks.
 
     ``plan_of`` tries every pair of parameters at their ends, which takes minutes for dozens of them. Here only the
     points with all lowest and all highest values are checked.
@@ -68,7 +68,7 @@ def plan_of_numbers(study: Study) -> Plan:
 
 
 def plan_of_conditions(study: Study) -> Plan:
-    """Plan a study of one parameter with known valid conditions, skipping the checks.
+    """Plan a study of one parameter with conditions known to be valid, without the checks.
 
     ``plan_of`` loads the scenario of each condition several times, here once.
 
@@ -84,7 +84,7 @@ def plan_of_conditions(study: Study) -> Plan:
 
 
 def _warn_of_fixed_gust(study: Study, axes: tuple[Axis, ...]) -> None:
-    """Warn of a forecast whose speed varies while its gust, and so the sum of both, stays."""
+    """Warn of a forecast with a varied mean speed and a fixed gust, so that their sum does not vary."""
     varied = {axis.path for axis in axes}
     for axis in axes:
         for value in axis.values or ():
@@ -99,12 +99,12 @@ def _warn_of_fixed_gust(study: Study, axes: tuple[Axis, ...]) -> None:
 
 
 def _first(axes: Sequence[Axis]) -> Content:
-    """Return path -> first value of each axis."""
+    """Return path -> first value, of each axis."""
     return {axis.path: axis.values[0] if axis.values else axis.low for axis in axes}
 
 
 def _refuse_unknown(study: Study, axes: tuple[Axis, ...]) -> None:
-    """Raise an error if the scenario alone is wrong, or lacks a path of the study."""
+    """Raise an error if the scenario itself is wrong, or lacks a path that the study varies."""
     name = study.spec.name
     own = faults(study.content, {})
     if own:
@@ -122,14 +122,14 @@ def _refuse_unknown(study: Study, axes: tuple[Axis, ...]) -> None:
 
 
 def _settings(axis: Axis, axes: Sequence[Axis]) -> Iterator[Content]:
-    """Yield two test points for an axis: its first value alone, and with the first values of all axes."""
+    """Yield two points to test an axis at: its first value alone, and with the first values of all axes."""
     value = _first([axis])
     yield value
     yield {**_first(axes), **value}
 
 
 def _refuse_outside(study: Study, axes: tuple[Axis, ...]) -> None:
-    """Raise an error for axis values that are not allowed, before anything is flown."""
+    """Raise an error for axis values that the scenario does not allow, before anything is flown."""
     lines, judged = [], []
     for axis in axes:
         bad = _bad_values(study.content, axis, _surroundings(axis, axes))
@@ -140,17 +140,17 @@ def _refuse_outside(study: Study, axes: tuple[Axis, ...]) -> None:
 
 
 def _surroundings(axis: Axis, axes: Sequence[Axis]) -> list[Content]:
-    """Return test values of the other axes; a value of this axis counts as allowed if it works with one."""
+    """Return values of the other axes to test an axis with; a value is allowed if it works with one of them."""
     others = [other for other in axes if other is not axis]
     lasts = {other.path: other.values[-1] if other.values else other.high for other in others}
     return [_first(others), lasts, {}]
 
 
 def _bad_values(content: Content, axis: Axis, others: Sequence[Mapping[str, object]]) -> dict[object, str]:
-    """Return value -> problem for the values of an axis that are not allowed; of a range only its ends."""
+    """Return value -> error for the values of an axis that are not allowed; of a range only its ends."""
 
     def wrong(value: object) -> str:
-        """Return the problems of a value with all other conditions; "" if it works with one."""
+        """Return the errors of a value with each setting of the other axes; "" if it works with one."""
         found = ""
         for other in others:
             found = "; ".join(faults(content, {**other, axis.path: value}))
@@ -173,7 +173,7 @@ def _bad_values(content: Content, axis: Axis, others: Sequence[Mapping[str, obje
 
 
 def _by_halving(ordered: Sequence[object], wrong: Callable[[object], str]) -> dict[object, str]:
-    """Return value -> problem for many sorted values, by bisection between good and bad ones."""
+    """Return value -> error for many sorted values, found by bisection between allowed and wrong ones."""
     tried = [round(part * (len(ordered) - 1) / TRIED) for part in range(TRIED + 1)]
     good = next((i for i in tried if not wrong(ordered[i])), None)
     if good is None:
@@ -190,12 +190,12 @@ def _by_halving(ordered: Sequence[object], wrong: Callable[[object], str]) -> di
 
 
 def _key(value: object) -> str | int | float:
-    """Return a value as the key of a dict, its text if it cannot be one."""
+    """Return a value as a key for a dict: itself, or its text if it is not hashable."""
     return value if isinstance(value, str | int | float | bool) else repr(value)
 
 
 def _described(axis: Axis, bad: Mapping[object, str]) -> list[str]:
-    """Return a line for each bad value of an axis, the first few of them."""
+    """Return a line of text for each of the first few bad values of an axis."""
     total = len(axis.values or ())
     lines = [f"{value!r}: {text}" for value, text in list(bad.items())[:MOST_LISTED]]
     if len(bad) > MOST_LISTED:
@@ -204,7 +204,7 @@ def _described(axis: Axis, bad: Mapping[object, str]) -> list[str]:
 
 
 def _count_bad(study: Study, judged: Sequence[tuple[Axis, Mapping[object, str]]]) -> str:
-    """Return the text that says how many points have a value that is not allowed."""
+    """Return the text that says how many points have a value that is not allowed; ``judged``: (axis, bad values)."""
     crossed = [(axis, bad) for axis, bad in judged if axis.values is not None]
     sampling = study.spec.sampling
     if len(crossed) < len(judged) or (sampling is not None and sampling.type == "list"):
@@ -215,7 +215,7 @@ def _count_bad(study: Study, judged: Sequence[tuple[Axis, Mapping[object, str]]]
 
 
 def _is_structural(study: Study, axis: Axis, axes: Sequence[Axis]) -> bool:
-    """Return whether an axis changes what is compiled, or has a single value."""
+    """Return whether an axis changes what is compiled, or has a single value only."""
     if not axis.numeric or axis.path.endswith(COUNT):
         return True
     low, high = axis.ends()
@@ -230,7 +230,7 @@ def _is_structural(study: Study, axis: Axis, axes: Sequence[Axis]) -> bool:
 
 
 def _groups(study: Study, structural: tuple[Axis, ...], numbers: tuple[Axis, ...]) -> dict[tuple[int, ...], Group]:
-    """Return a group for each structural choice, by its numbers; raise ScenarioError for choices that fail."""
+    """Return indices of structural values -> group of worlds; raise ScenarioError for combinations that fail."""
     listed = study.spec.sampling is not None and study.spec.sampling.type == "list"
     wrong: list[str] = []
     groups = {}
@@ -250,7 +250,7 @@ def _groups(study: Study, structural: tuple[Axis, ...], numbers: tuple[Axis, ...
 
 
 def _group(study: Study, chosen: Mapping[str, object], numbers: tuple[Axis, ...]) -> Group:
-    """Return the group of a structural choice: its World, and the places of the varied numbers in it."""
+    """Return the group of worlds for a combination of structural values: its World, and places of varied numbers."""
     if study.spec.policy != BASELINE:
         return make_group(study.content, chosen, numbers, study.spec.precision)
     # Flown one by one from its scenario.
@@ -264,12 +264,12 @@ def _group(study: Study, chosen: Mapping[str, object], numbers: tuple[Axis, ...]
 
 
 def _point(values: Mapping[str, object]) -> str:
-    """Return the values of a point as text."""
+    """Return path and value of each parameter of a point as text."""
     return ", ".join(f"{path} = {value!r}" for path, value in values.items())
 
 
 def _corners(axes: tuple[Axis, ...], every: bool) -> Iterator[Content]:
-    """Yield points at the axes' ends: with ``every`` all (of many axes by pairs), else the lowest and the highest."""
+    """Yield points at the ends of axes: all (of many axes by pairs) with ``every``, else the lowest and the highest."""
     if not axes:
         yield {}
         return
@@ -288,7 +288,7 @@ def _corners(axes: tuple[Axis, ...], every: bool) -> Iterator[Content]:
 
 
 def _refuse_listed(plan: Plan) -> None:
-    """Raise an error for wrong points of a list, after checking each."""
+    """Check each point of a study that lists its points; raise an error for the wrong ones."""
     wrong = []
     for point in range(plan.shape[0]):
         values = plan.values_at((point, 0))

@@ -16,22 +16,22 @@ WITHOUT = ("/view", "/logs", "/studies/flight_logs", "/protocol")
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the versions of all libraries that affect numbers, and a digest of this package's source."""
+    """Return name -> version of all libraries that affect results, with a digest of this package's source."""
     found = {name: metadata.version(name) for name in PACKAGES}
     return {**found, "python": ".".join(platform.python_version_tuple()[:2]), "qrsim source": _source()}
 
 
 def network_versions() -> dict[str, str]:
-    """Return ``versions``, and those of the libraries that carry tasks and results."""
+    """Return ``versions`` and the versions of the libraries that carry tasks and results to workers."""
     return {**versions(), **{name: metadata.version(name) for name in NETWORK}}
 
 
 def _source() -> str:
-    """Return a digest of the package's Python files that affect numbers."""
+    """Return a digest of those Python files of the package that affect results."""
     total = hashlib.sha256()
 
     def add(folder: Traversable, path: str) -> None:
-        """Add the sources of a folder to the digest."""
+        """Add the Python files of a folder to the digest; ``path`` is its name in the package."""
         for item in sorted(folder.iterdir(), key=lambda item: item.name):
             inner = f"{path}/{item.name}"
             other = inner in WITHOUT or (path == "/apps" and item.name != "sweep")

@@ -55,7 +55,7 @@ class Report:
 
 
 def find(path: Path, metric: str | None, pair: list[str]) -> Report:
-    """Return the analysis of a store as a ``Report``: responses, boundary, sensitivity and worst episodes.
+    """Analyse a store of episodes: responses, boundary of failure, sensitivity and worst episodes, as a ``Report``.
 
     Args:
         path: of the store.
@@ -115,13 +115,13 @@ def _pair(results: Results, names: list[str]) -> tuple[Parameter, Parameter] | N
 
 
 def replay(results: Results, episode: int, folder: Path) -> str:
-    """Return a command that flies an episode again, records it and shows it."""
+    """Return a shell command that flies an episode again, records it into ``folder`` and shows it."""
     command, run = _flight(results, episode, folder)
     return f"{command} && qrsim view {shlex.quote(str(run))}"
 
 
 def against_best(report: Report, folder: Path) -> str | None:
-    """Return a command that flies the worst and best episode again and shows both; None without a best."""
+    """Return a shell command that flies the worst and the best episode again and shows both; None if no best."""
     if report.best is None:
         return None
     flights = [_flight(report.results, episode, folder) for episode in (report.worst[0], report.best)]
@@ -130,7 +130,7 @@ def against_best(report: Report, folder: Path) -> str | None:
 
 
 def _flight(results: Results, episode: int, folder: Path) -> tuple[str, Path]:
-    """Return a command that flies an episode again and records it, and the run folder that it writes."""
+    """Return a shell command that flies an episode again and records it, and the run folder that it writes."""
     values = results.values_at(episode)
     source, changes = results.source, dict(results.spec.set)
     name, counts = _scenario_name(values)
@@ -151,13 +151,13 @@ def _flight(results: Results, episode: int, folder: Path) -> tuple[str, Path]:
 
 
 def _scenario_name(values: Mapping[str, object]) -> tuple[str, Content]:
-    """Return the file name of an episode's scenario, and the values that only this file holds."""
+    """Return the file name of an episode's scenario, and path -> value for values that only this file holds."""
     counts = {path: value for path, value in values.items() if path.endswith(COUNT)}
     return "_".join(["scenario", *map(str, counts.values())]) + ".yaml", counts
 
 
 def _write_scenarios(report: Report, folder: Path) -> list[str]:
-    """Write the study's scenario, and those of worst episodes with too many numbers for a command; return names."""
+    """Write the study's scenario and one for each number of vehicles in worst and best episodes; return the names."""
     results = report.results
     contents = {SCENARIO: results.scenario}
     for episode in [*report.worst, *([] if report.best is None else [report.best])]:
@@ -171,7 +171,7 @@ def _write_scenarios(report: Report, folder: Path) -> list[str]:
 
 
 def write(report: Report, folder: Path, form: str = "png") -> list[Path]:
-    """Write pictures (png, pdf or svg), the tables as JSON, and the scenario into a folder; return the files."""
+    """Write a report's figures (``form``: png, pdf or svg), tables as JSON, and scenarios; return the files."""
     from qrsim.runs.picture import save_picture
     from qrsim.studies.sweep import figures
 
@@ -193,7 +193,7 @@ def write(report: Report, folder: Path, form: str = "png") -> list[Path]:
 
 
 def to_json(report: Report, folder: Path) -> Content:
-    """Return the tables as plain values; non-finite numbers are None."""
+    """Return the tables of a report as a dict for JSON; non-finite numbers are None."""
     results, boundary, indices = report.results, report.boundary, report.sensitivity
     found: Content = {**results.summary(), "metric": report.metric}
     found["responses"] = {
@@ -242,7 +242,7 @@ def _sensitivity_json(found: analysis.Sensitivity) -> Content:
 
 
 def _worst_json(report: Report, episode: int, folder: Path) -> Content:
-    """Return seed, values, metrics and the command that repeats an episode, as a dict for JSON."""
+    """Return seed, values, metrics and replay command of an episode as a dict for JSON."""
     results = report.results
     return {
         "seed": int(results.seeds[episode]),
@@ -254,12 +254,12 @@ def _worst_json(report: Report, episode: int, folder: Path) -> Content:
 
 
 def _plain(values: object) -> list[float | None]:
-    """Return numbers as a list for JSON, with None for NaN and infinity."""
+    """Convert numbers to a list for JSON, with None for NaN and infinity."""
     return [float(value) if np.isfinite(value) else None for value in np.asarray(values, float)]
 
 
 def print_report(report: Report, folder: Path) -> None:
-    """Print the tables."""
+    """Print the tables of a report."""
     results = report.results
     summary = results.summary()
     some = "" if results.episodes == results.planned else f" of {results.planned} planned"
@@ -287,7 +287,7 @@ def print_report(report: Report, folder: Path) -> None:
 
 
 def _ranked_by(report: Report) -> str:
-    """Return as text which metrics rank the worst episodes."""
+    """Return as text the metrics by which the report ranks the worst episodes."""
     parts = []
     for metric, low_is_bad in report.ranking.items():
         unit = report.results.unit(metric)
@@ -298,13 +298,13 @@ def _ranked_by(report: Report) -> str:
 
 
 def _named(results: Results, episode: int) -> Content:
-    """Return the values of an episode by the names that the study gives them."""
+    """Return name -> value of an episode's parameters, by the names that the study gives them."""
     values = results.values_at(episode)
     return {results.spec.vary[path].name or path: value for path, value in values.items()}
 
 
 def _value(value: object) -> str:
-    """Return a value as text of at most 30 characters."""
+    """Format a value as text of at most 30 characters."""
     text = f"{value:.4g}" if isinstance(value, float) else str(value)
     return text if len(text) <= 30 else f"{text[:27]}..."
 

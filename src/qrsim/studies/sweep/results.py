@@ -48,11 +48,11 @@ class Parameter:
     log: bool
 
     def even(self, values: NumpyArray) -> NumpyArray:
-        """Map values to the scale on which they are evenly spaced."""
+        """Map the parameter's values to its even scale: logarithms for a logarithmic parameter."""
         return np.log(values) if self.log else values
 
     def uneven(self, values: NumpyArray) -> NumpyArray:
-        """Return values from their even scale: the exponential for a logarithmic parameter."""
+        """Map values on the parameter's even scale back: the exponential for a logarithmic parameter."""
         return np.exp(values) if self.log else values
 
     @property
@@ -97,17 +97,17 @@ class Results:
 
     @property
     def episodes(self) -> int:
-        """Number of episodes that are in the store."""
+        """Number of episodes, E, that are in the store."""
         return int(self.flown.sum())
 
     @property
     def planned(self) -> int:
-        """Number of episodes that the study has."""
+        """Number of episodes that the study has in all."""
         return len(self.flown)
 
     @cached_property
     def seeds(self) -> NumpyArray:
-        """Seed of each episode (E,)."""
+        """Seed (E,) of each episode."""
         first: NumpyArray = self._spread("seed")[self.flown]
         sampling = self.spec.sampling
         return first + self.points if sampling is not None and sampling.paired else first
@@ -119,7 +119,7 @@ class Results:
 
     @cached_property
     def points(self) -> NumpyArray:
-        """Index (E,) of each episode's point."""
+        """Index (E,) of each episode's point (condition)."""
         return self.positions // self.dataset.sizes["seed"]
 
     def metric(self, name: str) -> NumpyArray:
@@ -136,7 +136,7 @@ class Results:
 
     @cached_property
     def tracks(self) -> NumpyArray:
-        """North, east, down [m] and charge (E, R, n, 4) of all vehicles at intervals; NaN after the end of a run.
+        """North, east, down [m] and charge (E, R, n, 4) of vehicles at R equal intervals; NaN after the end of a run.
 
         Raises:
             UsageError: the study keeps none.
@@ -147,11 +147,11 @@ class Results:
         return found[self.flown]
 
     def unit(self, metric: str) -> str:
-        """Return the unit of a metric."""
+        """Return the unit of a metric; "1" for counts."""
         return str(self.dataset[metric].attrs["units"])
 
     def limits(self, metric: str) -> tuple[float, float]:
-        """Return the bounds of a metric that hold by definition."""
+        """Return (low, high), between which a metric lies by definition."""
         return METRICS[metric].limits if metric in METRICS else (-math.inf, math.inf)
 
     def low_is_bad(self, metric: str) -> bool:
@@ -162,7 +162,7 @@ class Results:
 
     @cached_property
     def failed(self) -> NumpyArray:
-        """Return whether each episode failed, (E,) bool; episodes without the metric count as not failed."""
+        """Return a mask (E,) of episodes that failed; episodes without the metric count as not failed."""
         failure = self.spec.failure
         values = self.metric(failure.metric)
         if failure.above is not None:
@@ -171,14 +171,14 @@ class Results:
 
     @property
     def failure(self) -> str:
-        """Definition of a failure, in words."""
+        """Definition of a failure, as text."""
         failure = self.spec.failure
         limit, word = (failure.above, ">") if failure.above is not None else (failure.below, "<")
         unit = self.unit(failure.metric)
         return f"{failure.metric} {word} {limit:g}{'' if unit == '1' else f' {unit}'}"
 
     def _spread(self, name: str) -> NumpyArray:
-        """Return a coordinate of the Dataset at every episode, as a flat array."""
+        """Return a coordinate of the Dataset for every planned episode, as a flat array."""
         return np.broadcast_to(
             self.dataset[name].broadcast_like(self.dataset[FLOWN]).transpose(*self.dataset[FLOWN].dims).values,
             self.dataset[FLOWN].shape,
@@ -186,12 +186,12 @@ class Results:
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
-        """Varied parameters, by name, in the order of the study."""
+        """Varied parameters of the study by name, in its order."""
         names = [item.name or path for path, item in self.spec.vary.items()]
         return {name: self._parameter(name) for name in names}
 
     def _parameter(self, name: str) -> Parameter:
-        """Return a parameter of the store: its levels, and the index of each point's level."""
+        """Return a parameter from the store, with its levels and the index of each episode's level."""
         coordinate = self.dataset[name]
         unit = str(coordinate.attrs.get("units", ""))
         numeric = coordinate.dtype.kind in "fiu"
@@ -213,14 +213,14 @@ class Results:
         return Parameter(name, unit, levels, level[at], np.asarray(values, np.float64), numeric, sampled, log)
 
     def _spread_index(self, name: str) -> NumpyArray:
-        """Return each episode's index (E,) along the dimension of a coordinate."""
+        """Return each episode's index (E,) along the dimension of a coordinate of the Dataset."""
         flown = self.dataset[FLOWN]
         (dimension,) = self.dataset[name].dims
         axis = flown.dims.index(dimension)
         return np.unravel_index(self.positions, flown.shape)[axis]
 
     def values_at(self, episode: int) -> Content:
-        """Return path -> value of each parameter of an episode, in the scenario's terms."""
+        """Return path -> value of each varied parameter in an episode, in the scenario's terms."""
         found: Content = {}
         for path, item in self.spec.vary.items():
             index = int(self._spread_index(item.name or path)[episode])

@@ -27,11 +27,11 @@ class Sample:
 
     @property
     def size(self) -> int:
-        """Number of points; for saltelli, (d + 2) times the size of the base sample."""
+        """Number of points; for the type saltelli, (d + 2) times the size of the base sample."""
         return self.base * (self.dimensions + 2) if self.spec.type == "saltelli" else self.base
 
     def rows(self, start: int, stop: int) -> NumpyArray:
-        """Return points ``start`` to ``stop`` (k, d), each number in [0, 1)."""
+        """Return sample points ``start`` to ``stop`` (k, d), each number in [0, 1)."""
         if self.spec.type == "latin_hypercube":
             return self._hypercube[start:stop]
         if self.spec.type == "sobol":
@@ -49,7 +49,7 @@ class Sample:
 
     @cached_property
     def _hypercube(self) -> NumpyArray:
-        """Base points (k, dimensions) of a Latin hypercube, in [0, 1)."""
+        """All points (k, d) of a Latin hypercube, in [0, 1)."""
         from scipy.stats import qmc
 
         found: NumpyArray = qmc.LatinHypercube(self.dimensions, rng=np.random.default_rng(self.spec.seed)).random(

@@ -67,7 +67,7 @@ class Store:
         self._open.close()
 
     def _lock(self) -> None:
-        """Lock the store for this process; raise RunError if another one writes to it."""
+        """Lock the store for this process; raise RunError if another process writes to it."""
         try:
             import fcntl
         except ImportError:  # no such locks on this system
@@ -80,7 +80,7 @@ class Store:
             raise RunError(f"{self.path}: another process writes to this store") from None
 
     def _create(self) -> None:
-        """Create an empty store in a temporary folder and move it into place."""
+        """Create an empty store of results in a temporary folder and move it into place."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         beside = self.path.with_name(f".{self.path.name}.{os.getpid()}.new")
         try:
@@ -91,13 +91,13 @@ class Store:
             raise
 
     def _say_anew(self) -> None:
-        """Update the attributes of the store, descriptions and limits, to those of the present plan."""
+        """Update the store's attributes, descriptions and limits to those of the present plan."""
         group, about = zarr.open_group(self.path, mode="r+"), _attributes(self.plan)
         if dict(group.attrs) != about:
             group.attrs.update(about)
 
     def _write_frame(self, path: Path) -> None:
-        """Create the store: an empty array for each metric, and the coordinates."""
+        """Create the Zarr group of a store: an empty array for each metric, and the coordinates."""
         plan = self.plan
         group = zarr.create_group(path, zarr_format=3, attributes=_attributes(plan))
         coordinates = [axis.name for axis in plan.sampled]
@@ -122,7 +122,7 @@ class Store:
             self._write_points(group)
 
     def _write_track(self, group: Any) -> None:
-        """Create the array of recorded tracks."""
+        """Create the empty Zarr array of recorded tracks."""
         plan = self.plan
         group.create_array(
             TRACK,
@@ -135,7 +135,7 @@ class Store:
         )
 
     def _write_points(self, group: Any) -> None:
-        """Create the coordinates of sampled points and write their values."""
+        """Create the coordinates of sampled points in the Zarr group, and write their values."""
         plan = self.plan
         count = plan.shape[len(plan.crossed)]
         _coordinate(group, POINT, POINT, np.arange(count), {"long_name": "number of the point"})
@@ -161,7 +161,7 @@ class Store:
                 arrays[path][start:stop] = values
 
     def _array(self, group: Any, name: str, dtype: str, fill: object, attributes: Mapping[str, object]) -> None:
-        """Create an empty array over all episodes, in chunks of a batch."""
+        """Create an empty Zarr array over all episodes, one chunk per batch."""
         group.create_array(
             name,
             shape=self.plan.shape,
@@ -173,7 +173,7 @@ class Store:
         )
 
     def _done(self) -> NumpyArray:
-        """Return which batches are stored, as a bool array."""
+        """Return a bool array of which batches are stored."""
         flown = self._group[FLOWN]
         found = np.zeros(self.plan.batches, bool)
         # One file for each batch that is done: only these are read.
@@ -185,7 +185,7 @@ class Store:
         return found
 
     def write(self, batch: Batch, results: Mapping[str, NumpyArray]) -> None:
-        """Write the results (W,) of a batch.
+        """Write the results of a batch of W episodes, name -> array (W, ...).
 
         Raises:
             RunError: they cannot be written; what was kept before stays.
@@ -215,23 +215,23 @@ class Store:
 
 
 def _metrics(plan: Plan) -> tuple[str, ...]:
-    """Return the names of the stored metrics, the one of failure included."""
+    """Return the names of the metrics to store, with the one that defines a failure."""
     spec = plan.study.spec
     return tuple(dict.fromkeys([*spec.metrics, spec.failure.metric]))
 
 
 def _without(about: Mapping[str, object], name: str) -> Content:
-    """Return a copy of a mapping without one key."""
+    """Return a copy of a mapping without the key ``name``."""
     return {key: value for key, value in about.items() if key != name}
 
 
 def _about(axis: Axis) -> Content:
-    """Return the attributes of an axis in the store."""
+    """Return the attributes that describe an axis in the store."""
     return {"path": axis.path, **({"units": axis.unit} if axis.unit else {})}
 
 
 def _coordinate(group: Any, name: str, dimension: str, values: NumpyArray, attributes: Content) -> None:
-    """Write a coordinate; texts as strings."""
+    """Write a coordinate of a dimension to the Zarr group; an array of objects is written as strings."""
     if values.dtype == object:
         array = group.create_array(
             name, shape=values.shape, dtype=str, dimension_names=(dimension,), attributes=attributes
@@ -242,7 +242,7 @@ def _coordinate(group: Any, name: str, dimension: str, values: NumpyArray, attri
 
 
 def _attributes(plan: Plan) -> Content:
-    """Return the attributes of the store; no time of day, so that equal studies have equal stores."""
+    """Return the attributes that describe the study in the store, without a date, so that equal studies are equal."""
     study = plan.study
     return {
         "kind": KIND,
@@ -258,7 +258,7 @@ def _attributes(plan: Plan) -> Content:
 
 
 def _refuse_other(path: Path, plan: Plan) -> None:
-    """Raise UsageError if the folder is not a store of this study, or was begun with other versions."""
+    """Raise UsageError if a folder is not a store of this study, or was begun with other versions."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -288,7 +288,7 @@ def _refuse_other(path: Path, plan: Plan) -> None:
 
 
 def _differing(mine: object, theirs: object, path: str = "") -> Iterator[str]:
-    """Yield a line for each setting that differs, with both values."""
+    """Yield a line of text for each setting that differs between two studies, with both values."""
     if isinstance(mine, dict) and isinstance(theirs, dict):
         for key in {**mine, **theirs}:
             yield from _differing(mine.get(key), theirs.get(key), f"{path}.{key}".lstrip("."))
@@ -297,12 +297,12 @@ def _differing(mine: object, theirs: object, path: str = "") -> Iterator[str]:
 
 
 def _short(value: object) -> str:
-    """Return a value as JSON, shortened to 60 characters."""
+    """Return a value as JSON text, shortened to 60 characters."""
     text = json.dumps(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def _tidy(path: Path) -> None:
-    """Delete the partial files that a killed process left."""
+    """Delete the partial files that a killed process left in a store."""
     for left in path.rglob("*.partial"):
         left.unlink(missing_ok=True)

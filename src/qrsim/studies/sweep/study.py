@@ -51,7 +51,7 @@ class SamplingSpec(Part):
 
     @model_validator(mode="after")
     def _points(self) -> SamplingSpec:
-        """Refuse numbers of points that the type of sampling cannot have."""
+        """Refuse a number of points that the type of sampling cannot have."""
         if (self.type == "list") == (self.points is not None):
             raise ValueError("points: missing" if self.points is None else "a list has as many points as values")
         if self.paired and self.type == "list":
@@ -70,14 +70,14 @@ class FailureSpec(Part):
 
     @model_validator(mode="after")
     def _one_limit(self) -> FailureSpec:
-        """Refuse a failure that is neither above nor below a limit, or both."""
+        """Refuse a definition of failure that has neither a limit above nor one below, or has both."""
         if (self.above is None) == (self.below is None):
             raise ValueError("give either above or below")
         return self
 
 
 def _in_one_line(policy: object) -> object:
-    """Return policies by team as one text "TEAM=POLICY,..."; other values unchanged."""
+    """Return policies given by team as one text "TEAM=POLICY,..."; other values unchanged."""
     if isinstance(policy, dict) and all(isinstance(part, str) for pair in policy.items() for part in pair):
         return ",".join(f"{team}={source}" for team, source in policy.items())
     return policy
@@ -113,7 +113,7 @@ class StudySpec(Part):
 
     @model_validator(mode="after")
     def _together(self) -> StudySpec:
-        """Refuse metrics, policies, tracks and samplings that do not go together."""
+        """Refuse metrics, policies, tracks and samplings that cannot be combined."""
         for name in [*self.metrics, self.failure.metric]:
             # Which names a user's own metrics have is known when their file is read.
             if name not in METRICS and not self.own_metrics:
@@ -175,7 +175,7 @@ class Study:
 
     @property
     def settings(self) -> Content:
-        """Settings that the results depend on; two studies of equal settings are the same study."""
+        """All settings that the results depend on; two studies with equal settings are the same study."""
         spec = self.spec.model_dump(mode="json", exclude={"description", "failure", "scenario", "set"})
         # A default that is filled in later changes nothing.
         spec["metrics"] = sorted({*self.spec.metrics, self.spec.failure.metric})
@@ -193,7 +193,7 @@ class Study:
 
     @property
     def digest(self) -> str:
-        """Digest of the settings, in hexadecimal."""
+        """Digest of the study's settings, in hexadecimal."""
         text = json.dumps(self.settings, sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -205,7 +205,7 @@ def built_in_studies() -> list[str]:
 
 
 def load_study(source: str, changes: Content | None = None, overrides: Iterable[str] = (), values: int = 0) -> Study:
-    """Read and check a study.
+    """Read and check a study by name or path; ``values`` limits how many values of each parameter are used.
 
     Args:
         source: a built-in name or the path of a YAML file.
@@ -254,18 +254,18 @@ def load_study(source: str, changes: Content | None = None, overrides: Iterable[
 
 
 def _as_mapping(overrides: Iterable[str]) -> Content:
-    """Return overrides PATH=VALUE as a mapping."""
+    """Convert overrides PATH=VALUE to a mapping of path to value."""
     pairs = (override.partition("=") for override in overrides)
     return {path.strip(): parse_yaml(text, f"--set {path}") for path, _, text in pairs}
 
 
 def _mine(line: str) -> str:
-    """Return a problem's text without the prefix "scenario: "."""
+    """Return an error text without the prefix "scenario: "."""
     return line if line.startswith("scenario: missing") else line.removeprefix("scenario: ")
 
 
 def _read(source: str) -> tuple[str, Path]:
-    """Return the text of a study, and the folder that its paths are relative to."""
+    """Read the YAML text of a study, and return it with the folder that its paths start in."""
     known = built_in_studies()
     if source in known:
         return resources.files("qrsim.studies.sweep").joinpath(f"{source}.yaml").read_text("utf-8"), Path.cwd()
@@ -283,7 +283,7 @@ def _read(source: str) -> tuple[str, Path]:
 
 
 def _changed(content: Content, changes: Content, values: int) -> Content:
-    """Return a study's content with the changes of the command line applied."""
+    """Return a study's content with changes of the command line applied; ``values``: most values per parameter."""
     content = copy.deepcopy(content)
     sampling = content.get("sampling")
     for name, value in changes.items():
@@ -305,14 +305,14 @@ def _changed(content: Content, changes: Content, values: int) -> Content:
 
 
 def _thinned(values: list[object], most: int) -> list[Any]:
-    """Return at most ``most`` evenly spaced values, including the first and the last."""
+    """Return at most ``most`` evenly spaced ones of some values, with the first and the last."""
     if most >= len(values) or most < 2:
         return values[: max(1, most)] if most < 2 else values
     return [values[round(i * (len(values) - 1) / (most - 1))] for i in range(most)]
 
 
 def _own_metrics(spec: StudySpec, source: str) -> dict[str, Metric]:
-    """Load the user's metrics of a study; raise UsageError for metrics that do not exist."""
+    """Load a study's metrics object by a user; raise UsageError if the study names metrics that do not exist."""
     _, own = own_metrics(source)
     for name in [*spec.metrics, spec.failure.metric]:
         if name not in METRICS and name not in own:
@@ -321,7 +321,7 @@ def _own_metrics(spec: StudySpec, source: str) -> dict[str, Metric]:
 
 
 def _code(what: str, name: str, folder: Path) -> tuple[str, str]:
-    """Return a function's name FILE:FUNCTION with an absolute path, and a digest of the file."""
+    """Return a user function's name FILE:FUNCTION with an absolute path, and a digest of the file."""
     if what == "policy" and name == BASELINE:
         return name, ""
     teams = sources_by_team(name) if what == "policy" else None
@@ -333,7 +333,7 @@ def _code(what: str, name: str, folder: Path) -> tuple[str, str]:
 
 
 def _from_anywhere(name: str, folder: Path) -> str:
-    """Return FILE.py:FUNCTION with an absolute path, relative to ``folder``; other names unchanged."""
+    """Return FILE.py:FUNCTION with an absolute path, a relative one starting in ``folder``; other names unchanged."""
     place, _, function = name.rpartition(":")
     if place.endswith(".py"):
         return f"{(folder / os.path.expanduser(place)).absolute()}:{function}"
@@ -341,7 +341,7 @@ def _from_anywhere(name: str, folder: Path) -> str:
 
 
 def digest_of(what: str, name: str) -> str:
-    """Return a digest of the file that defines a user's function, "" if there is none.
+    """Return a digest of the file that defines a user's function; "" if no file does.
 
     Raises:
         UsageError: there is no such function.

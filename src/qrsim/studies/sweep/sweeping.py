@@ -19,7 +19,7 @@ AHEAD = 2
 
 
 def sweep(plan: Plan, store: Store, client: Any, progress: Callable[[Batch], None] = lambda batch: None) -> None:
-    """Fly the batches that are not in the store, and write each as soon as it is done.
+    """Fly the batches of a study that are not stored, on Dask workers, and store each as soon as it is done.
 
     Args:
         plan: of the study.
@@ -38,7 +38,7 @@ def sweep(plan: Plan, store: Store, client: Any, progress: Callable[[Batch], Non
     finished = as_completed(loop=client.loop)
 
     def hand_out() -> None:
-        """Submit batches until AHEAD of them are waiting or flying for each worker thread."""
+        """Submit batches until AHEAD of them per worker thread are waiting or flying."""
         while len(waiting) < AHEAD * max(1, _threads(client)):
             index = next(missing, None)
             if index is None:
@@ -61,7 +61,7 @@ def sweep(plan: Plan, store: Store, client: Any, progress: Callable[[Batch], Non
 
 
 def _threads(client: Any) -> int:
-    """Return the number of threads of all workers now."""
+    """Return the number of threads that all Dask workers have at present."""
     return sum(client.nthreads().values()) if client.status == "running" else 0
 
 
@@ -74,7 +74,7 @@ class Jobs:
         self._metrics = metrics
 
     def job(self, batch: Batch) -> Job:
-        """Return the job that a worker flies for a batch."""
+        """Return the job, with all data of a batch, that a worker flies."""
         spec = self._spec
         return Job(
             self._groups[batch.group],
@@ -92,7 +92,7 @@ class Jobs:
 
 
 def _result(future: Any, batch: Batch, store: Store) -> dict[str, NumpyArray]:
-    """Return the results of a batch from its future; raises RunError if it could not be flown.
+    """Return the results of a batch from its Dask future; raises RunError if it could not be flown.
 
     Raises:
         RunError: it could not be flown.
@@ -108,19 +108,19 @@ def _result(future: Any, batch: Batch, store: Store) -> dict[str, NumpyArray]:
 
 
 def _checked(found: dict[str, NumpyArray] | str, batch: Batch, store: Store) -> dict[str, NumpyArray]:
-    """Return the results of a batch; raises RunError if the worker returned a text instead."""
+    """Return the results of a batch; raises RunError if the worker returned an error text instead."""
     if isinstance(found, str):
         raise RunError(f"batch {batch.index + 1}: {found}; {_kept(store)}")
     return found
 
 
 def _kept(store: Store) -> str:
-    """Return as text how many batches are stored."""
+    """Return as text how many batches are stored, for error messages."""
     return f"the {int(store.done.sum())} batches written before are kept, and the same command goes on from there"
 
 
 def sweep_here(plan: Plan, store: Store, progress: Callable[[Batch], None] = lambda batch: None) -> None:
-    """Fly the batches that are not in the store in this process, without workers.
+    """Fly the batches of a study that are not stored, in this process, and store each as soon as it is done.
 
     Args:
         plan: of the study.

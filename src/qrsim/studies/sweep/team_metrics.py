@@ -50,14 +50,14 @@ class TeamErrors:
     }
 
     def init(self, world: object, state: State) -> TeamMemory:
-        """Return the sums at the start of a flight."""
+        """Return the accumulators at the start of a flight."""
         place = state.fleets[0].vehicle.position_ned
         zero = jnp.zeros_like(place.x)
         nowhere = jnp.full((*zero.shape, STEPS), jnp.nan, zero.dtype)
         return TeamMemory(jnp.zeros(zero.shape, jnp.int32), zero, zero, place.x, place.y, nowhere)
 
     def update(self, memory: TeamMemory, world: World, state: State, tick: Array) -> TeamMemory:
-        """Return the sums with the errors of a tick added."""
+        """Return the accumulators with the errors of one tick added."""
         fleet, start = state.fleets[0], (memory.start_north, memory.start_east)
         flying, counts = fleet.violation.code == 0, tick >= round(SETTLED_S / world.time_step)
         near = _neighbours(*start) & flying[:, None] & flying[None]
@@ -65,7 +65,7 @@ class TeamErrors:
         true, known = fleet.vehicle.position_ned, fleet.estimate.position_ned
 
         def mean_square(position: Sequence[Array], wanted: Sequence[Array]) -> Array:
-            """Return each vehicle's mean square error [m^2] of its neighbours' relative positions."""
+            """Return each vehicle's mean square error [m^2] of the positions of its neighbours relative to it."""
             off = (_differences(axis) - _differences(other) for axis, other in zip(position, wanted, strict=True))
             square = sum(jnp.square(each) for each in off)
             return jnp.sum(jnp.where(near, square, 0.0), axis=1) / neighbours
@@ -83,7 +83,7 @@ class TeamErrors:
         )
 
     def finish(self, memory: TeamMemory, world: object, state: object) -> dict[str, Array]:
-        """Return the numbers of worlds W: (W, n) of vehicles, (W,) of the team."""
+        """Return metrics of W worlds: per vehicle (W, n), of the team (W,)."""
         ticks = jnp.maximum(memory.ticks, 1).astype(memory.error_square.dtype)
         return {
             "relative_error_rms_m": jnp.sqrt(memory.error_square / ticks),
@@ -93,19 +93,19 @@ class TeamErrors:
 
 
 def _differences(values: Array) -> Array:
-    """Return the difference (n, n) of each pair: value of the second index minus that of the first."""
+    """Return the matrix (n, n) of values (n,): value of the second index minus that of the first."""
     return values[None] - values[:, None]
 
 
 def _neighbours(north: Array, east: Array) -> Array:
-    """Return a bool matrix (n, n) of which vehicles are neighbours: the closest pairs at the start."""
+    """Return a mask (n, n) of the pairs of vehicles closest to each other, from coordinates (n,) [m]."""
     square = jnp.square(_differences(north)) + jnp.square(_differences(east))
     square = jnp.where(jnp.eye(square.shape[0], dtype=bool), jnp.inf, square)
     return square < 1.01 * jnp.min(square)
 
 
 def missed_share(passed_east: Array, start_north: Array, start_east: Array) -> Array:
-    """Return the share (W,) of the strip between the outer vehicles that no swath covers; NaN if not in line.
+    """Return the share (W,) of the strip between the outer vehicles that no sensor swath covers; NaN if not in line.
 
     Args:
         passed_east: (W, n, STEPS) east coordinate [m] where vehicles passed each step; NaN where they did not.

@@ -65,7 +65,7 @@ class VarySpec(Part):
 
     @model_validator(mode="after")
     def _one_way(self) -> VarySpec:
-        """Refuse values given in several ways, or bounds and scale that do not go together."""
+        """Refuse values given in several ways, and bounds or a scale that cannot be combined."""
         ends = self.low is not None or self.high is not None or self.count is not None
         if (self.values is not None) + (self.conditions is not None) + ends != 1:
             raise ValueError("give either values, or conditions, or low and high")
@@ -83,12 +83,12 @@ class VarySpec(Part):
 
     @property
     def listed(self) -> list[object] | None:
-        """Values as a list, of conditions as ``Condition``; None for a range."""
+        """Values of the parameter as a list, of conditions as ``Condition``; None for a range."""
         if self.conditions is None:
             return self.values
         return [Condition(name, settings) for name, settings in self.conditions.items()]
 
 
 def assignment(path: str, value: object) -> str:
-    """Return the argument of ``--set`` that sets a value."""
+    """Return the argument PATH=VALUE of ``--set`` that sets a value in a scenario."""
     return f"{path}={json.dumps(value)}"

@@ -52,7 +52,7 @@ class Process(NamedTuple):
 
 @partial(jax.jit, static_argnames=("sensor", "seconds", "vehicles"))
 def _simulate_errors(sensor: str, model: Sensor, seconds: int, vehicles: int) -> tuple[jax.Array, jax.Array]:
-    """Simulate the errors of a sensor at rest, and the mean squares of their changes."""
+    """Simulate K errors of n sensors at rest; return them (T, K, n) per second, and mean squares of their changes."""
     like = jnp.zeros((), jnp.float32)
     ids = jnp.arange(vehicles, dtype=jnp.uint32)
     key, zero = Key.root(SEED), jnp.zeros(vehicles, jnp.float32)
@@ -61,18 +61,18 @@ def _simulate_errors(sensor: str, model: Sensor, seconds: int, vehicles: int) ->
     per_row = round(KEPT_S / PERIOD)
 
     def error(reading: Any) -> jax.Array:
-        """Return the error of a reading at rest."""
+        """Return the error of a sensor's reading at rest."""
         return reading.height[None] if sensor == "barometer" else jnp.stack(jax.tree.leaves(reading.attitude))
 
     def tick(carry: Any, now: jax.Array) -> Any:
-        """Advance the sensor by one period, summing the squared changes of its error."""
+        """Advance the sensor by one period, and sum the squared change of its error."""
         state, before, squares = carry
         state, reading = model.step(state, Draw(key.stream(sensor, ids), now, like), *inputs)
         after = error(reading)
         return (state, after, squares + (after - before) ** 2), None
 
     def second(carry: Any, start: jax.Array) -> Any:
-        """Advance by the periods of one kept row; return its error."""
+        """Advance the sensor by one second; return its error then."""
         carry, _ = jax.lax.scan(tick, carry, start + jnp.arange(per_row, dtype=jnp.uint32))
         return carry, carry[1]
 
@@ -84,7 +84,7 @@ def _simulate_errors(sensor: str, model: Sensor, seconds: int, vehicles: int) ->
 
 
 def read(sensor: str, model: object, title: str, std: float, time_constant: float, unit: str, vehicles: int) -> Process:
-    """Simulate a sensor's errors for many vehicles at rest, over two time constants, in float32."""
+    """Simulate errors of many sensors at rest over two time constants, in float32, with the parameters expected."""
     rows, squares = _simulate_errors(sensor, cast(model, np.float32), round(2.0 * time_constant), vehicles)
     errors = np.asarray(rows, np.float64)
     return Process(
@@ -93,7 +93,7 @@ def read(sensor: str, model: object, title: str, std: float, time_constant: floa
 
 
 def processes(vehicles: int) -> dict[str, Process]:
-    """Return name -> process of both sensors; the three angles of an attitude count as three vehicles."""
+    """Return name -> error process of both drifting sensors; an attitude's three angles count as three vehicles."""
     return {
         "barometer": read("barometer", Barometer(), "barometric height", *BAROMETER, "m", vehicles),
         "attitude": read("attitude", AttitudeEstimator(), "attitude estimate", *ATTITUDE, "rad", vehicles // 2),
@@ -101,7 +101,7 @@ def processes(vehicles: int) -> dict[str, Process]:
 
 
 def autocovariance(errors: Floats, lag: int) -> Floats:
-    """Compute the mean product (n,) of errors (T, n) a lag apart; their mean is known to be zero."""
+    """Return the mean product (n,) of errors (T, n) ``lag`` rows apart; the errors' mean is known to be 0."""
     return np.asarray(np.mean(errors[lag:] * errors[: len(errors) - lag], axis=0))
 
 
@@ -157,7 +157,7 @@ def _drift_checks(name: str, of: Process) -> list[Check]:
 
 
 def _time_constant(of: Process, z: float, reason: str) -> Check:
-    """Return the check of the time constant, from how much the readings change in one period.
+    """Return the check of an error process's time constant, from mean square changes per period; ``z``: tolerance.
 
     The mean square change is 2 sigma^2 (1 - exp(-T/tau)), and so well known that sigma is the error that remains.
     """
@@ -177,7 +177,7 @@ def _time_constant(of: Process, z: float, reason: str) -> Check:
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Simulate both sensors, and return the outcome of this part of the report."""
+    """Simulate the drifts of both sensors, in full or with few vehicles; return the outcome for the report."""
     found = processes(VEHICLES if full else FEW_VEHICLES)
     checks = [check for name, of in found.items() for check in _drift_checks(name, of)]
     numbers = {
@@ -206,12 +206,12 @@ def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
 
 
 def _curve_lags(of: Process) -> Floats:
-    """Return the lags of the autocorrelation curve in rows, up to LONGEST time constants."""
+    """Return at most 31 lags, in rows, for drawing an autocorrelation up to LONGEST time constants."""
     return np.unique(np.linspace(0.0, LONGEST * of.time_constant / KEPT_S, 31).round().astype(int))
 
 
 def _correlation_curve(of: Process) -> dict[str, list[float]]:
-    """Return the autocorrelation at several lags [s], with its standard error."""
+    """Return the autocorrelation of an error process at several lags [s], with its standard error, for JSON."""
     found = [mean_and_error(autocovariance(of.errors, int(lag)) / of.std**2) for lag in _curve_lags(of)]
     return {
         "lags_s": (KEPT_S * _curve_lags(of)).tolist(),
@@ -221,7 +221,7 @@ def _correlation_curve(of: Process) -> dict[str, list[float]]:
 
 
 def _draw_drifts(found: dict[str, Process]) -> Picture:
-    """Draw traces of the errors and their autocorrelations."""
+    """Draw traces of both sensors' errors, and their autocorrelations with theory."""
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import SIMULATED, picture
 

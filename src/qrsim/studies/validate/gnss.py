@@ -70,7 +70,7 @@ class Simulated(NamedTuple):
 
 
 def simulate(name: str, orbits: Path, record: Recorded, seeds: int) -> tuple[Simulated, tuple[int, int]]:
-    """Simulate receivers under one error model; also return their numbers of satellites."""
+    """Simulate receivers under error model ``name``; return them, and their (least, most) satellites used."""
     errors = MODELS[name][0]
     every = round(record.period / PERIOD)
     sky = sky_over(orbits, record.site, START, ROWS * record.period, errors)
@@ -83,7 +83,7 @@ def simulate(name: str, orbits: Path, record: Recorded, seeds: int) -> tuple[Sim
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Compare the recorded receiver with simulated ones, and return the outcome for the report's part on GNSS."""
+    """Compare a recorded GNSS receiver with simulated ones, in full or few; return the outcome for the report."""
     record = recorded_receiver(paths[RECORDING])
     seeds = SEEDS if full else FEW_SEEDS
     runs, used = {}, (0, 0)
@@ -111,13 +111,13 @@ def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
 
 
 def _format_range(range_of: tuple[int, int]) -> str:
-    """Return a range of counts as text."""
+    """Format a range (least, most) of counts as text."""
     first, last = range_of
     return f"{first}" if first == last else f"{first} to {last}"
 
 
 def _allan_checks(runs: dict[str, Simulated], seeds: int) -> list[Check]:
-    """Return the checks of simulated Allan variances against their closed forms."""
+    """Return the checks of simulated receivers' Allan variances against their closed forms."""
     count = len(runs) * len(CHECKED)
     z, checks = widest_z(count), []
     for name, run in runs.items():
@@ -143,7 +143,7 @@ def _allan_checks(runs: dict[str, Simulated], seeds: int) -> list[Check]:
 def _results(
     record: Recorded, deviation: Floats, runs: dict[str, Simulated], inside: Content, seeds: int, used: tuple[int, int]
 ) -> Content:
-    """Return the numbers of the comparison as plain values."""
+    """Return the numbers of the comparison of recorded and simulated receivers as a dict for JSON."""
     windows = [round(float(length) * record.period, 6) for length in LENGTHS]
     chosen = record.position_ned[:ROWS]
     numbers: Content = {
@@ -180,7 +180,7 @@ def _results(
 
 
 def _describe_outside(numbers: Content, name: str) -> str:
-    """Return as text at which windows the recording leaves a model's band, by axis."""
+    """Return as text, by axis, the windows at which the recording leaves the band of error model ``name``."""
     words = []
     for axis in AXES:
         good = numbers[name]["inside"][axis]
@@ -198,7 +198,7 @@ def _describe_outside(numbers: Content, name: str) -> str:
 
 
 def _window_spans(windows: list[float], chosen: list[float]) -> str:
-    """Return neighbouring windows as spans, such as '0.4-3.2 s'."""
+    """Return the chosen windows [s] as text, neighbouring ones as spans such as '0.4-3.2 s'."""
     spans: list[list[float]] = []
     for window in chosen:
         if spans and windows.index(window) == windows.index(spans[-1][-1]) + 1:
@@ -209,7 +209,7 @@ def _window_spans(windows: list[float], chosen: list[float]) -> str:
 
 
 def _model_findings(numbers: Content) -> list[Finding]:
-    """Return a finding for each error model: its fraction of windows and axes within the band."""
+    """Return the findings on GNSS error models: how well the recording lies within their simulated bands."""
     found = []
     for name, (_, words) in MODELS.items():
         share = numbers[name]["inside_share"]
@@ -253,7 +253,7 @@ def _summarise(numbers: Content) -> str:
 
 
 def _draw_walk(record: Recorded, run: Simulated) -> Picture:
-    """Draw the recorded and simulated wandering of a stationary receiver."""
+    """Draw the position of a recorded and of a simulated stationary receiver as it wanders."""
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import RECORDED, SIMULATED, picture
 
@@ -286,7 +286,7 @@ def _draw_walk(record: Recorded, run: Simulated) -> Picture:
 
 
 def _draw_allan(record: Recorded, deviation: Floats, runs: dict[str, Simulated], seeds: int) -> Picture:
-    """Draw Allan deviations of the recording over the bands of the models."""
+    """Draw the Allan deviation of the recorded receiver over the bands of simulated error models."""
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import RECORDED, picture
 

@@ -34,7 +34,7 @@ SETTLING_S = 400.0
 
 
 def mean_wind() -> Floats:
-    """Return the mean wind (3,) in NED [m/s] at the height, in float64."""
+    """Return the mean wind (3,) NED [m/s] at the hovering height, in float64."""
     with jax.enable_x64(True):
         wind = record_of(LogShear, SPEED, math.radians(FROM_DEG))
         return np.asarray(wind.velocity_ned(jnp.asarray([CASE.height])).stack())[0]
@@ -42,7 +42,7 @@ def mean_wind() -> Floats:
 
 @partial(quick_jit, static_argnames="steps")
 def _simulate_gusts(turbulence: Turbulence, wind: LogShear, height: jax.Array, key: Key, steps: int) -> jax.Array:
-    """Simulate gusts (T, vehicles, 3) in NED [m/s] of hovering vehicles, one row every EVERY ticks."""
+    """Simulate gusts (T, vehicles, 3) NED [m/s] at hovering vehicles; one row every EVERY of ``steps`` ticks."""
     ids = jnp.arange(height.size, dtype=jnp.uint32)
     stream, mean = key.stream("gust", ids), wind.velocity_ned(height)
     still, like = Vec3.zeros(height.shape, height.dtype), jnp.zeros((), height.dtype)
@@ -52,7 +52,7 @@ def _simulate_gusts(turbulence: Turbulence, wind: LogShear, height: jax.Array, k
         return turbulence.step(state, Draw(stream, now, like), height, still, mean, DT), None
 
     def some(state: object, start: jax.Array) -> tuple[object, jax.Array]:
-        """Advance by EVERY ticks; return the state, and the gust (vehicles, 3)."""
+        """Advance the turbulence by EVERY ticks; return its state, and the gusts (vehicles, 3)."""
         state, _ = jax.lax.scan(tick, state, start + jnp.arange(EVERY, dtype=jnp.uint32))
         return state, turbulence.gust_ned(state, height).stack()
 
@@ -61,7 +61,7 @@ def _simulate_gusts(turbulence: Turbulence, wind: LogShear, height: jax.Array, k
 
 
 def our_gusts(kind: str, seconds: float, vehicles: int, seed: int) -> Floats:
-    """Simulate gusts (T, vehicles, 3) in NED [m/s] every 0.2 s, of 'dryden' or 'dryden_first_order', in float32."""
+    """Simulate gusts (T, vehicles, 3) NED [m/s] every 0.2 s; ``kind``: 'dryden' or 'dryden_first_order'."""
     makers = {"dryden": Dryden, "dryden_first_order": DrydenFirstOrder}
     bearing = math.radians(FROM_DEG)
     turbulence = cast(makers[kind](SPEED, bearing), np.float32)
@@ -72,7 +72,7 @@ def our_gusts(kind: str, seconds: float, vehicles: int, seed: int) -> Floats:
 
 
 def jsbsim_gusts(kind: int, seconds: float, seed: int) -> Floats:
-    """Simulate gusts (T, 3) in NED [m/s] every 0.2 s of JSBSim's turbulence, once it has settled.
+    """Simulate gusts (T, 3) NED [m/s] every 0.2 s by JSBSim's type of turbulence ``kind``, once it has settled.
 
     Raises:
         RunError: no jsbsim.
@@ -84,28 +84,28 @@ def jsbsim_gusts(kind: int, seconds: float, seed: int) -> Floats:
 
 
 def in_ned(along_across_down: Floats) -> Floats:
-    """Rotate gusts (..., 3) from wind axes into NED."""
+    """Rotate gusts (..., 3) from wind axes (along, across, down) into NED."""
     sine, cosine = math.sin(math.radians(FROM_DEG)), math.cos(math.radians(FROM_DEG))
     turn = np.array([[-cosine, sine, 0.0], [-sine, -cosine, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(along_across_down @ turn.T)
 
 
 def in_wind_axes(gusts_ned: Floats) -> Floats:
-    """Rotate gusts (..., 3) from NED into wind axes."""
+    """Rotate gusts (..., 3) from NED into wind axes: along, across, down."""
     sine, cosine = math.sin(math.radians(FROM_DEG)), math.cos(math.radians(FROM_DEG))
     turn = np.array([[-cosine, sine, 0.0], [-sine, -cosine, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(gusts_ned @ turn)
 
 
 def autocorrelation(kind: str, lag: float) -> Floats:
-    """Return the exact autocorrelation (3,) of the gusts along, across and down at a lag [s]."""
+    """Return the exact autocorrelation (3,) of gusts of a model ``kind``, along, across, down, at a lag [s]."""
     x = lag / (scales(CASE)[0] / CASE.airspeed)
     decay = np.exp(-x)
     return decay if kind == "dryden_first_order" else decay * np.array([1.0, 1.0 - x[1] / 2.0, 1.0 - x[2] / 2.0])
 
 
 def statistics(kind: str, gusts_ned: Floats) -> dict[str, object]:
-    """Compare variances and autocovariances of the gusts of many vehicles (T, n, 3) with their closed forms."""
+    """Compare variance and autocovariance of gusts (T, n, 3) at n vehicles with the closed forms of model ``kind``."""
     gusts, sigma = in_wind_axes(gusts_ned) / scales(CASE)[1], autocorrelation(kind, LAG_S)
     lag = round(LAG_S / (DT * EVERY))
     results: dict[str, object] = {}

@@ -48,15 +48,15 @@ class Chips(NamedTuple):
 
 @partial(quick_jit, static_argnames="count")
 def _simulate_readings(sensor: Imu, inputs: dict[str, Any], begin: Stream, source: Stream, count: int) -> object:
-    """Simulate ``count`` readings of IMUs at rest."""
+    """Simulate ``count`` readings of IMUs at rest; ``begin`` and ``source`` are their random streams."""
     like = jnp.zeros((), jnp.float32)
 
     def drawn(stream: Stream, now: jax.Array, size: int) -> Drawn:
-        """Return the normals of a stream at a tick."""
+        """Return ``size`` random normals of a stream at a tick."""
         return Drawn(tuple(Draw(stream, now, like).normal_rows(size)))
 
     def tick(state: Any, now: jax.Array) -> tuple[Any, Any]:
-        """Advance the IMU by one reading."""
+        """Advance the IMU by one reading; return its state and the reading."""
         state, reading = sensor.step(state, drawn(source, now, sensor.normals), **inputs)
         return state, tuple(getattr(reading, field).stack() for field in FIELDS.values())
 
@@ -65,7 +65,7 @@ def _simulate_readings(sensor: Imu, inputs: dict[str, Any], begin: Stream, sourc
 
 
 def chips_of(preset: str, chips: int, **change: float) -> dict[str, Chips]:
-    """Simulate many chips of a preset at rest for a minute, without vibration and with no gravity effect but bias."""
+    """Simulate chips of an IMU preset at rest for a minute, without vibration and with no gravity effect but bias."""
     given = {**PRESETS[preset], "preset": preset, "period": PERIOD, "vibration": "none", **NOT_OF_BIAS, **change}
     zero = jnp.zeros(chips, jnp.float32)
     inputs = {
@@ -85,14 +85,14 @@ def chips_of(preset: str, chips: int, **change: float) -> dict[str, Chips]:
 
 
 def measured(of: Chips) -> dict[str, Floats]:
-    """Return N [unit s^0.5] and the squared bias [unit^2] of each chip (n,), over its axes."""
+    """Return white noise N^2 [unit^2 s] and squared bias [unit^2] of each IMU chip (n,), both means over its axes."""
     at = int(np.flatnonzero(WINDOWS == NOISE_WINDOW)[0])
     noise = np.square(of.deviation[at]).mean(axis=1) * NOISE_WINDOW * PERIOD
     return {"noise": noise, "turn_on_bias": np.square(of.readings.mean(axis=0)).mean(axis=1)}
 
 
 def _sheet_checks(found: Mapping[str, Mapping[str, Chips]]) -> list[Check]:
-    """Return the checks of noise and turn-on bias against data sheets."""
+    """Return the checks of simulated IMUs' noise and turn-on bias against data sheets."""
     rows = [
         (preset, kind, what, value)
         for preset, sheet in DATA_SHEETS.items()
@@ -120,7 +120,7 @@ def _sheet_checks(found: Mapping[str, Mapping[str, Chips]]) -> list[Check]:
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Simulate all presets with data sheets, and return the outcome for the report's part on IMUs."""
+    """Simulate all IMU presets that have data sheets, in full or quickly; return the outcome for the report."""
     found = {preset: chips_of(preset, CHIPS if full else FEW_CHIPS) for preset in DATA_SHEETS}
     checks = _sheet_checks(found)
     return Outcome(
@@ -145,7 +145,7 @@ def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
 
 
 def _draw_allan(found: Mapping[str, Mapping[str, Chips]]) -> Picture:
-    """Draw Allan deviations of the chips, with the white noise of the data sheets."""
+    """Draw Allan deviations of simulated IMU chips, with the white noise of their data sheets."""
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import picture
 

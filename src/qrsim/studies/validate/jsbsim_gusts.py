@@ -55,7 +55,7 @@ def is_installed() -> bool:
 
 
 def jsbsim_series(case: Case, kind: int, steps: int, seed: int) -> Floats:
-    """Simulate u, v, w [m/s], q, r [rad/s] (5, steps) of JSBSim's turbulence at a fixed height and speed.
+    """Simulate gusts u, v, w [m/s], q, r [rad/s] (5, steps) by JSBSim's turbulence ``kind`` at fixed height and speed.
 
     Raises:
         RunError: no jsbsim, or it does not hold the body.
@@ -102,7 +102,7 @@ Filter = tuple[list[float], list[float]]
 
 
 def _second_order_tustin(tau: float, c: float) -> Filter:
-    """Return the coefficients of JSBSim's recursion for v and w, Yeager's eq. 20."""
+    """Return numerator and denominator in 1/z of JSBSim's filter for v and w (Yeager's eq. 20)."""
     omega, root = 1.0 / tau, math.sqrt(3.0)
     scale = math.sqrt(3.0 * omega / DT) / (omega + c) ** 2
     top = [scale * (c + omega / root), scale * 2.0 * omega / root, scale * (omega / root - c)]
@@ -110,7 +110,7 @@ def _second_order_tustin(tau: float, c: float) -> Filter:
 
 
 def _recursions(case: Case, kind: int) -> list[Filter]:
-    """Return numerators and denominators in 1/z of JSBSim's recursions: u, v, w per sigma, q per w, r per v."""
+    """Return (numerator, denominator) in 1/z of JSBSim's gust filters: u, v, w per sigma, q per w, r per v."""
     tau_u, tau_v, tau_w = scales(case)[0] / case.airspeed
     lags = [spans * SPAN / (math.pi * case.airspeed) for spans in (4.0, 3.0)]
     if kind == 3:
@@ -132,7 +132,7 @@ def _recursions(case: Case, kind: int) -> list[Filter]:
 
 
 def jsbsim_theory(case: Case, kind: int, omega: Floats) -> Floats:
-    """Return the exact densities (5, k) of JSBSim's recursions, driven by independent standard normals."""
+    """Return exact spectral densities (5, k) of JSBSim's gusts u, v, w, q, r at frequencies (k,) [rad/s]."""
     unit = np.exp(-1j * omega * DT)
     power = [
         np.square(np.abs(np.polyval(top[::-1], unit) / np.polyval(bottom[::-1], unit)))

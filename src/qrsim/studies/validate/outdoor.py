@@ -47,7 +47,7 @@ class Outdoor(NamedTuple):
 
 
 def fly_recorded(path: Path, precision: str = "float64") -> Outdoor:
-    """Drive the model with the commands of the flight's first 8000 rows, in still air."""
+    """Simulate the recorded outdoor flight in still air, from the commands of its first 8000 rows."""
     rows = read_table(path, 22)
     driven = rows[:ROWS]
     throttle = driven[:, 20] + THROTTLE_OFFSET_RAW
@@ -62,7 +62,7 @@ def fly_recorded(path: Path, precision: str = "float64") -> Outdoor:
 
 
 def velocity_match(flight: Outdoor) -> Match:
-    """Return the NED velocity [m/s] of flight and model."""
+    """Return recorded and simulated NED velocity [m/s] of the outdoor flight."""
     with jax.enable_x64(True):
         body = state_of(np.asarray(flight.states[:, :13], np.float64))
         velocity = jax.jit(lambda body: rotation(body.attitude).to_ned(body.velocity_body).stack())(body)
@@ -70,7 +70,7 @@ def velocity_match(flight: Outdoor) -> Match:
 
 
 def reference_specific_force(vehicle: Quadrotor, before: Floats, commands: Floats) -> Floats:
-    """Return the reference implementation's specific force (T, 3) [m/s^2], in float64.
+    """Return the specific force (T, 3) [m/s^2] by the reference implementation's formula, in float64.
 
     It takes gravity from the rate of change of the body velocity, and so leaves a false -omega x v; the mean of
     the two stages of Heun's rule, as for the model's own.
@@ -86,7 +86,7 @@ def reference_specific_force(vehicle: Quadrotor, before: Floats, commands: Float
         still = Vec3.zeros((len(before),), jnp.dtype(np.float64))
 
         def slope(state: QuadrotorState) -> tuple[QuadrotorState, Vec3]:
-            """Return the derivative of the state, and the specific force of the reference's form."""
+            """Return the derivative of the state, and the specific force by the reference's formula."""
             rates, _ = vehicle.derivative(state, command, lambda trig: still, ProcessNoise(still, still), DT)
             direction = AttitudeTrig.of(state.attitude).rotation()
             weight = Vec3(direction.forward.z, direction.right.z, direction.down.z) * vehicle.gravity
@@ -96,7 +96,7 @@ def reference_specific_force(vehicle: Quadrotor, before: Floats, commands: Float
 
 
 def specific_force_errors(flight: Outdoor) -> dict[str, dict[str, float]]:
-    """Compute the mean squared errors of the specific force [(m/s^2)^2]: this model's form and the reference's."""
+    """Return mean squared errors of the specific force [(m/s^2)^2], by this model's and the reference's formula."""
     before = np.concatenate([flight.start[None], flight.states[:-1, :13]])
     reference = reference_specific_force(Quadrotor(), before, flight.commands)
     axes = ("x", "y", "z")
@@ -110,12 +110,12 @@ def specific_force_errors(flight: Outdoor) -> dict[str, dict[str, float]]:
 def _simulate_in_wind(
     vehicle: Quadrotor, start: QuadrotorState, commands: jax.Array, wind_ned: Vec3, dt: float
 ) -> tuple[jax.Array, jax.Array]:
-    """Simulate velocities and positions of one model open loop in a constant wind."""
+    """Simulate a model open loop in a constant wind; return NED velocities and positions after each command."""
     still = Vec3.zeros(start.thrust.shape, start.thrust.dtype)
     noise = ProcessNoise(still, still)
 
     def tick(state: QuadrotorState, row: jax.Array) -> tuple[QuadrotorState, tuple[jax.Array, jax.Array]]:
-        """Advance by one row of commands; return velocity and position NED."""
+        """Advance the state by one row of commands; return it, and velocity and position NED."""
         command = Command(*(row[i] for i in range(5)))
         state, _ = vehicle.step(state, command, lambda trig: trig.rotation().to_body(wind_ned), noise, dt)
         velocity = rotation(state.attitude).to_ned(state.velocity_body)
@@ -125,7 +125,7 @@ def _simulate_in_wind(
 
 
 def fly_in_wind(start: Floats, commands: Floats, wind_ned: Floats) -> tuple[Floats, Floats]:
-    """Drive models through constant winds, in float64.
+    """Simulate n models open loop in constant winds (n, 3); return NED velocities and positions (T, n, 3).
 
     Args:
         start: (n, 13) states before the first row.
@@ -158,7 +158,7 @@ def fit_wind(still: Floats, response: Floats, recorded: Floats) -> Floats:
 
 
 def fly_pieces(flight: Outdoor, wind_ned: Floats, steps: int, spacing: int) -> tuple[Floats, Floats]:
-    """Fly ``steps`` rows open loop from every ``spacing``-th row; return simulated and recorded velocities.
+    """Simulate ``steps`` rows from every ``spacing``-th row; return simulated and recorded velocities (steps, n, 3).
 
     Returns:
         Velocities (steps, n, 3) [m/s] simulated, and recorded.

@@ -20,7 +20,7 @@ SOURCE = (
 
 
 def write_page(results: Sequence[Result], about: Mapping[str, object]) -> str:
-    """Write the page as text.
+    """Return the validation report as an HTML page; ``about`` states version and machine.
 
     Args:
         results: in the order they are shown.
@@ -58,11 +58,11 @@ def number(value: float) -> str:
 
 
 def _base64(data: bytes) -> str:
-    """Return bytes as base64 text."""
+    """Encode bytes as base64 text."""
     return base64.b64encode(data).decode("ascii")
 
 
 def _count_verdicts(findings: Sequence[Finding]) -> list[tuple[Verdict, int]]:
-    """Return the number of findings with each verdict, without those to note."""
+    """Return (verdict, number of findings with it), without findings that are only notes."""
     counts = Counter(found.verdict for found in findings)
     return [(verdict, counts[verdict]) for verdict in _CLASSES if counts[verdict] and verdict != "to note"]

@@ -36,7 +36,7 @@ class Result:
     skipped: str = ""
 
     def to_json(self) -> Content:
-        """Return everything but the pictures."""
+        """Return the result of a part of the report as a dict for JSON, without its pictures."""
         head = {"title": self.part.title, "answers": self.part.answers, "recordings": list(self.part.recordings)}
         if self.outcome is None:
             return head | {"passed": None, "skipped": [self.skipped]}
@@ -52,7 +52,7 @@ class Result:
 
 
 def choose(names: Sequence[str]) -> list[Part]:
-    """Return the named parts, each once and in the report's order; all if no name is given.
+    """Return the named parts of the report, each once and in its order; all if no name is given.
 
     Raises:
         UsageError: a name that no part has.
@@ -64,7 +64,7 @@ def choose(names: Sequence[str]) -> list[Part]:
 
 
 def find_recordings(parts: Sequence[Part]) -> dict[str, Path]:
-    """Return the paths of the available recordings, by name.
+    """Return name -> path of the public recordings that the parts need and that are on this machine.
 
     Raises:
         RunError: a recording was altered or cut off, or cannot be read.
@@ -80,7 +80,8 @@ def find_recordings(parts: Sequence[Part]) -> dict[str, Path]:
 def run_parts(
     parts: Sequence[Part], found: dict[str, Path], full: bool = True, done: Callable[[Part], None] | None = None
 ) -> list[Result]:
-    """Run parts in order; one whose recordings are missing is skipped.
+    """Run parts of the report in order, in full or quickly; skip a part without its recordings. ``done``: called after
+    each.
 
     Raises:
         RunError: no part could be run.
@@ -100,7 +101,7 @@ def run_parts(
 
 
 def _missing_reason(missing: Sequence[str]) -> str:
-    """Return the reason that a part is skipped: the missing recordings, and the command that fetches them."""
+    """Return why a part of the report is skipped: recordings that are missing, and how to fetch them."""
     folder = recordings.data_folder()
     return (
         f"{', '.join(missing)} not found in {folder}; 'qrsim data fetch' gets the recordings"

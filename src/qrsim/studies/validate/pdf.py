@@ -29,7 +29,7 @@ class Line(NamedTuple):
 
 
 def write_pdf(results: Sequence[Result], about: Mapping[str, object]) -> bytes:
-    """Return the report as PDF: a page of results, then text, pictures and tables of each part.
+    """Return the validation report as PDF: a page of results, then text, pictures and tables of each part.
 
     Args:
         results: in the order they are shown.
@@ -52,7 +52,7 @@ def write_pdf(results: Sequence[Result], about: Mapping[str, object]) -> bytes:
 
 
 def figures(results: Sequence[Result]) -> dict[str, bytes]:
-    """Return each picture as a PDF by its file's name, such as ``gnss_2.pdf``."""
+    """Return file name, such as ``gnss_2.pdf``, -> PDF bytes, for each picture of the report."""
     found = {}
     for result in results:
         for i, shown in enumerate(result.outcome.pictures if result.outcome else (), start=1):
@@ -62,7 +62,7 @@ def figures(results: Sequence[Result]) -> dict[str, bytes]:
 
 
 def _picture_pdf(shown: Picture) -> bytes:
-    """Return a picture as a PDF without a date."""
+    """Return a picture of the report as PDF bytes without a date."""
     assert shown.figure is not None
     buffer = io.BytesIO()
     shown.figure.savefig(buffer, format="pdf", metadata={"CreationDate": None})
@@ -70,14 +70,14 @@ def _picture_pdf(shown: Picture) -> bytes:
 
 
 def _wrapped_lines(text: str, indent: str = "", *, bold: bool = False) -> Iterator[Line]:
-    """Yield the lines of a text, wrapped to the width of the page."""
+    """Yield the printed lines of a text, wrapped to the width of the PDF's page."""
     width = PER_BOLD_LINE if bold else PER_LINE
     for line in textwrap.wrap(text, width, subsequent_indent=indent) or [""]:
         yield Line(line, bold=bold)
 
 
 def _front_page(results: Sequence[Result], about: Mapping[str, object]) -> Iterator[Line]:
-    """Yield the lines of the first page: results of all parts."""
+    """Yield the printed lines of the report's first page: the results of all parts."""
     checks = [check for result in results if result.outcome for check in result.outcome.checks]
     failed = sum(not check.passed for check in checks)
     yield Line(f"Validation of qrsim {about['qrsim']}", 20.0, bold=True)
@@ -103,7 +103,7 @@ def _front_page(results: Sequence[Result], about: Mapping[str, object]) -> Itera
 
 
 def _part_text(result: Result) -> Iterator[Line]:
-    """Yield the lines about one part: method, reading and pictures."""
+    """Yield the printed lines about one part of the report: method, interpretation and pictures."""
     yield Line(result.part.title, HEAD, bold=True)
     yield Line("")
     yield from _wrapped_lines(f"Answers {result.part.answers}.")
@@ -122,7 +122,7 @@ def _part_text(result: Result) -> Iterator[Line]:
 
 
 def _part_tables(result: Result) -> Iterator[Line]:
-    """Yield the lines of the findings and checks of one part."""
+    """Yield the printed lines of the findings and checks of one part of the report."""
     if result.outcome is None:
         return
     yield Line(f"{result.part.title}: numbers", HEAD, bold=True)
@@ -140,13 +140,13 @@ def _part_tables(result: Result) -> Iterator[Line]:
 
 
 def _finding_lines(found: Finding) -> Iterator[Line]:
-    """Yield the printed lines of one finding of the report."""
+    """Yield the printed lines of one finding."""
     yield from _wrapped_lines(f"{found.verdict}: {found.name}: {found.number}", "    ", bold=True)
     yield from _wrapped_lines(f"    {found.reading}", "    ")
 
 
 def _check_lines(check: Check) -> Iterator[Line]:
-    """Yield the lines of a check: value, expectation and tolerance."""
+    """Yield the printed lines of a check: value, expectation and tolerance."""
     yield from _wrapped_lines(f"{'pass' if check.passed else 'FAIL'}: {check.name}", "    ", bold=not check.passed)
     unit = f" {check.unit}" if check.unit else ""
     comparison = (
@@ -156,7 +156,7 @@ def _check_lines(check: Check) -> Iterator[Line]:
 
 
 def _paginate(lines: Sequence[Line]) -> Iterator[Figure]:
-    """Yield the pages that hold the lines."""
+    """Yield pages, as Matplotlib figures, that hold the printed lines."""
     page, height = None, 0.0
     for line in lines:
         needed = line.size * LEADING / 72.0 / PAGE[1]

@@ -15,14 +15,14 @@ DPI = 90
 
 
 def picture(figure: Figure, caption: str) -> Picture:
-    """Render a figure as a PNG for the report; the figure stays available for vector output."""
+    """Render a Matplotlib figure as a PNG for the report; the figure is kept for vector output."""
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=DPI, format="png")
     return Picture(buffer.getvalue(), caption, figure)
 
 
 def match_figure(match: Match, titles: tuple[str, ...], units: tuple[str, ...]) -> Figure:
-    """Draw recording and simulation, and below each their residual on the same scale, one column per quantity."""
+    """Draw recorded and simulated quantities one below the other, each with its residual below it."""
     count = len(match.names)
     figure = new_figure(11.0, 2.9 * count if count > 1 else 5.0)
     axes = figure.subplots(2 * count, 1, sharex=True, squeeze=False, height_ratios=(2, 1) * count)[:, 0]

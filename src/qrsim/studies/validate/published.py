@@ -37,7 +37,7 @@ class RangeErrors(NamedTuple):
     quick: float
 
     def autocovariance(self, lags: Floats) -> Floats:
-        """Return the autocovariance [m^2] at lags [s] of a first-order process driven by another one."""
+        """Return the autocovariance [m^2] of range errors, a first-order process driven by another one, at lags [s]."""
         slow = np.exp(-lags / self.slow)
         if not self.quick:
             return np.asarray(self.std**2 * slow)
@@ -59,7 +59,8 @@ SEVERITY_3 = ((500.0, 1750.0, 3750.0, 7500.0), (6.6, 6.9, 7.4, 6.7))
 
 
 def dryden_scales(height: float, speed_20ft: float) -> tuple[Floats, Floats]:
-    """Return lengths [m] and standard deviations [m/s] (3,) of gusts along, across and down (MIL-F-8785C, 3.7.3).
+    """Return Dryden length scales [m] and standard deviations [m/s], each (3,): along, across, down (MIL-F-8785C,
+    3.7.3).
 
     Args:
         height: above the ground [m]; up to 1000 ft the low-altitude model, from 2000 ft on 1750 ft and severity 3,
@@ -105,7 +106,7 @@ class DataSheet(NamedTuple):
 
 
 def _noise_densities(gyroscope_deg_s: float, accelerometer_ug: float | None = None) -> dict[tuple[str, str], float]:
-    """Return noise densities N in SI from one-sided densities [deg/s/sqrt(Hz)], [ug/sqrt(Hz)]."""
+    """Convert data sheets' one-sided densities [deg/s/sqrt(Hz)], [ug/sqrt(Hz)] to noise densities N in SI, by name."""
     found = {("gyroscope", "noise"): math.radians(gyroscope_deg_s) / math.sqrt(2.0)}
     if accelerometer_ug is not None:
         found["accelerometer", "noise"] = accelerometer_ug * 1e-6 * GRAVITY / math.sqrt(2.0)

@@ -50,7 +50,7 @@ class Recorded(NamedTuple):
 
 
 def recorded_receiver(path: Path) -> Recorded:
-    """Read the recording of a stationary receiver."""
+    """Read the public recording of a stationary GNSS receiver."""
     rows = read_table(path, 14)
     latitude, longitude, height = np.radians(rows[:, 3] * 1e-7), np.radians(rows[:, 4] * 1e-7), rows[:, 5] * 1e-3
     at = [float(np.median(column)) for column in (latitude, longitude, height)]
@@ -60,7 +60,7 @@ def recorded_receiver(path: Path) -> Recorded:
 
 
 def sky_over(path: Path, site: Site, start: datetime, duration_s: float, errors: Any) -> SharedSky:
-    """Load the sky of an SP3 file over a site from a time on, in single precision as in flights."""
+    """Build the sky over a site from ``start`` on, by an SP3 file's orbits and range ``errors``, in float32."""
     ephemeris = Sp3Ephemeris(str(path))
     orbits = ephemeris.at(site, gps_seconds_from_utc(start), LIKE, duration_s)
     return SharedSky(orbits, cast(errors, LIKE), jnp.asarray(ephemeris.satellite_ids), PERIOD)
@@ -68,12 +68,12 @@ def sky_over(path: Path, site: Site, start: datetime, duration_s: float, errors:
 
 @partial(quick_jit, static_argnames=("ticks", "seeds"))
 def _simulate_fixes(sky: SharedSky, receiver: GnssReceiver, ticks: int, seeds: int) -> tuple[jax.Array, jax.Array]:
-    """Simulate the fixes of receivers at rest: positions (T, seeds, 3) [m] and satellites used."""
+    """Simulate GNSS receivers at rest; return positions (T, seeds, 3) NED [m] and satellites used (T, seeds)."""
     like = jnp.zeros((), LIKE)
     still = Vec3.zeros((1,), jnp.dtype(LIKE))
 
     def one(world: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Simulate the fixes of the receiver of one world."""
+        """Simulate the fixes of one world's receiver: positions (T, 3) [m] and satellites used (T,)."""
         key = Key.root(SEED, world)
         names = ("sky start", "receiver start", "sky", "receiver")
         ids = (sky.ids, jnp.zeros(1, jnp.uint32)) * 2
@@ -82,7 +82,7 @@ def _simulate_fixes(sky: SharedSky, receiver: GnssReceiver, ticks: int, seeds: i
         memory, reading = receiver.init(Draw(first_fix, jnp.uint32(0), like), still, still, start)
 
         def tick(carry: Any, now: jax.Array) -> Any:
-            """Advance sky and receiver by one period; return position and satellites used."""
+            """Advance sky and receiver by one period; return their states, and position and satellites used."""
             state, memory = carry
             seconds, fraction = split_time(now, PERIOD, LIKE)
             state = sky.step(state, Draw(later_sky, now, like), seconds, fraction)
@@ -97,7 +97,7 @@ def _simulate_fixes(sky: SharedSky, receiver: GnssReceiver, ticks: int, seeds: i
 
 
 def simulated_receivers(sky: SharedSky, rows: int, every: int, seeds: int) -> tuple[Floats, tuple[int, int]]:
-    """Simulate receivers at the origin: position errors (rows, seeds, 3) [m] and numbers of satellites used.
+    """Simulate receivers at rest; return position errors (rows, seeds, 3) [m], and (least, most) satellites used.
 
     Args:
         sky: shared by nobody: each seed has one of its own with the same geometry.
@@ -112,7 +112,7 @@ def simulated_receivers(sky: SharedSky, rows: int, every: int, seeds: int) -> tu
 
 
 def dilution(sky: SharedSky) -> Floats:
-    """Return the variances (3,) of north, east and down per variance of a range, from the geometry at the start."""
+    """Return variances (3,) of north, east and down for a range variance of 1, from the geometry at the start."""
     satellites = np.asarray(sky.orbits.positions_ned(jnp.int32(0), jnp.zeros((), LIKE)).stack(), np.float64)
     rays = satellites / np.linalg.norm(satellites, axis=1, keepdims=True)
     seen = rays[-rays[:, 2] > math.sin(math.radians(MASK_DEG))]
@@ -121,7 +121,7 @@ def dilution(sky: SharedSky) -> Floats:
 
 
 def sampled_allan_variance(autocovariance: Floats, length: int) -> float:
-    """Return the exact Allan variance of samples, over windows of ``length`` samples.
+    """Return the exact Allan variance of a process with this autocovariance, over windows of ``length`` samples.
 
     Args:
         autocovariance: (at least 2 length,) at lags of 0, 1, 2, ... samples.
@@ -132,12 +132,12 @@ def sampled_allan_variance(autocovariance: Floats, length: int) -> float:
 
 
 def range_autocovariance(errors: RangeErrors, period: float, count: int) -> Floats:
-    """Return the autocovariance (count,) [m^2] of one satellite's range, errors and receiver noise together."""
+    """Return the autocovariance (count,) [m^2] of one satellite's range: its errors and receiver noise."""
     found = np.array(errors.autocovariance(period * np.arange(count)))
     found[0] += RANGE_NOISE_STD**2
     return found
 
 
 def allan_deviations(positions: Floats, period: float, lengths: Floats) -> Floats:
-    """Return overlapping Allan deviations (K, ...) of positions (T, ...) for windows of ``lengths`` (K,) rows."""
+    """Return overlapping Allan deviations (K, ...) of positions (T, ...) over windows of ``lengths`` (K,) rows."""
     return overlapping_allan_deviation(positions, period, lengths)[1]

@@ -37,7 +37,7 @@ class Fixes(NamedTuple):
 
 
 def pdops(times: int = TIMES) -> Floats:
-    """Return the position dilutions of precision of GPS over a day, (sites, times), infinite without a fix.
+    """Return the PDOP of GPS over a day (sites, times), at sites all over the globe; infinite without a fix.
 
     Sites are even over the globe: fewer of them where parallels are short.
     """
@@ -56,12 +56,12 @@ def pdops(times: int = TIMES) -> Floats:
 
 
 def _pdop(rays: Floats) -> float:
-    """Return the position dilution of precision of rays (S, 3), infinite below four satellites."""
+    """Return the PDOP of satellite directions (S, 3); infinite for fewer than four."""
     return dilution_of_precision(rays)[2] if len(rays) >= 4 else math.inf
 
 
 def fixes(preset: str, starts: int, worlds: int, **change: object) -> Fixes:
-    """Return the last fixes of a hovering receiver of a preset, over many start times and worlds."""
+    """Simulate a hovering receiver of a preset at many start times in many worlds; return each last fix."""
     errors, reported = [], []
     for number in range(starts):
         start = DAY + timedelta(hours=24.0 * number / starts)
@@ -87,12 +87,12 @@ def fixes(preset: str, starts: int, worlds: int, **change: object) -> Fixes:
 
 
 def cep(of: Fixes) -> float:
-    """Return the circular error probable [m], the radius that holds half of the fixes."""
+    """Return the circular error probable [m] of fixes: the horizontal radius that holds half of them."""
     return float(np.median(np.hypot(of.error[:, 0], of.error[:, 1])))
 
 
 def honest(preset: str, of: Fixes, count: int) -> list[Check]:
-    """Return checks that the squared errors agree in the mean with the reported accuracies."""
+    """Return the checks that mean squared errors of fixes agree with the accuracies that the receiver reports."""
     z, checks = widest_z(count), []
     squares = {"horizontal": np.sum(np.square(of.error[:, :2]), axis=1), "vertical": np.square(of.error[:, 2])}
     for (what, each), stated in zip(squares.items(), of.reported.T, strict=True):
@@ -113,7 +113,7 @@ def honest(preset: str, of: Fixes, count: int) -> list[Check]:
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Simulate receivers of all presets, and return the outcome for the report's part on receivers."""
+    """Simulate GNSS receivers of all presets, in full or quickly; return the outcome for the report."""
     starts, worlds = (STARTS, WORLDS) if full else (FEW_STARTS, FEW_WORLDS)
     found = {preset: fixes(preset, starts, worlds) for preset in RECEIVER_CEP_M}
     geometry = pdops(TIMES if full else 24)
@@ -152,7 +152,7 @@ def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
 
 
 def _cep_finding(preset: str, found: float) -> Finding:
-    """Return the finding of a preset's CEP [m] against its data sheet."""
+    """Return the finding that compares the simulated CEP [m] of a receiver preset with its data sheet."""
     stated, source = RECEIVER_CEP_M[preset]
     verdict: Verdict = "does not fit" if found > stated else "fits" if found > 0.5 * stated else "fits in part"
     return Finding(
@@ -164,7 +164,7 @@ def _cep_finding(preset: str, found: float) -> Finding:
 
 
 def _draw_receivers(found: Mapping[str, Fixes], geometry: Floats) -> Picture:
-    """Draw the distribution of horizontal errors and of the PDOP."""
+    """Draw the distributions of receivers' horizontal errors, and of the PDOP."""
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import picture
 

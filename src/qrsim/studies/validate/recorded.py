@@ -36,26 +36,27 @@ class Match(NamedTuple):
 
     @property
     def residual(self) -> Floats:
-        """Recorded minus simulated, (T, K)."""
+        """Recorded minus simulated values, (T, K)."""
         return self.recorded - self.simulated
 
     def mean_square(self) -> dict[str, float]:
-        """Return the mean squared error of each column."""
+        """Return name -> mean squared error of each of the K columns."""
         return mean_square(self.residual, self.names)
 
     def explained(self) -> dict[str, float]:
-        """Return the share of each record's variance that the simulation explains: 1 - mean squared error/variance."""
+        """Return name -> share of the recorded variance that the simulation explains: 1 - mean square
+        error/variance."""
         variance = np.var(self.recorded, axis=0)
         return {name: 1.0 - error / float(variance[i]) for i, (name, error) in enumerate(self.mean_square().items())}
 
 
 def mean_square(difference: Floats, names: tuple[str, ...]) -> dict[str, float]:
-    """Return the mean squares of columns (T, K) by name."""
+    """Return name -> mean square of each column (T, K)."""
     return dict(zip(names, np.mean(np.square(difference, dtype=np.float64), axis=0).tolist(), strict=True))
 
 
 def read_table(path: Path, columns: int) -> Floats:
-    """Read the numbers of one recording.
+    """Read a public recording of numbers with a given number of columns.
 
     Raises:
         RunError: the file is absent, unreadable or has another number of columns.
@@ -75,13 +76,13 @@ def read_table(path: Path, columns: int) -> Floats:
 
 
 def command_rows(pitch: Floats, roll: Floats, throttle: Floats, yaw: Floats, battery: Floats) -> Floats:
-    """Convert raw columns of shape (T,) to SI commands (T, 5)."""
+    """Convert raw recorded columns (T,) to commands in SI (T, 5)."""
     columns = raw_to_command(pitch, roll, throttle, yaw, battery)  # type: ignore[arg-type]
     return np.stack([columns.pitch, columns.roll, columns.throttle, columns.yaw_rate, columns.battery], axis=1)
 
 
 def state_of(states: Floats) -> QuadrotorState:
-    """Convert rows (T, 13) to a state whose arrays have shape (T,)."""
+    """Convert rows of states (T, 13) to a vehicle state with arrays (T,)."""
     columns = [jnp.asarray(states[:, i]) for i in range(13)]
     return QuadrotorState(
         Vec3(*columns[:3]), Euler(*columns[3:6]), Vec3(*columns[6:9]), Vec3(*columns[9:12]), columns[12]

@@ -37,11 +37,11 @@ class Check:
 
     @property
     def passed(self) -> bool:
-        """Whether the value is within the tolerance; NaN is not."""
+        """Whether the value is within the tolerance; NaN does not pass."""
         return abs(self.value - self.expected) <= self.tolerance
 
     def to_json(self) -> dict[str, object]:
-        """Return the fields and whether it passed; non-finite values become None."""
+        """Return the check as a dict for JSON, with its result; non-finite values become None."""
         value = self.value if math.isfinite(self.value) else None
         return {
             "name": self.name,
@@ -71,7 +71,7 @@ class Finding:
     reading: str
 
     def to_json(self) -> dict[str, str]:
-        """Return the fields of the finding by name."""
+        """Return the finding as a dict for JSON."""
         return {"name": self.name, "number": self.number, "verdict": self.verdict, "reading": self.reading}
 
 
@@ -106,7 +106,7 @@ class Outcome:
 
     @property
     def passed(self) -> bool:
-        """Whether every check passed."""
+        """Whether every check of this part of the report passed."""
         return all(check.passed for check in self.checks)
 
 
@@ -130,14 +130,14 @@ class Part:
 
 
 def share_verdict(explained: float) -> Verdict:
-    """Return the verdict on a simulation that explains a share of a record's variance."""
+    """Return the verdict on a simulation that explains the share ``explained`` of a recording's variance."""
     if explained >= FITS:
         return "fits"
     return "fits in part" if explained >= FITS_IN_PART else "does not fit"
 
 
 def reference_check(name: str, value: float, reference: str, unit: str) -> Check:
-    """Return the check that a value agrees with a reference value to 3 digits, or to as many as it has."""
+    """Return the check that a value agrees with a published one, to 3 digits or as many as that has."""
     shown = reference.partition("e")[0].replace(".", "").lstrip("0")
     digits = min(3, len(shown))
     expected = float(reference)
@@ -146,5 +146,5 @@ def reference_check(name: str, value: float, reference: str, unit: str) -> Check
 
 
 def worst(checks: Iterable[Check]) -> Check:
-    """Return the check whose error is the largest fraction of its tolerance."""
+    """Return the check with the largest error as a fraction of its tolerance."""
     return max(checks, key=lambda check: abs(check.value - check.expected) / check.tolerance)

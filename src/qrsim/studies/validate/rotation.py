@@ -22,7 +22,7 @@ REFERENCE = ("6.563e-4", "8.355e-4", "1.755e-2", "2.478e-2", "1.872e-2", "2.867e
 
 
 def rotation_match(path: Path, precision: str = "float64") -> Match:
-    """Compare angles [rad] and rates [rad/s] of the rig with the model driven by the same commands."""
+    """Simulate the rotation rig by recorded commands; return recorded and simulated angles [rad], rates [rad/s]."""
     rows = read_table(path, 11)
     pitch, roll, yaw, q, p, r = rows[:, 1:7].T
     constant = np.ones(len(rows))
@@ -37,7 +37,7 @@ def rotation_match(path: Path, precision: str = "float64") -> Match:
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Compare the rig's rotation with the model, and return the outcome for the report's part on rotation."""
+    """Compare the rotation of a rig, at ``paths``, with the simulation; return the outcome for the report."""
     from qrsim.studies.validate.pictures import match_figure, picture
 
     match = rotation_match(paths[RECORDING])
@@ -84,7 +84,7 @@ def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
 
 
 def _interpretation(name: str, end_deg: float) -> str:
-    """Return the sentence that interprets the match of a channel."""
+    """Return the sentence that interprets how well the simulation matches channel ``name``."""
     if name == "psi":
         return f"An integral without correction: it ends {abs(end_deg):.1f}° away and never leaves the record."
     if name in ("phi", "theta"):

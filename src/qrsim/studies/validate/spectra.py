@@ -50,13 +50,13 @@ CASES = {"low": Case(15.24, 20.0, 0.5), "middle": Case(152.4, 30.0, 0.5), "high"
 
 @partial(jax.jit, static_argnums=1)
 def _simulate_series(turbulence: Dryden, steps: int, key: Key, height: jax.Array, airspeed: jax.Array) -> jax.Array:
-    """Simulate gusts and gust rates (steps, 5, vehicles) of the Dryden component."""
+    """Simulate gusts u, v, w and gust rates q, r (steps, 5, vehicles) of the Dryden component."""
     ids, zero = jnp.arange(height.size, dtype=jnp.uint32), jnp.zeros_like(height)
     like = jnp.zeros((), height.dtype)
     stream, still = key.stream("gust", ids), Vec3(zero, zero, zero)
 
     def tick(state: DrydenState, now: jax.Array) -> tuple[DrydenState, jax.Array]:
-        """Advance the turbulence by one tick; return u, v, w, q, r."""
+        """Advance the turbulence by one tick; return its state, and u, v, w, q, r."""
         state = turbulence.step(state, Draw(stream, now, like), height, Vec3(airspeed, zero, zero), still, DT)
         gust, rates = turbulence.gust_ned(state, height), turbulence.gust_rates_ned(state, height)
         return state, jnp.stack([gust.x, gust.y, gust.z, rates.y, rates.z])
@@ -66,7 +66,7 @@ def _simulate_series(turbulence: Dryden, steps: int, key: Key, height: jax.Array
 
 
 def our_series(case: Case, steps: int, seed: int) -> Floats:
-    """Simulate u, v, w [m/s], q, r [rad/s] (5, VEHICLES, steps / VEHICLES) by this project's float32 Dryden."""
+    """Simulate gusts u, v, w [m/s] and q, r [rad/s] (5, VEHICLES, steps / VEHICLES) by qrsim's float32 Dryden."""
     # With the wind from the south, wind axes are north, east and down.
     turbulence = cast(record_of(Dryden, case.speed_20ft, math.pi, SPAN, SEVERITY), np.float32)
     like = np.ones(VEHICLES, np.float32)
@@ -75,12 +75,13 @@ def our_series(case: Case, steps: int, seed: int) -> Floats:
 
 
 def scales(case: Case) -> tuple[Floats, Floats]:
-    """Return lengths [m] and standard deviations [m/s] (3,) of u, v, w as the standard defines them."""
+    """Return length scales [m] and standard deviations [m/s] of u, v, w, each (3,), by the standard."""
     return dryden_scales(case.height, case.speed_20ft)
 
 
 def closed_form(case: Case, omega: Floats) -> Floats:
-    """Return the two-sided densities (5, k) of MIL-F-8785C; over 2 pi they integrate to the variances."""
+    """Return the two-sided densities (5, k) of MIL-F-8785C at frequencies (k,); over 2 pi they
+    integrate to variances."""
     lengths, sigmas = scales(case)
     tau, variance = (lengths / case.airspeed)[:, None], np.square(sigmas)[:, None]
     square = np.square(omega * tau)
@@ -94,7 +95,7 @@ def closed_form(case: Case, omega: Floats) -> Floats:
 
 
 def sampled_closed_form(case: Case, omega: Floats) -> Floats:
-    """Return the densities (5, k) of the closed form sampled every DT: a sum over aliases, far ones integrated."""
+    """Return the densities (5, k) of the closed form sampled every DT: a sum over aliases, the far ones integrated."""
     images, folded = 20, 2.0 * math.pi / DT
     total = sum(closed_form(case, omega + folded * image) for image in range(-images, images + 1))
     edge = folded * (images + 0.5)
@@ -102,7 +103,7 @@ def sampled_closed_form(case: Case, omega: Floats) -> Floats:
 
 
 def welch(series: Floats) -> tuple[Floats, Floats]:
-    """Estimate two-sided densities (5, k) of series (5, ..., steps), and their frequencies [rad/s]; no zero bin."""
+    """Estimate two-sided densities (5, k) of series (5, ..., steps); return frequencies > 0 [rad/s] and densities."""
     frequency, density = scipy.signal.welch(
         series, 1.0 / DT, nperseg=min(SEGMENT, series.shape[-1]), detrend=False, axis=-1
     )
@@ -111,14 +112,14 @@ def welch(series: Floats) -> tuple[Floats, Floats]:
 
 
 def band_levels(omega: Floats, density: Floats) -> Floats:
-    """Average densities over third octaves up to omega T = 1, (5, BANDS)."""
+    """Average densities (5, k) over third-octave bands up to omega T = 1; return (5, BANDS)."""
     edges = LOWEST_OMEGA * 10.0 ** (0.1 * np.arange(BANDS + 1))
     inside = [(omega >= low) & (omega < high) for low, high in itertools.pairwise(edges)]
     return np.stack([density[:, band].mean(axis=1) for band in inside], axis=1)
 
 
 def compare(series: Floats, theory: Callable[[Floats], Floats], case: Case) -> tuple[Content, Floats]:
-    """Return the statistics of one source, and its level over the closed form [dB] in each band, (5, BANDS).
+    """Compare simulated gusts with theory: return statistics, and levels over the closed form [dB] (5, BANDS).
 
     Args:
         series: (5, ..., steps).

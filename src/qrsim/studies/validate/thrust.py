@@ -22,14 +22,14 @@ REFERENCE_MEAN_SQUARE, REFERENCE_VARIANCE = "0.9817", "73.9"
 
 
 def thrust_match(path: Path, precision: str = "float64") -> Match:
-    """Compare thrust [N] of the rig with the model driven by the same raw throttle and battery voltage."""
+    """Simulate the rig's thrust [N] from recorded throttle and voltage; return recorded and simulated thrust."""
     rows = read_table(path, 4)
     with jax.enable_x64(precision == "float64"):
         vehicle = cast(Quadrotor(), precision)
         inputs = jnp.asarray(rows[:, [1, 3]], precision)
 
         def tick(thrust: jax.Array, row: jax.Array) -> tuple[jax.Array, jax.Array]:
-            """Advance the thrust by one row."""
+            """Advance the thrust by one row of the recording; return it twice, as ``scan`` needs."""
 
             # The rig holds the body still, so that thrust is the whole state.
             def slope(now: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -45,7 +45,7 @@ def thrust_match(path: Path, precision: str = "float64") -> Match:
 
 
 def thrust_errors(path: Path, precision: str = "float64") -> dict[str, float]:
-    """Return the mean squared error of the thrust [N^2], and the record's variance."""
+    """Return the mean squared error of the simulated thrust [N^2], and the recorded variance."""
     match = thrust_match(path, precision)
     return {
         "mean_squared_error": match.mean_square()["thrust"],
@@ -54,7 +54,7 @@ def thrust_errors(path: Path, precision: str = "float64") -> dict[str, float]:
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Compare the rig's thrust with the model, and return the outcome for the report's part on thrust."""
+    """Compare the thrust of a rig, recorded at ``paths``, with the simulation; return the outcome for the report."""
     from qrsim.studies.validate.pictures import match_figure, picture
 
     match = thrust_match(paths[RECORDING])

@@ -51,11 +51,11 @@ class Windy(NamedTuple):
 
 
 def fly_winds(flight: Outdoor) -> Windy:
-    """Fly in calm, in the best constant wind, and in the best constant wind of the first half."""
+    """Simulate the outdoor flight in calm and in two fitted constant winds (by all rows, by the first half)."""
     steps = len(flight.commands)
 
     def fly(winds: Floats) -> tuple[Floats, Floats]:
-        """Return velocities and positions of the flight in constant winds (W, 2)."""
+        """Return velocities and positions (T, W, 3) of the flight in W constant winds (W, 3)."""
         count = len(winds)
         commands = np.broadcast_to(flight.commands[:, :, None], (steps, 5, count))
         return fly_in_wind(np.broadcast_to(flight.start, (count, 13)), commands, winds)
@@ -77,7 +77,7 @@ def fly_winds(flight: Outdoor) -> Windy:
 
 
 def horizons(flight: Outdoor, wind: Floats) -> dict[str, dict[str, float]]:
-    """Compute the rms error [m/s] of the horizontal velocity after given seconds of open-loop flight."""
+    """Return the rms error [m/s] of the horizontal velocity after some seconds of open-loop flight, by wind."""
     steps = round(max(HORIZONS_S) / DT)
     found: dict[str, dict[str, float]] = {}
     for name, wind_ned in (("still_air", np.zeros(3)), ("fitted_wind", np.array([*wind, 0.0]))):
@@ -98,7 +98,7 @@ def _rms(difference: Floats) -> float:
 
 
 def consistency(flight: Outdoor) -> dict[str, float]:
-    """Compare the record's velocity with the derivative of its position."""
+    """Compare the recording's velocity with the derivative of its position; return measures by name, with units."""
     position, velocity = flight.recorded[:, :3], flight.recorded[:, 6:9]
     derivative = np.gradient(position, DT, axis=0)
     result = {
@@ -113,7 +113,7 @@ def consistency(flight: Outdoor) -> dict[str, float]:
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Compare the outdoor flight with the model, and return the outcome for the report's part on translation."""
+    """Compare the outdoor flight, recorded at ``paths``, with the simulation; return the outcome for the report."""
     flight = fly_recorded(paths[RECORDING])
     match, force = velocity_match(flight), specific_force_errors(flight)
     winds, own = fly_winds(flight), consistency(flight)
@@ -132,7 +132,7 @@ def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
 
 
 def _reference_checks(match: Match, force: dict[str, dict[str, float]]) -> list[Check]:
-    """Return the checks of errors against the reference scores."""
+    """Return the checks of simulation errors against the reference implementation's scores."""
     errors = match.mean_square()
     checks = [
         reference_check(f"mean squared error of the velocity {axis}", errors[axis], REFERENCE_VELOCITY[axis], "(m/s)²")
@@ -147,7 +147,7 @@ def _reference_checks(match: Match, force: dict[str, dict[str, float]]) -> list[
 
 
 def _results(flight: Outdoor, match: Match, force: dict[str, dict[str, float]], winds: Windy) -> Content:
-    """Return the numbers for the report: errors of velocity, force and path, recorded against simulated."""
+    """Return the numbers of the comparison (errors of velocity, force and path) as a dict for JSON."""
     half = len(match.time) // 2
     recorded = Match(match.time, match.recorded, winds.velocity["fitted wind"], AXES)
     second = {
@@ -182,7 +182,7 @@ def _results(flight: Outdoor, match: Match, force: dict[str, dict[str, float]], 
 
 
 def _from_start(flight: Outdoor, position: Floats) -> Floats:
-    """Return simulated minus recorded position (T, 3), both counted from the first row."""
+    """Return simulated minus recorded position (T, 3) [m], each counted from its first row."""
     return np.asarray((position - flight.start[:3]) - (flight.recorded[:, :3] - flight.before[0, :3]))
 
 
@@ -199,7 +199,7 @@ def _summarise(numbers: Content) -> str:
 
 
 def _flight_findings(numbers: Content, own: dict[str, float]) -> list[Finding]:
-    """Return the findings on velocity and position, with and without wind."""
+    """Return the findings on velocity and position of the outdoor flight, with and without wind."""
     share, fitted, drift = numbers["velocity_explained_share"], numbers["fitted_wind"], numbers["restarted"]
     windy, lost = fitted["velocity_explained_share"], numbers["horizontal_position_error_m"]
     second = numbers["second_half"]["wind_of_first_half"]["explained"]
@@ -256,12 +256,12 @@ def _flight_findings(numbers: Content, own: dict[str, float]) -> list[Finding]:
 
 
 def _format_errors(errors: dict[str, float]) -> str:
-    """Return the errors after 1, 5 and 20 s as text."""
+    """Format velocity errors after 1, 5 and 20 s as text."""
     return ", ".join(f"{errors[name]:.2f}" for name in ("1_s", "5_s", "20_s"))
 
 
 def _draw_match(flight: Outdoor, match: Match, winds: Windy, numbers: Content) -> list[Picture]:
-    """Return the pictures of the match and of the error over the horizon."""
+    """Return the pictures of recorded against simulated flight, and of the error over the horizon."""
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import OTHER, RECORDED, SIMULATED, picture
 
@@ -294,7 +294,7 @@ def _draw_match(flight: Outdoor, match: Match, winds: Windy, numbers: Content) -
 
 
 def _draw_horizons(restarted: dict[str, dict[str, float]]) -> Picture:
-    """Draw the rms error of the velocity over the time since the last restart."""
+    """Draw the rms velocity error over the time since the simulation was restarted from the recording."""
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import OTHER, SIMULATED, picture
 

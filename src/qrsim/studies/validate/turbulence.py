@@ -58,7 +58,7 @@ COMPONENTS_IN_WORDS = dict(
 def study_case(
     case: Case, steps: int, seed: int, sources: Sequence[str]
 ) -> tuple[Content, dict[str, Floats], dict[str, Floats]]:
-    """Compute statistics, series and levels over the closed form, of 'ours' and JSBSim's TYPES, in one case.
+    """Simulate gusts of each source ('ours', or a turbulence of JSBSim); return statistics, series, and levels [dB].
 
     Raises:
         RunError: no jsbsim where it is asked for.
@@ -74,7 +74,7 @@ def study_case(
 
 
 def spectra_figure(case: Case, sources: dict[str, Floats], levels: dict[str, Floats]) -> Figure:
-    """Draw the spectra of u, v and w of one case, and below them each source's level over the closed form."""
+    """Draw the spectra of u, v, w of one case, and below them each source's level over the closed form [dB]."""
     from qrsim.runs.picture import new_figure
 
     figure = new_figure(11.0, 6.0)
@@ -101,7 +101,7 @@ def spectra_figure(case: Case, sources: dict[str, Floats], levels: dict[str, Flo
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Compare gusts with closed forms and JSBSim, and return the outcome for the report's part on turbulence."""
+    """Compare simulated gusts with closed forms and JSBSim, in full or quickly; return the outcome for the report."""
     from qrsim.studies.validate.pictures import picture
 
     oracle = is_installed()
@@ -152,7 +152,7 @@ def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
 
 
 def _jsbsim_variances(gusts_ned: Floats, windows: int) -> Content:
-    """Return JSBSim's variances over the closed form, and their spread between windows of 200 s."""
+    """Return JSBSim's gust variances over the closed form, and their spread between windows of 200 s."""
     scaled = np.square(in_wind_axes(gusts_ned) / scales(CASE)[1])
     by_window = scaled.reshape(windows, -1, 3).mean(axis=1)
     return {
@@ -165,14 +165,14 @@ def _jsbsim_variances(gusts_ned: Floats, windows: int) -> Content:
 
 
 def _spectral_distance(case: Case, kind: int) -> float:
-    """Return the largest distance [dB] of JSBSim's spectra of u, v and w from the closed forms."""
+    """Return the largest difference [dB] of JSBSim's spectra of u, v and w from the closed forms."""
     omega = LOWEST_OMEGA * 10.0 ** (0.1 * (np.arange(BANDS) + 0.5))
     ratio = jsbsim_theory(case, kind, omega)[:3] / closed_form(case, omega)[:3]
     return float(np.max(np.abs(10.0 * np.log10(ratio))))
 
 
 def _spectra_checks(ours: Content, steps: int) -> list[Check]:
-    """Return the checks of variances and spectral levels in flight."""
+    """Return the checks of variances and spectral levels of the gusts that a moving aircraft meets."""
     z = widest_z(len(COMPONENTS))
     # The bands' levels are means over Welch's segments, whose number grows with the record.
     bound = SPECTRA_DB * math.sqrt(max(1.0, STEPS / steps))
@@ -202,7 +202,7 @@ def _spectra_checks(ours: Content, steps: int) -> list[Check]:
 
 
 def _hover_checks(hover: Content, vehicles: int) -> list[Check]:
-    """Return the checks of variances and autocovariances of hovering vehicles."""
+    """Return the checks of variances and autocovariances of the gusts that hovering vehicles meet."""
     count = sum(len(list(p_values(hover[name]))) for name in MODELS)
     z = widest_z(count)
     return [
@@ -222,7 +222,7 @@ def _hover_checks(hover: Content, vehicles: int) -> list[Check]:
 
 
 def _mean_checks() -> list[Check]:
-    """Return the checks of the mean wind's speed and bearing."""
+    """Return the checks of the mean wind's speed, bearing and vertical component."""
     north, east, down = mean_wind()
     bearing = math.degrees(math.atan2(-east, -north)) % 360.0
     speed = float(np.hypot(north, east))
@@ -234,7 +234,7 @@ def _mean_checks() -> list[Check]:
 
 
 def _gust_findings(numbers: Content, oracle: bool) -> list[Finding]:
-    """Return the findings on published traces and on JSBSim's turbulence."""
+    """Return the findings on published gust traces and, with ``oracle``, on JSBSim's turbulence."""
     hover, spectra = numbers["hover"], numbers["spectra"]
     lags = hover["time_constant_s"]
     found = [
@@ -281,7 +281,7 @@ def _gust_findings(numbers: Content, oracle: bool) -> list[Finding]:
 
 
 def _summarise(numbers: Content, oracle: bool) -> str:
-    """Return one sentence that concludes the comparison of simulated gusts with theory."""
+    """Return one sentence that concludes the comparison of simulated gusts with theory; ``oracle``: with JSBSim."""
     ours = numbers["spectra"]["ours"]
     largest = max(ours[axis]["largest_db_from_closed_form"] for axis in COMPONENTS[:3])
     reading = f"Gusts have the standard's variances and correlations within chance, and its spectra to {largest:.1f} dB"
@@ -289,7 +289,7 @@ def _summarise(numbers: Content, oracle: bool) -> str:
 
 
 def _draw_traces(traces: dict[str, Floats]) -> Picture:
-    """Draw one gust trace of each model around the mean wind."""
+    """Draw one gust trace of each turbulence model around the mean wind."""
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import picture
 

@@ -42,15 +42,15 @@ LAGS, CARRIED_AT, LIFETIME = (1.0, 5.0, 20.0), 20.0, 100.0
 
 @partial(quick_jit, static_argnames="worlds")
 def _gusts_at(field: DrydenField, wind: LogShear, place: jax.Array, seconds: jax.Array, worlds: int) -> jax.Array:
-    """Return gusts (W, n, 3) at points (n, 3) and whole seconds (n,)."""
+    """Return gusts (W, n, 3) [m/s] of a field in W worlds at points (n, 3) and whole seconds (n,)."""
     ids, like = jnp.arange(field.field_ids, dtype=jnp.uint32), jnp.zeros((), jnp.float32)
 
     def one(world: jax.Array) -> jax.Array:
-        """Return the gusts (n, 3) of one world."""
+        """Return the gusts (n, 3) [m/s] of one world."""
         waves = field.draw_field(Draw(Key.root(SEED, world).stream("/turbulence", ids), jnp.int32(0), like), wind)
 
         def at(point: jax.Array, second: jax.Array) -> jax.Array:
-            """Return the gust (3,) at a point and a second."""
+            """Return the gust (3,) [m/s] at a point and a second."""
             where = Vec3(*(axis[None] for axis in point))
             state = field.init(None)  # type: ignore[arg-type]
             gust = field.gust_ned(state, -where.z, where, seconds=second, fraction=like, field=waves)
@@ -62,7 +62,7 @@ def _gusts_at(field: DrydenField, wind: LogShear, place: jax.Array, seconds: jax
 
 
 def gusts(place: Floats, seconds: Floats, worlds: int, evolution: Evolution = "lifetime") -> Floats:
-    """Return gusts (W, n, 3) [m/s] of a field in wind to the north, at places (n, 3) and seconds (n,)."""
+    """Return gusts (W, n, 3) [m/s] of a gust field in a wind that blows north, at places (n, 3) and seconds (n,)."""
     given = record_of(DrydenField, speed_20ft=SPEED_20FT, evolution=evolution)
     field = jax.tree.map(jnp.asarray, cast(given, np.float32))
     wind = cast(record_of(LogShear, SPEED_20FT, np.pi), np.float32)
@@ -71,7 +71,7 @@ def gusts(place: Floats, seconds: Floats, worlds: int, evolution: Evolution = "l
 
 
 def closed(r: float) -> dict[str, float]:
-    """Return the closed-form correlations at a separation [m]: longitudinal, lateral and vertical gusts."""
+    """Return the closed-form correlations of gusts at a separation ``r`` [m]: along, across, vertical."""
     (length, _, vertical), _ = dryden_scales(HEIGHT, SPEED_20FT)
     return {
         "along": float(np.exp(-r / length)),
@@ -81,7 +81,7 @@ def closed(r: float) -> dict[str, float]:
 
 
 def two_points(worlds: int) -> dict[str, dict[str, tuple[float, float]]]:
-    """Return correlations of gusts at two points with their standard errors, by separation; at 0 m the variance.
+    """Return separation [m] -> (correlation, standard error) of gusts at two points, by component; at 0 the variance.
 
     The variance is in units of the standard's.
     """
@@ -95,7 +95,7 @@ def two_points(worlds: int) -> dict[str, dict[str, tuple[float, float]]]:
     _, sigma = dryden_scales(HEIGHT, SPEED_20FT)
 
     def parts_of(gust: Floats) -> dict[str, Floats]:
-        """Return the components of gusts along and across the separation, and vertical."""
+        """Return the gusts' components along and across the separation, and vertical."""
         return {"along": _component(gust, ahead), "across": _component(gust, aside), "vertical": gust[:, :, 2]}
 
     first = parts_of(every[:, 0])
@@ -114,7 +114,7 @@ def two_points(worlds: int) -> dict[str, dict[str, tuple[float, float]]]:
 
 
 def _ratio(above: Floats, below: Floats) -> tuple[float, float]:
-    """Return the ratio of two means over (W, n), and its standard error over worlds, to first order."""
+    """Return the ratio of the means of two arrays (W, n), and its first-order standard error over W worlds."""
     a, b = above.mean(axis=1), below.mean(axis=1)
     ratio = float(a.mean() / b.mean())
     _, error = mean_and_error((a - ratio * b) / b.mean())
@@ -127,7 +127,7 @@ def _component(gust: Floats, axis: Floats) -> Floats:
 
 
 def kept(lifetimes: object) -> Floats:
-    """Return the correlation of gusts after times (in lifetimes, any shape), in the field's moving frame.
+    """Return the correlation of gusts with later ones in the field's moving frame, after times in lifetimes.
 
     The autocorrelation of sin^2 over half a turn.
     """
@@ -136,7 +136,7 @@ def kept(lifetimes: object) -> Floats:
 
 
 def travelling(worlds: int, evolution: Evolution = "frozen") -> dict[str, tuple[float, float]]:
-    """Return correlations of gusts with earlier ones upwind, with standard errors, by lag [s]."""
+    """Return lag [s] -> (correlation, standard error) of gusts with those that the mean wind carries downwind."""
     speed = SPEED_20FT * wind_over_20ft(CARRIED_AT)
     rng = np.random.default_rng(SEED + 1)
     here = np.column_stack([rng.uniform(-500.0, 500.0, (PAIRS, 2)), np.full(PAIRS, -HEIGHT)])
@@ -154,7 +154,7 @@ Carried = dict[str, tuple[float, float]]
 def _field_checks(
     points: dict[str, dict[str, tuple[float, float]]], frozen: Carried, carried: Carried, worlds: int
 ) -> list[Check]:
-    """Return the checks of variances and correlations against closed forms."""
+    """Return the checks of the gust field's variances and correlations against closed forms."""
     z = widest_z(sum(len(each) for each in points.values()) + len(carried))
     checks = []
     for r, each in points.items():
@@ -201,7 +201,7 @@ def _field_checks(
 
 
 def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
-    """Simulate gusts at pairs of points, and return the outcome for the report's part on the wind field."""
+    """Simulate gusts at pairs of points, in full or quickly; return the outcome for the report."""
     worlds = WORLDS if full else FEW_WORLDS
     points, frozen, carried = two_points(worlds), travelling(20), travelling(worlds, "lifetime")
     near = points["3"]["along"][0]
@@ -231,7 +231,7 @@ def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
 
 
 def _draw_correlations(points: dict[str, dict[str, tuple[float, float]]]) -> Picture:
-    """Draw the measured correlations over the closed forms."""
+    """Draw the simulated correlations of gusts at two points over the closed forms."""
     from qrsim.runs.picture import new_figure
     from qrsim.studies.validate.pictures import OTHER, RECORDED, SIMULATED, picture
 

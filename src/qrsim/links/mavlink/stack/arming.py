@@ -22,14 +22,14 @@ class ArmingChecks:
         self._fix_since: float | None = None
 
     def look(self, craft: Craft) -> None:
-        """Record the time at which the present 3-D GNSS fix began; call it at every tick."""
+        """Note since when the GNSS receiver has had a 3-D fix; call it at every tick, for ``reasons``."""
         if craft.seen.fix_type < 3:
             self._fix_since = None
         elif self._fix_since is None:
             self._fix_since = craft.seen.time
 
     def reasons(self, craft: Craft) -> list[str]:
-        """Return the reason that a vehicle cannot be armed; empty if it can."""
+        """Return the reasons why the vehicle cannot be armed (fix, battery and others); [] if it can."""
         seen, values = craft.seen, craft.parameters.values
         if seen.stopped:
             return [seen.end]

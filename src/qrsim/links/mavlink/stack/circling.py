@@ -28,18 +28,19 @@ class Circle:
         self.turned = self._entry = 0.0
 
     def begin(self, craft: Craft, centre: Triple) -> None:
-        """Begin the circle at the vehicle's present bearing from a centre NED [m]."""
+        """Begin a circle around a centre NED [m], at the bearing from there to the vehicle."""
         here = craft.seen.position_ned
         self.turned, self._entry = 0.0, math.atan2(here[1] - centre[1], here[0] - centre[0])
 
     def tangent(self, radius: float) -> float:
-        """Return the heading [rad] along the circle at its present angle; a radius below 0 is counterclockwise."""
+        """Return the heading [rad] of the tangent at the present angle of the circle; a radius below 0 means
+        counterclockwise."""
         sign = math.copysign(1.0, radius)
         angle = self._entry + sign * self.turned
         return math.atan2(sign * math.cos(angle), -sign * math.sin(angle))
 
     def fly(self, craft: Craft, centre: Triple, radius: float, speed: float) -> tuple[Order, bool]:
-        """Advance the point on the circle by a tick; return the order to follow it, and whether the point moved.
+        """Move the target point along the circle by one tick; return the order to follow it, and whether it moved.
 
         Args:
             craft: vehicle.
@@ -78,7 +79,7 @@ class Orbit:
 
     @staticmethod
     def ahead(craft: Craft) -> Orbit:
-        """Return the orbit of ArduPilot's CIRCLE mode, with its centre CIRCLE_RADIUS ahead of the vehicle."""
+        """Return an orbit as of ArduPilot's CIRCLE mode, its centre CIRCLE_RADIUS [m] ahead of the vehicle."""
         (north, east, down), yaw = craft.seen.position_ned, craft.seen.attitude[2]
         orbit = Orbit()
         centre = (north + CIRCLE_RADIUS * math.cos(yaw), east + CIRCLE_RADIUS * math.sin(yaw), down)
@@ -86,7 +87,8 @@ class Orbit:
         return orbit
 
     def ask(self, craft: Craft, centre: Triple, radius: float = NAN, speed: float = NAN, looks: float = NAN) -> None:
-        """Set another orbit; arguments that are NaN keep their old values, and radius and speed are clipped.
+        """Change the orbit: centre NED [m], radius [m] and speed [m/s], both clipped, ORBIT_YAW_BEHAVIOUR (``looks``);
+        NaN keeps a value.
 
         Args:
             craft: vehicle.
@@ -107,7 +109,7 @@ class Orbit:
         self._begun, self._now = False, 0.0
 
     def fly(self, craft: Craft) -> Order:
-        """Return the order that flies to the circle and then around it."""
+        """Return the vehicle's order in this tick: fly to the circle, then around it."""
         here, centre, radius = craft.seen.position_ned, self.centre, abs(self.radius)
         north, east = here[0] - centre[0], here[1] - centre[1]
         away = math.hypot(north, east)
@@ -130,7 +132,8 @@ class Orbit:
 
 
 def edge(centre: Triple, begin: Triple, radius: float) -> Triple:
-    """Return the point NED [m] of a circle nearest to ``begin``; the north point if ``begin`` is the centre."""
+    """Return the point NED [m] of a level circle that is nearest to ``begin``; its north point if ``begin`` is the
+    centre."""
     north, east = begin[0] - centre[0], begin[1] - centre[1]
     away = math.hypot(north, east)
     share = abs(radius) / away if away > 0.01 else 0.0
@@ -138,5 +141,5 @@ def edge(centre: Triple, begin: Triple, radius: float) -> Triple:
 
 
 def turn_radius(item: Item) -> float:
-    """Return the radius [m] of a loiter item, below 0 counterclockwise; 10 m if the item has none."""
+    """Return the radius [m] of a mission's loiter item, negative for counterclockwise; 10 m if the item has none."""
     return item.params[2] if abs(item.params[2]) > 0.1 else 10.0

@@ -26,7 +26,7 @@ _MOVES = frozenset((20, 21, 22, 34, REPOSITION, 300))
 
 
 def obey(stack: Flight, command: Command) -> Result:
-    """Obey or refuse a command."""
+    """Execute or refuse a MAVLink command, by its id, and return the MAV_RESULT."""
     known = _COMMANDS.get(command.id)
     if known is None or _ONLY.get(command.id, stack.flavour.name) != stack.flavour.name:
         return Result.UNSUPPORTED
@@ -40,12 +40,12 @@ def obey(stack: Flight, command: Command) -> Result:
 
 
 def _number(value: float, otherwise: float = 0.0) -> float:
-    """Return a parameter of a command, or ``otherwise`` if it is unset (NaN)."""
+    """Return a command's parameter, or ``otherwise`` if it is NaN (unset)."""
     return otherwise if math.isnan(value) else value
 
 
 def _arm(stack: Flight, command: Command) -> Result:
-    """Arm or disarm; in flight only with force."""
+    """Obey COMPONENT_ARM_DISARM: arm or disarm; disarming in flight needs the force flag."""
     force = command.params[1] == FORCE
     # Unset is neither, and must not stop motors.
     if math.isnan(command.params[0]):
@@ -63,7 +63,7 @@ def _arm(stack: Flight, command: Command) -> Result:
 
 
 def _take_off(stack: Flight, command: Command) -> Result:
-    """Start a take-off to the altitude of the command, or MIS_TAKEOFF_ALT above home, as the flavour does."""
+    """Obey NAV_TAKEOFF: climb to the command's altitude, or MIS_TAKEOFF_ALT above home, as PX4 or ArduPilot does."""
     craft = stack.craft
     if not craft.seen.valid or craft.home is None:
         craft.say(Severity.CRITICAL, "Takeoff rejected: no position")
@@ -94,7 +94,8 @@ def _take_off(stack: Flight, command: Command) -> Result:
 
 
 def _z_of(stack: Flight, command: Command) -> float:
-    """Return the z coordinate [m, down] of the altitude in a command, according to the command's frame."""
+    """Return the NED z coordinate [m] of a command's altitude, which is above sea level, home or ground by the
+    command's frame."""
     craft, altitude = stack.craft, command.params[6]
     if command.frame in RELATIVE:
         return craft.home_z - altitude
@@ -104,17 +105,17 @@ def _z_of(stack: Flight, command: Command) -> float:
 
 
 def _land(stack: Flight, command: Command) -> Result:
-    """Land where the vehicle is (MAV_CMD_NAV_LAND)."""
+    """Obey NAV_LAND: land at the vehicle's present position."""
     return stack.request(Mode.LAND)
 
 
 def _return(stack: Flight, command: Command) -> Result:
-    """Return to the launch position (MAV_CMD_NAV_RETURN_TO_LAUNCH)."""
+    """Obey NAV_RETURN_TO_LAUNCH: return home."""
     return stack.request(Mode.RTL)
 
 
 def _start_mission(stack: Flight, command: Command) -> Result:
-    """Fly the mission, from an item if one is given; PX4 also arms."""
+    """Obey MISSION_START: fly the mission, from an item if one is given; PX4 also arms."""
     first = _number(command.params[0], -1.0)
     if stack.plan.items and not -1.0 <= first < len(stack.plan.items):
         return Result.DENIED
@@ -128,7 +129,7 @@ def _start_mission(stack: Flight, command: Command) -> Result:
 
 
 def _set_mode(stack: Flight, command: Command) -> Result:
-    """Switch to the mode of DO_SET_MODE, in numbers of the flavour."""
+    """Obey DO_SET_MODE: switch to a flight mode, numbered as PX4 or ArduPilot does."""
     base, main, sub = (_number(value) for value in command.params[:3])
     if not int(base) & 1:
         return Result.UNSUPPORTED
@@ -138,13 +139,13 @@ def _set_mode(stack: Flight, command: Command) -> Result:
 
 
 def _set_standard_mode(stack: Flight, command: Command) -> Result:
-    """Switch to one of MAVLink's standard modes."""
+    """Obey DO_SET_STANDARD_MODE: switch to one of MAVLink's standard modes."""
     mode = stack.flavour.standard_mode(int(_number(command.params[0], -1.0)))
     return Result.FAILED if mode is None else stack.request(mode)
 
 
 def _reposition(stack: Flight, command: Command) -> Result:
-    """Fly to the place of the command, within the fence, in HOLD or by changing to it."""
+    """Obey DO_REPOSITION, in HOLD or if it asks to change to it: fly to a position within the fence and hold there."""
     craft, params = stack.craft, command.params
     if command.frame not in GLOBAL or not craft.seen.valid or craft.home is None:
         return Result.DENIED
@@ -181,7 +182,8 @@ def _reposition(stack: Flight, command: Command) -> Result:
 
 
 def _orbit(stack: Flight, command: Command) -> Result:
-    """Obey DO_ORBIT: radius, speed, ORBIT_YAW_BEHAVIOUR, -, place; outside the fence or on the ground it is refused.
+    """Obey DO_ORBIT: circle a centre with a radius, speed and yaw behaviour; refused outside the fence and on the
+    ground.
 
     Its altitude is above mean sea level in every frame, as PX4's MavlinkReceiver takes it: MAVSDK gives it one, in the
     frame of altitudes over home.
@@ -207,12 +209,13 @@ def _orbit(stack: Flight, command: Command) -> Result:
 
 
 def _yaw(stack: Flight, value: float) -> float:
-    """Return the heading [rad] of a DO_REPOSITION: radians in PX4's language, degrees in the other."""
+    """Return the heading [rad] from DO_REPOSITION's yaw parameter, in radians for PX4 and in degrees for ArduPilot."""
     return math.radians(value) if stack.flavour.name == "ardupilot" else value
 
 
 def place_in(stack: Flight, command: Command) -> Triple | None:
-    """Return the position NED [m] of a command; its NaN fields are the vehicle's own, None for an invalid place."""
+    """Return the position NED [m] of a command, whose NaN coordinates mean the vehicle's own; None for an invalid
+    position."""
     latitude, longitude, altitude = command.params[4:7]
     craft = stack.craft
     here = craft.seen.position_ned
@@ -246,7 +249,7 @@ def _heading(stack: Flight, command: Command) -> Result:
 
 
 def _set_home(stack: Flight, command: Command) -> Result:
-    """Move home to the vehicle or to a place."""
+    """Obey DO_SET_HOME: move home to the vehicle's position or to a given one."""
     craft = stack.craft
     if _number(command.params[0]) >= 0.5:
         return Result.ACCEPTED if craft.home_here() else Result.DENIED
@@ -262,7 +265,8 @@ def _set_home(stack: Flight, command: Command) -> Result:
 
 
 def _set_current(stack: Flight, command: Command) -> Result:
-    """Obey DO_SET_MISSION_CURRENT, with the answers of PX4's Navigator and ArduPilot 4.8."""
+    """Obey DO_SET_MISSION_CURRENT: make a mission item the current one, with the results of PX4's Navigator or
+    ArduPilot 4.8."""
     seq, reset = command.params[0], _number(command.params[1])
     if math.isnan(seq) or seq < -1.0 or seq != int(seq) or reset not in (0.0, 1.0):
         return Result.DENIED
@@ -270,7 +274,7 @@ def _set_current(stack: Flight, command: Command) -> Result:
 
 
 def _reboot(stack: Flight, command: Command) -> Result:
-    """Restart the vehicle at its start; not while it is armed."""
+    """Obey PREFLIGHT_REBOOT_SHUTDOWN: restart the vehicle at its start; refused while it is armed."""
     if stack.armed:
         return Result.DENIED
     if _number(command.params[0]) not in (1.0, 3.0):
@@ -280,7 +284,7 @@ def _reboot(stack: Flight, command: Command) -> Result:
 
 
 def _inject(stack: Flight, command: Command) -> Result:
-    """Obey INJECT_FAILURE, which SYS_FAILURE_EN allows, as PX4's failure_injection_manager does."""
+    """Obey INJECT_FAILURE, as PX4's failure_injection_manager does; refused unless SYS_FAILURE_EN is set."""
     craft = stack.craft
     if craft.injector is None:
         return Result.UNSUPPORTED
@@ -301,19 +305,19 @@ def _inject(stack: Flight, command: Command) -> Result:
 
 
 def _whole(value: float) -> int:
-    """Return a number truncated to an integer; -1 for NaN."""
+    """Return a command parameter truncated to an integer; -1 for NaN."""
     return -1 if math.isnan(value) else int(value)
 
 
 def _terminate(stack: Flight, command: Command) -> Result:
-    """Terminate the flight: stop the motors."""
+    """Obey DO_FLIGHTTERMINATION: stop the motors until a reboot."""
     if _number(command.params[0]) >= 0.5:
         stack.terminate()
     return Result.ACCEPTED
 
 
 def _tell_home(stack: Flight, command: Command) -> Result:
-    """Send the home position."""
+    """Obey GET_HOME_POSITION: queue the message HOME_POSITION."""
     if stack.craft.home is None:
         return Result.TEMPORARILY_REJECTED
     stack.craft.tell("home")

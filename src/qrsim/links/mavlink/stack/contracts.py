@@ -131,7 +131,7 @@ class Seen:
 
     @property
     def end(self) -> str:
-        """Return the refusal text for commands to a vehicle whose flight has ended."""
+        """Return the text that refuses commands to a vehicle whose flight has ended."""
         return f"flight has ended: {self.stopped}; reboot"
 
 
@@ -153,7 +153,8 @@ class Command:
 
     @staticmethod
     def of_int(id: int, frame: int, params: Quadruple, x: int, y: int, z: float) -> Command:
-        """Return the command of a COMMAND_INT: x and y are degrees times 1e7, or 2**31 - 1 where they are not set."""
+        """Convert a COMMAND_INT to a Command: x and y, degrees times 1e7, become degrees; 2**31 - 1 (unset) becomes
+        NaN."""
         place = [NAN if number == UNSET_INT else number * 1e-7 for number in (x, y)]
         return Command(id, (*params, place[0], place[1], z), frame, True)
 
@@ -293,80 +294,82 @@ class Stack(Protocol):
 
     @property
     def home(self) -> Home | None:
-        """Home position to return to; None before the first position estimate."""
+        """Position to which the vehicle returns; None before the first position estimate."""
 
     @property
     def origin(self) -> Triple:
-        """Origin of the vehicle's local frame, in the site's frame NED [m]."""
+        """Origin of the vehicle's local frame (of its MAVLink messages), in the site's frame NED [m]."""
 
     def place(self, position_ned: Triple) -> Triple:
-        """Return latitude and longitude [deg] and altitude above mean sea level [m] of a position NED [m]."""
+        """Convert a position NED [m] in the site's frame to latitude, longitude [deg] and altitude above mean sea level
+        [m]."""
 
     def tick(self, seen: Seen) -> Order | None:
-        """Advance by one tick; return the vehicle's new order, or None to keep the last one."""
+        """Advance by one tick with the vehicle's present state; return its new order, or None to keep the last one."""
 
     def reset(self) -> None:
-        """Begin again as after a boot: disarmed, time at zero; parameters and plans stay."""
+        """Restart as after a boot: disarmed, time 0; parameters and plans stay."""
 
     def command(self, command: Command) -> Ack:
-        """Obey or refuse a command of flight or mission; requests for messages are not handled here."""
+        """Execute or refuse a command of flight or mission; requests for messages are handled elsewhere."""
 
     def set_mode(self, base_mode: int, custom_mode: int) -> Result:
-        """Obey or refuse a SET_MODE message."""
+        """Change the flight mode as a SET_MODE message asks, or refuse it."""
 
     def setpoint(self, target: Target) -> bool:
-        """Take a set-point for OFFBOARD (GUIDED); return whether it can be flown."""
+        """Store a client's set-point for the mode OFFBOARD (GUIDED); return whether it can be flown."""
 
     def sticks(self, roll: float, pitch: float, throttle: float, yaw: float) -> None:
-        """Take stick positions, each -1 to 1, positive right, forwards, up and right; NaN: unchanged."""
+        """Store stick positions, each -1 to 1, positive right, forwards, up and clockwise; NaN keeps the last one."""
 
     def follow_target(self, target: FollowTarget) -> None:
-        """Take the position of the moving target that the mode FOLLOW_TARGET follows."""
+        """Store the position of the moving target that the mode FOLLOW_TARGET follows."""
 
     def modes(self) -> tuple[ModeInfo, ...]:
-        """Return the modes of the vehicle: those that clients can request, and those of failsafes."""
+        """Return the vehicle's flight modes: those that clients can request, and those that only failsafes use."""
 
     def current_modes(self) -> tuple[ModeInfo, ModeInfo]:
-        """Return the mode that is flown, and the requested mode, which differs in a failsafe."""
+        """Return the mode that is flown and the mode that was requested; they differ in a failsafe."""
 
     def orbiting(self) -> OrbitStatus | None:
-        """Return the orbit that is flown, None while none is."""
+        """Return the orbit that the vehicle flies now, None while it flies none."""
 
     def go_to(self, item: Item) -> bool:
-        """Fly to a waypoint at once, in ArduPilot's GUIDED; return whether the stack does so."""
+        """Fly to a waypoint at once, in ArduPilot's GUIDED mode; return whether this flight stack does so."""
 
     def change_altitude(self, item: Item) -> None:
-        """Take only the altitude of an ArduPilot guided item; only fixed wings obey."""
+        """Change the altitude to that of an ArduPilot guided item; only fixed wings obey."""
 
     def accept(self, kind: PlanKind, items: Sequence[Item]) -> tuple[PlanResult, int]:
-        """Replace a plan, or keep the old one if an item is bad; return the result and the bad item's seq, else -1."""
+        """Replace the plan of a kind, unless an item is invalid; return the result, and the invalid item's sequence
+        number or -1."""
 
     def items(self, kind: PlanKind) -> tuple[Item, ...]:
-        """Return the items of the accepted plan of a kind."""
+        """Return the items of the stored plan of a kind (mission, fence, rally)."""
 
     def thrust_of(self, throttle: float) -> float:
-        """Return the normalised thrust of a throttle, both 0 to 1; hover throttle gives ``MPC_THR_HOVER``."""
+        """Convert a throttle to PX4's normalised thrust, both 0 to 1; hover throttle gives ``MPC_THR_HOVER``."""
 
     def home_item(self) -> Item | None:
-        """Return item 0 of ArduPilot's mission, which is home; None before there is a home, and for PX4."""
+        """Return home as item 0 of ArduPilot's mission; None without a home, and always for PX4."""
 
     def set_current(self, seq: int) -> bool:
-        """Make another item of the mission the current one; return whether it exists."""
+        """Make the mission item with sequence number ``seq`` the current one; return whether it exists."""
 
     def heard_ground(self) -> None:
-        """Note a heartbeat of a ground station (MAV_TYPE 6)."""
+        """Note that a ground station's heartbeat (MAV_TYPE 6) has arrived."""
 
     def heartbeat(self) -> Heartbeat:
         """Return the fields of HEARTBEAT and EXTENDED_SYS_STATE."""
 
     def health(self) -> Health:
-        """Return the sensor bits of SYS_STATUS."""
+        """Return the sensor bit masks of SYS_STATUS: present, enabled and healthy."""
 
     def mission(self) -> MissionStatus:
-        """Return the fields of MISSION_CURRENT."""
+        """Return the fields of MISSION_CURRENT: the present item and the mission's state."""
 
     def fence(self) -> FenceStatus:
-        """Return the fields of FENCE_STATUS."""
+        """Return the fields of FENCE_STATUS: whether the fence is breached, how often, and how."""
 
     def texts(self) -> list[Text]:
         """Return the status texts queued since the last call, and empty the queue."""

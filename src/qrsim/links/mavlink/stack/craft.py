@@ -63,7 +63,7 @@ class Craft:
         self.reset()
 
     def reset(self) -> None:
-        """Begin again as after a boot."""
+        """Reset the vehicle's data as after a boot."""
         self.seen = Seen()
         self._idle: Order | None = None
         self._known = (ZERO, ZERO, ZERO, self.geodesy.height)
@@ -82,30 +82,30 @@ class Craft:
     # ---- what it says ----
 
     def say(self, severity: Severity, text: str) -> None:
-        """Queue a text for all clients."""
+        """Queue a STATUSTEXT for all clients."""
         # A text that nobody fetches is dropped, the oldest first.
         del self._texts[:-63]
         self._texts.append(Text(severity, text))
 
     def tell(self, kind: EventKind, number: int = 0) -> None:
-        """Queue an event for clients, such as a change of mode."""
+        """Queue an event for clients, such as a change of mode; ``number``: see ``Event``."""
         del self._events[:-255]
         self._events.append(Event(kind, number))
 
     def texts(self) -> list[Text]:
-        """Return the queued texts and empty the queue."""
+        """Return the queued status texts, and empty the queue."""
         said, self._texts = self._texts, []
         return said
 
     def events(self) -> list[Event]:
-        """Return the queued events and empty the queue."""
+        """Return the queued events, and empty the queue."""
         told, self._events = self._events, []
         return told
 
     # ---- where it is ----
 
     def look(self, seen: Seen) -> None:
-        """Store the state of a tick; an invalid estimate is replaced by the last valid one."""
+        """Store the vehicle's state of this tick; an invalid estimate is replaced by the last valid one."""
         if seen.valid:
             self._known = (seen.position_ned, seen.velocity_ned, seen.attitude, seen.altitude)
             self._estimates += 1
@@ -129,7 +129,7 @@ class Craft:
         self.tell("home")
 
     def home_here(self) -> bool:
-        """Set home to the vehicle's position; return False, with no change, without a valid position."""
+        """Set home to the vehicle's position; return False, and change nothing, if there is no valid position."""
         seen = self.seen
         if not (seen.valid and math.isfinite(seen.latitude + seen.longitude + seen.altitude)):
             return False
@@ -138,15 +138,15 @@ class Craft:
 
     @property
     def home_z(self) -> float:
-        """z coordinate [m, down] of home; 0 without a home."""
+        """NED z coordinate [m] of home; 0 without a home."""
         return self.home.position_ned[2] if self.home else 0.0
 
     def z_of_altitude(self, altitude: float) -> float:
-        """Return the z coordinate [m, down], at the vehicle's place, of an altitude above mean sea level [m]."""
+        """Convert an altitude above mean sea level [m] at the vehicle's position to an NED z coordinate [m]."""
         return self.seen.position_ned[2] - (altitude - self.seen.altitude)
 
     def allows(self, place: Triple, lands: bool = False) -> bool:
-        """Return whether a position NED [m] is inside the fence, and between floor and ceiling of the area.
+        """Return whether a position NED [m] is inside the fence, and between floor and ceiling of the flight area.
 
         On the ground heights do not count; ``lands``: the floor does not.
         """
@@ -157,7 +157,7 @@ class Craft:
     # ---- where it goes ----
 
     def speeds(self) -> Triple:
-        """Return the largest horizontal, upward and downward speed [m/s] of automatic flight."""
+        """Return the speed limits [m/s] of automatic flight: horizontal, upward, downward."""
         values, facts = self.parameters.values, self.facts
         cruise = values["MPC_XY_CRUISE"] if self.cruise is None else self.cruise
         up = values["MPC_Z_VEL_MAX_UP"] if self.climb is None else self.climb
@@ -169,20 +169,20 @@ class Craft:
         )
 
     def begin_path(self) -> None:
-        """Begin a path at the vehicle's present position and velocity."""
+        """Start the vehicle's path at its present position and velocity."""
         self.path.begin(self.seen.position_ned, self.seen.velocity_ned)
 
     @property
     def is_low(self) -> bool:
-        """Whether the vehicle is within LOW [m] of the height at which it last was on the ground."""
+        """Whether the vehicle is within LOW [m] of the height at which it last stood on the ground."""
         return abs(self.stood_z - self.seen.position_ned[2]) < LOW
 
     def is_ground(self, z: float) -> bool:
-        """Return whether a z coordinate [m, down] is near that of the ground where the vehicle last was."""
+        """Return whether an NED z coordinate [m] is close to the ground on which the vehicle last stood."""
         return -TAKES_OFF <= z - self.stood_z < LOW
 
     def stopping_place(self) -> Triple:
-        """Return the position NED [m] where the path stops if it brakes now, not below the vehicle."""
+        """Return the position NED [m] at which the path would end if it braked now; never below the vehicle."""
         stop = self.path.stop(self.parameters.values["MPC_ACC_HOR"])
         return stop[0], stop[1], min(stop[2], self.seen.position_ned[2])
 
@@ -194,7 +194,8 @@ class Craft:
         along: Triple = STANDS,
         begin: Triple | None = None,
     ) -> Order:
-        """Advance the path towards a goal and return the order to follow it; just after lift-off it only climbs.
+        """Move the path by one tick to a goal NED [m], on the line from ``begin`` if given, and only up just after
+        lift-off; return the order to follow the path.
 
         Args:
             goal: NED [m].
@@ -217,17 +218,18 @@ class Craft:
         return self.follow(path.position, path.velocity, path.acceleration)
 
     def follow(self, position: Triple, velocity: Triple = ZERO, acceleration: Triple = ZERO) -> Order:
-        """Return the order to follow a point with a position, velocity and acceleration NED [m, m/s, m/s^2]."""
+        """Return the order to be at a position NED [m] with a velocity [m/s] and acceleration [m/s^2], at the commanded
+        heading."""
         self._idle = None
         return Order(self.facts.name, "path", (*position, *velocity, *acceleration, self.yaw))
 
     def fly(self, velocity: Triple) -> Order:
-        """Return the order to fly at a velocity NED [m/s], with the commanded heading."""
+        """Return the order to fly at a velocity NED [m/s], at the commanded heading."""
         self._idle = None
         return Order(self.facts.name, "velocity", (*velocity, self.yaw))
 
     def lean(self, roll: float, pitch: float, throttle: float) -> Order:
-        """Return the order for a roll and pitch [rad], clipped to the tilt limit, and a throttle from 0 to 1."""
+        """Return the order to hold a roll and pitch [rad], clipped to the tilt limit, with a throttle from 0 to 1."""
         self._idle = None
         facts = self.facts
         most = facts.tilt_max
@@ -237,21 +239,22 @@ class Craft:
 
     @property
     def freedom(self) -> float:
-        """Share of the tilt limit that is allowed: 0 on the ground, rising to 1 at UPRIGHT_UNTIL above it."""
+        """Share of the tilt limit that is allowed: 0 on the ground, rising to 1 at UPRIGHT_UNTIL [m] above it."""
         if self.rose or not self.flies:
             return float(self.flies)
         risen = self.stood_z - self.seen.position_ned[2]
         return min(max((risen - RISEN) / (UPRIGHT_UNTIL - RISEN), 0.0), 1.0)
 
     def throttle_of(self, thrust: float) -> float:
-        """Return the vehicle's throttle for a thrust on PX4's scale, where ``MPC_THR_HOVER`` carries the weight.
+        """Convert a thrust on PX4's scale, on which ``MPC_THR_HOVER`` carries the weight, to the vehicle's throttle, 0
+        to 1.
 
         Both are 0 to 1; the scale has two straight parts, as PX4's rescaled throttle curve.
         """
         return _through(thrust, self.parameters.values["MPC_THR_HOVER"], self.facts.hover_throttle)
 
     def thrust_of(self, throttle: float) -> float:
-        """Return the normalised thrust of a throttle: the inverse of ``throttle_of``."""
+        """Convert a throttle, 0 to 1, to a thrust on PX4's scale: the inverse of ``throttle_of``."""
         return _through(throttle, self.facts.hover_throttle, self.parameters.values["MPC_THR_HOVER"])
 
     def idle(self) -> Order | None:
@@ -267,14 +270,15 @@ class Craft:
         self.yaw = math.remainder(yaw, 2.0 * math.pi)
 
     def look_to(self, north: float, east: float, farther: float = 1.0) -> None:
-        """Set the commanded heading towards a place [m], unless it is nearer than ``farther`` [m]."""
+        """Point the commanded heading at a position (north, east) [m], unless it is nearer than ``farther`` [m]."""
         here = self.seen.position_ned
         dx, dy = north - here[0], east - here[1]
         if dx * dx + dy * dy > farther * farther:
             self.yaw = math.atan2(dy, dx)
 
     def head_to(self, north: float, east: float, farther: float = 1.0) -> bool:
-        """Set the heading for the way to a place [m] by ``MPC_YAW_MODE``; return whether it must turn before moving."""
+        """Set the heading for flight to (north, east) [m], as ``MPC_YAW_MODE`` asks; return whether to turn before
+        moving."""
         mode, home = int(self.parameters.values["MPC_YAW_MODE"]), self.home
         if mode in (TO_HOME, FROM_HOME) and home is not None:
             self.look_to(home.position_ned[0], home.position_ned[1], farther)
@@ -293,7 +297,7 @@ class Craft:
 
 
 def _through(value: float, middle: float, image: float) -> float:
-    """Map a number 0 to 1 piecewise linearly, with 0 to 0, ``middle`` to ``image``, and 1 to 1."""
+    """Map a number 0 to 1 by two straight lines through (0, 0), (``middle``, ``image``) and (1, 1)."""
     if value <= middle or middle >= 1.0:
         return image * value / middle
     return image + (1.0 - image) * (value - middle) / (1.0 - middle)

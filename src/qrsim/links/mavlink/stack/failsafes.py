@@ -58,22 +58,23 @@ class Failsafes:
         self._ground_heard: float | None = None
 
     def heard_ground(self, craft: Craft) -> None:
-        """Note a heartbeat of a ground station."""
+        """Note the time of a ground station's heartbeat, for the data-link failsafe."""
         self._ground_heard = craft.seen.time
         if self.link_lost:
             self.link_lost = False
             craft.say(Severity.INFO, "Link to the ground regained")
 
     def armed(self) -> None:
-        """Reset battery level and fence breach at the start of a flight."""
+        """Forget the battery level and fence breach of the last flight; called when the vehicle is armed."""
         self._battery, self.breached, self._fence_due = 0, False, 0.0
 
     def fence(self) -> FenceStatus:
-        """Return the fields of FENCE_STATUS."""
+        """Return the fields of FENCE_STATUS: whether the fence is breached, how often, and how."""
         return FenceStatus(self.breached, self._breaches, self._breach, self._breached_at)
 
     def look(self, craft: Craft, mode: Mode, offboard: Offboard, factor: float) -> int:
-        """Check battery, fence, data link and set-points in flight; return the action that begins now, else NOTHING."""
+        """Check battery, fence, data link and set-points in flight; return the failsafe action that begins now, or
+        NOTHING."""
         values = craft.parameters.values
         stretch = max(1.0, factor)
         asked = self._look_at_battery(craft)
@@ -94,7 +95,8 @@ class Failsafes:
         return asked
 
     def look_at_sticks(self, craft: Craft, fresh: bool) -> int:
-        """Return the failsafe action of a mode flown by sticks once ``fresh`` is False; NOTHING otherwise."""
+        """Return the failsafe action in a mode flown by sticks if stick positions are stale (not ``fresh``), else
+        NOTHING."""
         if fresh:
             return NOTHING
         craft.say(Severity.CRITICAL, "Failsafe: no manual control input")
@@ -102,7 +104,7 @@ class Failsafes:
         return int(link_action(True, int(craft.parameters.values["NAV_RCL_ACT"]))) or HOLD
 
     def _look_at_battery(self, craft: Craft) -> int:
-        """Return the action for a newly reached battery level and warn the client; NOTHING without one."""
+        """Return the failsafe action for a battery level newly reached, and warn clients; NOTHING without one."""
         charge, values = craft.seen.charge, craft.parameters.values
         if not charge <= values["BAT_LOW_THR"]:
             return NOTHING
@@ -117,7 +119,7 @@ class Failsafes:
         return asked
 
     def _look_at_fence(self, craft: Craft) -> int:
-        """Return the action for a fence breach that has just begun and warn the client; NOTHING without one."""
+        """Return the failsafe action for a fence breach that begins now, and warn clients; NOTHING without one."""
         seen, values = craft.seen, craft.parameters.values
         action = int(values["GF_ACTION"])
         breach, why = beyond(craft) if seen.valid else (Breach.NONE, "")
@@ -136,7 +138,7 @@ class Failsafes:
 
 
 def _leaves(craft: Craft) -> Breach:
-    """Return which limit of the area the vehicle would cross before it could stop: boundary, ceiling or none."""
+    """Return which limit of the flight area the vehicle would cross before it could stop: boundary, ceiling or none."""
     (north, east, down), (vn, ve, vd) = craft.seen.position_ned, craft.seen.velocity_ned
     speed = math.hypot(vn, ve)
     if abs(vd) > 0.5:
@@ -152,7 +154,8 @@ def _leaves(craft: Craft) -> Breach:
 
 
 def beyond(craft: Craft) -> tuple[Breach, str]:
-    """Return the breach of the fence or of the area ahead, and its description; (NONE, "") without one."""
+    """Return which limit of fence or flight area the vehicle breaches or is about to, and a text; (NONE, "") without
+    one."""
     here, values = craft.seen.position_ned, craft.parameters.values
     if not craft.fence.inside(*here):
         return Breach.BOUNDARY, "outside the area"

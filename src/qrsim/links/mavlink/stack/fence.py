@@ -33,11 +33,12 @@ class Fence:
 
     @property
     def empty(self) -> bool:
-        """Whether there are no zones."""
+        """Whether the fence has no zones."""
         return not self._zones.all and (self._guard is None or self._guard.empty)
 
     def inside(self, north: float, east: float, down: float = math.nan) -> bool:
-        """Return whether a position NED [m] is in an inclusion (if there are any), in no exclusion, and in the guard.
+        """Return whether a position NED [m] is allowed: in an inclusion zone if there are any, in no exclusion zone,
+        and in ``guard``.
 
         Without ``down`` the zones reach over all heights.
         """
@@ -46,7 +47,7 @@ class Fence:
         return self._zones.inside(north, east, None if math.isnan(down) else down)
 
     def crosses(self, begin: Triple, end: Triple) -> bool:
-        """Return whether the straight line between two positions NED [m] leaves the fence, sampled every 2 m."""
+        """Return whether the straight line from ``begin`` to ``end``, NED [m], leaves the fence, checked every 2 m."""
         length = math.hypot(*(b - a for a, b in zip(begin, end, strict=True) if math.isfinite(b - a)))
         steps = max(1, math.ceil(length / 2.0))
         return not all(
@@ -56,13 +57,15 @@ class Fence:
 
     @staticmethod
     def of(items: Sequence[Item], geodesy: Geodesy, guard: Fence | None = None) -> tuple[Fence, PlanResult, int]:
-        """Return the fence of a plan within a guard, the result, and the seq of the bad item (-1: none)."""
+        """Return the fence of a fence plan within ``guard``, the upload's result, and the invalid item's sequence
+        number or -1."""
         zones, result, bad = zones_of(items, geodesy)
         return Fence(zones, guard), result, bad
 
 
 def zones_of(items: Sequence[Item], geodesy: Geodesy) -> tuple[list[Zone], PlanResult, int]:
-    """Return the zones of a fence plan up to its first bad item, the result, and the seq of that item (-1: none)."""
+    """Return a fence plan's zones up to its first invalid item, the upload's result, and that item's sequence number or
+    -1."""
     zones: list[Zone] = []
     index = 0
     if len(items) > MOST_ITEMS:
@@ -96,11 +99,11 @@ def zones_of(items: Sequence[Item], geodesy: Geodesy) -> tuple[list[Zone], PlanR
 
 
 def items_of(zones: Sequence[Zone], geodesy: Geodesy) -> tuple[Item, ...]:
-    """Return zones as the items of a fence plan, without their heights; holes are exclusions."""
+    """Convert zones to the items of a fence plan, which have no heights; holes become exclusion zones."""
     items: list[Item] = []
 
     def add(command: int, first: float, place: Point) -> None:
-        """Append an item of the fence at a place (north, east) [m]."""
+        """Append a fence item at (north, east) [m]; ``first``: its radius [m] or number of corners."""
         latitude, longitude, _ = geodesy.to_geodetic((*place, 0.0))
         params = (first, 0.0, 0.0, 0.0)
         items.append(Item(len(items), 5, command, params, round(latitude * 1e7), round(longitude * 1e7)))
@@ -115,7 +118,8 @@ def items_of(zones: Sequence[Zone], geodesy: Geodesy) -> tuple[Item, ...]:
 
 
 def _corners(items: Sequence[Item], first: int) -> tuple[int, PlanResult, int]:
-    """Return the corner count of the polygon at item ``first``, the result, and the bad item's index (-1: none)."""
+    """Return the corner count of the polygon that starts at item ``first``, the result, and the invalid item's index or
+    -1."""
     begin = items[first]
     count = begin.params[0]
     if not (math.isfinite(count) and count == int(count) and 3 <= count <= MOST_ITEMS):
@@ -135,7 +139,7 @@ def _corners(items: Sequence[Item], first: int) -> tuple[int, PlanResult, int]:
 
 
 def rally_points(items: Sequence[Item]) -> tuple[PlanResult, int]:
-    """Check a rally plan; return the result, and the seq of the first bad item (-1: none)."""
+    """Check the items of a rally plan; return the result, and the first invalid item's sequence number or -1."""
     if len(items) > MOST_ITEMS:
         return PlanResult.NO_SPACE, MOST_ITEMS
     for index, item in enumerate(items):
@@ -152,13 +156,13 @@ def rally_points(items: Sequence[Item]) -> tuple[PlanResult, int]:
 
 
 def bad_place(item: Item) -> PlanResult | None:
-    """Return the result for an item whose latitude or longitude is out of range; None if both are valid."""
+    """Return the result that refuses an item with a latitude or longitude out of range; None if both are valid."""
     if abs(item.x) > 900_000_000:
         return PlanResult.INVALID_PARAM5_X
     return PlanResult.INVALID_PARAM6_Y if abs(item.y) > 1_800_000_000 else None
 
 
 def _point(item: Item, geodesy: Geodesy) -> Point:
-    """Return (north, east) [m] of a fence item in latitude and longitude."""
+    """Return (north, east) [m] of a fence item, given in latitude and longitude."""
     north, east, _ = geodesy.to_ned(item.x * 1e-7, item.y * 1e-7, geodesy.height)
     return north, east

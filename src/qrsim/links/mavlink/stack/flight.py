@@ -92,7 +92,7 @@ class Flight:
     # ---- ticks ----
 
     def tick(self, seen: Seen) -> Order | None:
-        """Advance by one tick; return the order for the vehicle, None where the last one holds."""
+        """Advance by one tick with the vehicle's present state; return its new order, or None to keep the last one."""
         craft = self.craft
         craft.look(seen)
         self.checks.look(craft)
@@ -113,7 +113,7 @@ class Flight:
         return order if self.armed else craft.idle() or order
 
     def _fly(self) -> tuple[Order | None, bool]:
-        """Fly the mode by one tick; return the order (None: keep the last), and whether the vehicle has landed."""
+        """Fly the present mode for one tick; return the order (None: keep the last one), and whether it has landed."""
         craft, mode = self.craft, self.mode
         if not craft.seen.valid and mode is not Mode.OFFBOARD:
             # Blind: level, and a little less than the weight.
@@ -141,7 +141,7 @@ class Flight:
         return self.offboard.fly(craft)
 
     def _hold(self) -> tuple[Order | None, bool]:
-        """Return the order to hold the position, or to land if that is at the ground, and whether it has landed."""
+        """Return the order of the mode HOLD (stay, or land if held at the ground), and whether it has landed."""
         craft = self.craft
         if not craft.flies and craft.seen.on_ground:
             rests = self._descent.touchdown.seconds(craft, craft.seen.position_ned[2])
@@ -153,12 +153,12 @@ class Flight:
 
     @property
     def _has_sticks(self) -> bool:
-        """Whether stick messages are recent; in ArduPilot's flavour they expire after RC_OVERRIDE_TIME."""
+        """Whether stick positions are recent; ArduPilot's expire after RC_OVERRIDE_TIME [s]."""
         limit = RC_OVERRIDE_TIME if self.flavour.name == "ardupilot" else self.parameters["COM_RC_LOSS_T"]
         return self.by_sticks.fresh(self.craft, limit * max(1.0, self.factor))
 
     def _loiters_by_sticks(self) -> bool:
-        """Return whether sticks now move the vehicle in ArduPilot's LOITER; also handle the start and end of that."""
+        """Return whether sticks fly the vehicle in ArduPilot's LOITER mode now; handle the begin and end of that."""
         before = self._loiters
         mine = self.mode is Mode.HOLD and not self.guided and self.flavour.name == "ardupilot"
         self._loiters = mine and self._has_sticks
@@ -169,7 +169,7 @@ class Flight:
         return self._loiters
 
     def _take_off(self) -> Order | None:
-        """Return the order to climb to the take-off altitude; once there, switch to HOLD."""
+        """Return the order to climb to the take-off altitude; at that altitude, change to the mode HOLD."""
         craft, here = self.craft, self.craft.seen.position_ned
         if self._goal is None:
             self._goal = (here[0], here[1], craft.home_z - self.parameters["MIS_TAKEOFF_ALT"])
@@ -179,7 +179,7 @@ class Flight:
         return craft.go(self._goal or here, (level, min(up, self.parameters["MPC_TKO_SPEED"]), down))
 
     def _fly_mission(self) -> tuple[Order | None, bool]:
-        """Fly the mission by a tick and change the mode at its end; return the order, and whether it has landed."""
+        """Fly the mission for one tick, and change the mode at its end; return the order, and whether it has landed."""
         craft, mission = self.craft, self.plan
         order, over = mission.fly(craft)
         if not over:
@@ -199,7 +199,7 @@ class Flight:
     # ---- landing ----
 
     def _look_at_ground(self, landed: bool) -> None:
-        """Update the landed state, and disarm a vehicle that has landed or never took off."""
+        """Update the landed state, and disarm a vehicle that has landed or has never taken off."""
         craft, now = self.craft, self.craft.seen.time
         self._took_off |= craft.flies
         if not self.armed:
@@ -230,7 +230,7 @@ class Flight:
 
     @property
     def lands(self) -> bool:
-        """Whether the vehicle is descending to land."""
+        """Whether the vehicle is descending in order to land."""
         mode = self.mode
         return (
             mode is Mode.LAND
@@ -242,7 +242,7 @@ class Flight:
     # ---- arming ----
 
     def arm(self, force: bool = False) -> Result:
-        """Arm, or report the reasons against it and return the refusal; ``force`` skips the checks."""
+        """Arm, or send clients the reasons against it and return the refusal; ``force`` skips the checks."""
         craft = self.craft
         if self.armed:
             return Result.ACCEPTED
@@ -283,7 +283,7 @@ class Flight:
         return Result.ACCEPTED
 
     def disarm(self, why: str) -> None:
-        """Stop the motors, also in the air; the mode is HOLD afterwards."""
+        """Stop the motors, even in flight, and change to the mode HOLD; ``why`` is a text for clients."""
         craft = self.craft
         if not self.armed:
             return
@@ -301,18 +301,18 @@ class Flight:
 
     @property
     def on_ground(self) -> bool:
-        """Whether the reported landed state is on the ground."""
+        """Whether the vehicle's reported landed state is "on the ground"."""
         return self.craft.landed is Landed.ON_GROUND
 
     # ---- modes ----
 
     def request_number(self, custom_mode: int) -> Result:
-        """Change to the mode with a custom_mode, or report why not and return the refusal."""
+        """Change to the mode numbered ``custom_mode``, or send clients the reason against it; return the result."""
         mode = self.flavour.mode_of(custom_mode)
         return self.refuse_mode(custom_mode, "not flown here") if mode is None else self.request(mode)
 
     def request(self, mode: Mode) -> Result:
-        """Change the mode for a client, or report why not and return the refusal."""
+        """Change to a flight mode for a client, or send clients the reason against it; return the result."""
         craft = self.craft
         # ArduPilot's Copter takes any mode while it is disarmed, and is not armed in one that it cannot fly.
         free = self.flavour.name == "ardupilot" and not self.armed
@@ -338,12 +338,12 @@ class Flight:
         return Result.ACCEPTED
 
     def refuse_mode(self, custom_mode: int, why: str) -> Result:
-        """Send the refusal of a mode in PX4's or ArduPilot's words, and return the result for the acknowledgement."""
+        """Send clients the refusal of a flight mode in PX4's or ArduPilot's words, and return the result of it."""
         self.craft.say(Severity.CRITICAL, self.flavour.refusal(custom_mode, why))
         return Result.TEMPORARILY_REJECTED if self.flavour.name == "px4" else Result.FAILED
 
     def switch(self, mode: Mode, goal: Triple | None = None) -> None:
-        """Change the mode without checks; ``goal`` NED [m] is the position of HOLD or TAKEOFF."""
+        """Change the flight mode without checks; ``goal`` NED [m] is the position for HOLD or TAKEOFF."""
         craft, before = self.craft, self.mode
         self.mode, self._goal, self._meant = mode, goal, (mode, self.guided)
         if self._landed_at is not None and mode in FLIES_AGAIN:
@@ -373,11 +373,11 @@ class Flight:
         craft.tell("mode")
 
     def fresh(self) -> bool:
-        """Return whether the last set-point is younger than COM_OF_LOSS_T."""
+        """Return whether the last set-point is younger than the parameter COM_OF_LOSS_T [s]."""
         return self.offboard.fresh(self.craft, self.parameters["COM_OF_LOSS_T"] * max(1.0, self.factor))
 
     def _fail_over(self, asked: int) -> None:
-        """Take the action of a failsafe, unless the present mode is at least as grave."""
+        """Take a failsafe action (``asked``), unless the present mode is at least as drastic."""
         craft = self.craft
         if asked == TERMINATE:
             self.terminate()

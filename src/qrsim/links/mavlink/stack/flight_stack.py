@@ -57,21 +57,23 @@ class FlightStack(Flight):
     # ---- what clients ask ----
 
     def place(self, position_ned: Triple) -> Triple:
-        """Return latitude and longitude [deg] and altitude [m] of a position NED [m]."""
+        """Convert a position NED [m] in the site's frame to latitude, longitude [deg] and altitude above mean sea level
+        [m]."""
         return self.craft.geodesy.to_geodetic(position_ned)
 
     def command(self, command: Command) -> Ack:
-        """Obey or refuse a command of flight or mission; requests for messages are not handled here."""
+        """Execute or refuse a command of flight or mission; requests for messages are handled elsewhere."""
         return Ack(obey(self, command))
 
     def set_mode(self, base_mode: int, custom_mode: int) -> Result:
-        """Change the mode as a SET_MODE message asks, or refuse it; without the custom-mode flag it is refused."""
+        """Change the flight mode as a SET_MODE message asks, or refuse it; without the custom-mode flag it is
+        refused."""
         if not base_mode & 1:
             return Result.UNSUPPORTED
         return self.request_number(custom_mode)
 
     def setpoint(self, target: Target) -> bool:
-        """Take a set-point for OFFBOARD (GUIDED); return whether it can be flown."""
+        """Store a client's set-point for the mode OFFBOARD (GUIDED); return whether it can be flown."""
         why = self.craft.seen.end if self.craft.seen.stopped else ""
         if self.mode is Mode.NOGPS and not isinstance(target, AttitudeTarget):
             why = "GUIDED_NOGPS flies attitudes alone"
@@ -84,7 +86,7 @@ class FlightStack(Flight):
         return taken
 
     def sticks(self, roll: float, pitch: float, throttle: float, yaw: float) -> None:
-        """Take stick positions, each -1 to 1, positive right, forwards, up and right; NaN: unchanged."""
+        """Store stick positions, each -1 to 1, positive right, forwards, up and clockwise; NaN keeps the last one."""
         moved = self.by_sticks.take((roll, pitch, throttle, yaw), self.craft)
         overrides = self.flavour.name == "px4" and int(self.parameters["COM_RC_OVERRIDE"]) & 1
         automatic = self.armed and self.craft.flies and self.mode in OVERRIDDEN
@@ -93,31 +95,31 @@ class FlightStack(Flight):
             self.switch(Mode.POSITION)
 
     def follow_target(self, target: FollowTarget) -> None:
-        """Take the position of the moving target that the mode FOLLOW_TARGET follows."""
+        """Store the position of the moving target that the mode FOLLOW_TARGET follows."""
         self.follow.take(target, self.craft)
 
     def modes(self) -> tuple[ModeInfo, ...]:
-        """Return the modes of the vehicle: those that clients can request, and those of failsafes."""
+        """Return the vehicle's flight modes: those that clients can request, and those that only failsafes use."""
         return self.flavour.infos()
 
     def current_modes(self) -> tuple[ModeInfo, ModeInfo]:
-        """Return the mode that is flown, and the requested mode, which differs in a failsafe."""
+        """Return the mode that is flown and the mode that was requested; they differ in a failsafe."""
         return self.flavour.info(self.mode, self.guided), self.flavour.info(*self._meant)
 
     def orbiting(self) -> OrbitStatus | None:
-        """Return the orbit that is flown, None while none is."""
+        """Return the orbit that the vehicle flies now, None while it flies none."""
         return OrbitStatus(self.orbit.radius, self.orbit.centre) if self.mode is Mode.ORBIT else None
 
     def thrust_of(self, throttle: float) -> float:
-        """Return the normalised thrust of a throttle, both 0 to 1; hover throttle gives ``MPC_THR_HOVER``."""
+        """Convert a throttle to PX4's normalised thrust, both 0 to 1; hover throttle gives ``MPC_THR_HOVER``."""
         return self.craft.thrust_of(throttle)
 
     def _refuse(self, what: str, why: str) -> None:
-        """Send the client a warning "WHAT denied: WHY"."""
+        """Send clients a warning "WHAT denied: WHY"."""
         self.craft.say(Severity.WARNING, f"{what} denied: {why}")
 
     def go_to(self, item: Item) -> bool:
-        """Fly to a waypoint at once, in ArduPilot's GUIDED; return whether the stack does so."""
+        """Fly to a waypoint at once, in ArduPilot's GUIDED mode; return whether this flight stack does so."""
         if item.command != WAYPOINT or not self.guided:
             self.craft.say(Severity.WARNING, "Guided item rejected: a waypoint, in GUIDED, is needed")
             return False
@@ -125,17 +127,18 @@ class FlightStack(Flight):
         return self.command(place).result is Result.ACCEPTED
 
     def change_altitude(self, item: Item) -> None:
-        """Ignore an ArduPilot guided item that changes only the altitude, as Copter and Rover do, and say so."""
+        """Warn clients that an ArduPilot guided item with only an altitude is ignored, as Copter and Rover do."""
         self.craft.say(Severity.INFO, "Change of altitude ignored, as by ArduPilot's Copter: fly to a place instead")
 
     def heard_ground(self) -> None:
-        """Note a heartbeat of a ground station (MAV_TYPE 6)."""
+        """Note that a ground station's heartbeat (MAV_TYPE 6) has arrived."""
         self.failsafes.heard_ground(self.craft)
 
     # ---- plans ----
 
     def accept(self, kind: PlanKind, items: Sequence[Item]) -> tuple[PlanResult, int]:
-        """Replace a plan, or keep the old one if an item is bad; return the result and the bad item's seq, else -1."""
+        """Replace the plan of a kind, unless an item is invalid; return the result, and the invalid item's sequence
+        number or -1."""
         craft = self.craft
         if kind is PlanKind.MISSION:
             result, bad = self.plan.accept(items, craft)
@@ -158,11 +161,11 @@ class FlightStack(Flight):
         return result, bad
 
     def items(self, kind: PlanKind) -> tuple[Item, ...]:
-        """Return the items of the accepted plan of a kind; before an upload the fence is that of the scenario."""
+        """Return the items of the stored plan of a kind; until a fence is uploaded, that of the scenario."""
         return {PlanKind.MISSION: self.plan.items, PlanKind.FENCE: self._fence_items, PlanKind.RALLY: self.rally}[kind]
 
     def home_item(self) -> Item | None:
-        """Return item 0 of ArduPilot's mission, which is home; None before there is a home, and for PX4."""
+        """Return home as item 0 of ArduPilot's mission; None without a home, and always for PX4."""
         home = self.craft.home
         if self.flavour.name != "ardupilot" or home is None:
             return None
@@ -171,19 +174,19 @@ class FlightStack(Flight):
         return Item(0, 0, WAYPOINT, (0.0, 0.0, 0.0, 0.0), *place, home.altitude)
 
     def set_current(self, seq: int) -> bool:
-        """Make another item of the mission the current one; return whether it exists."""
+        """Make the mission item with sequence number ``seq`` the current one; return whether it exists."""
         return self.plan.set_current(seq, self.craft)
 
     # ---- what it says ----
 
     @property
     def home(self) -> Home | None:
-        """Home position to return to; None before the first position estimate."""
+        """Position to which the vehicle returns; None before the first position estimate."""
         return self.craft.home
 
     @property
     def origin(self) -> Triple:
-        """Origin of the vehicle's local frame, in the site's frame NED [m]."""
+        """Origin of the vehicle's local frame (of its MAVLink messages), in the site's frame NED [m]."""
         return self.craft.origin
 
     def heartbeat(self) -> Heartbeat:
@@ -200,7 +203,7 @@ class FlightStack(Flight):
         return told
 
     def health(self) -> Health:
-        """Return the sensor bits of SYS_STATUS."""
+        """Return the sensor bit masks of SYS_STATUS: present, enabled and healthy."""
         craft, seen = self.craft, self.craft.seen
         reasons = [] if self.armed else self.checks.reasons(craft)
         battery = _BATTERY if seen.charge == seen.charge else 0
@@ -213,11 +216,11 @@ class FlightStack(Flight):
         return Health(present, present, healthy, reasons)
 
     def mission(self) -> MissionStatus:
-        """Return the fields of MISSION_CURRENT."""
+        """Return the fields of MISSION_CURRENT: the present item and the mission's state."""
         return self.plan.status(self.mode is Mode.MISSION)
 
     def fence(self) -> FenceStatus:
-        """Return the fields of FENCE_STATUS."""
+        """Return the fields of FENCE_STATUS: whether the fence is breached, how often, and how."""
         return self.failsafes.fence()
 
     def texts(self) -> list[Text]:

@@ -27,7 +27,8 @@ class Follow:
         self._goal: Triple | None = None
 
     def take(self, target: FollowTarget, craft: Craft) -> None:
-        """Store the target's position and velocity of a FOLLOW_TARGET; messages with invalid numbers are ignored."""
+        """Store the target's position and velocity from a FOLLOW_TARGET message; messages with invalid numbers are
+        ignored."""
         numbers = (target.latitude, target.longitude, target.altitude, *target.velocity)
         if not all(map(math.isfinite, numbers)) or abs(target.altitude) > 1e5 or max(map(abs, target.velocity)) > 1e3:
             return
@@ -35,13 +36,13 @@ class Follow:
         self._velocity, self._heard = target.velocity, craft.seen.time
 
     def begin(self, craft: Craft) -> None:
-        """Begin to follow: brake to a stop until a target comes."""
+        """Start the follow-me mode: brake to a stop until the target's position arrives."""
         craft.begin_path()
         self._angle = None
         self._goal = craft.path.stop(craft.parameters["MPC_ACC_HOR"])
 
     def fly(self, craft: Craft, stretch: float) -> Order | None:
-        """Return the order to follow the target; ``stretch``: simulated seconds per second of the target."""
+        """Return the order to follow the target; ``stretch``: simulated seconds per second of the target's clock."""
         here, values, dt = craft.seen.position_ned, craft.parameters.values, craft.facts.time_step
         if self._place is None:
             return craft.go(self._goal or here) if craft.flies else craft.idle()

@@ -13,7 +13,8 @@ RADIUS, ECCENTRICITY2 = 6378137.0, 6.69437999014e-3
 
 
 def geoid_of(site: Site, datum: Datum) -> GeoidPlane:
-    """Return the zero surface of altitudes in messages: the geoid for the datum "sea", else the ellipsoid."""
+    """Return the surface from which altitudes in messages are measured: the geoid for the datum "sea", else the
+    ellipsoid."""
     return GeoidPlane.at(site) if datum == "sea" else GeoidPlane()
 
 
@@ -37,13 +38,14 @@ class Geodesy:
         self._origin = _ecef(site.latitude_rad, site.longitude_rad, site.height)
 
     def to_ned(self, latitude: float, longitude: float, altitude: float) -> Triple:
-        """Return the position NED [m] of a latitude and longitude [deg] and an altitude [m]."""
+        """Convert latitude, longitude [deg] and altitude [m] in a message to a position NED [m] in the site's frame."""
         geoid = self._geoid
         north, east, _ = self._to_ned(latitude, longitude, altitude + geoid.height)
         return self._to_ned(latitude, longitude, altitude + geoid.undulation(north, east))
 
     def _to_ned(self, latitude: float, longitude: float, height: float) -> Triple:
-        """Return the position NED [m] of a latitude and longitude [deg] and a height above the ellipsoid [m]."""
+        """Convert latitude, longitude [deg] and height above the ellipsoid [m] to a position NED [m] in the site's
+        frame."""
         x, y, z = _ecef(math.radians(latitude), math.radians(longitude), height)
         dx, dy, dz = x - self._origin[0], y - self._origin[1], z - self._origin[2]
         sine, cosine = math.sin(self._longitude), math.cos(self._longitude)
@@ -55,7 +57,8 @@ class Geodesy:
         )
 
     def to_geodetic(self, position_ned: Triple) -> Triple:
-        """Return latitude and longitude [deg] and altitude [m] of a position NED [m]: the inverse of ``to_ned``."""
+        """Convert a position NED [m] in the site's frame to latitude, longitude [deg] and altitude [m]: the inverse of
+        ``to_ned``."""
         north, east, down = position_ned
         undulation = self._geoid.undulation(north, east)
         place = [math.degrees(self._latitude), math.degrees(self._longitude), self._height - down]
@@ -68,7 +71,7 @@ class Geodesy:
 
 
 def _ecef(latitude: float, longitude: float, height: float) -> Triple:
-    """Return the Earth-centred position [m] of a latitude and longitude [rad] and a height over WGS-84 [m]."""
+    """Convert latitude, longitude [rad] and height above WGS-84 [m] to an Earth-centred, Earth-fixed position [m]."""
     sine, cosine = math.sin(latitude), math.cos(latitude)
     normal = RADIUS / math.sqrt(1.0 - ECCENTRICITY2 * sine * sine)
     flat = (normal + height) * cosine

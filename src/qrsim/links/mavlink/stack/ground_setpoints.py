@@ -16,7 +16,8 @@ class GroundOffboard(Offboard):
     def _take_motion(
         self, target: LocalTarget | GlobalTarget, position: Triple, velocity: Triple, acceleration: Triple
     ) -> str:
-        """Take a set-point, ignoring its vertical axis; return the reason for refusing it, "" if it is taken."""
+        """Store a set-point of position, velocity or acceleration without its vertical part; return "", or why it is
+        refused."""
         # On the ground no height is needed.
         place, speeds = (position[0], position[1], 0.0), (velocity[0], velocity[1], 0.0)
         whole = any(all(map(math.isfinite, part)) for part in (place, speeds))
@@ -27,11 +28,11 @@ class GroundOffboard(Offboard):
         return super()._take_motion(target, place, speeds, acceleration)
 
     def _take_attitude(self, target: object, craft: Craft) -> str:
-        """Refuse any attitude set-point; return the reason."""
+        """Refuse an attitude set-point, which a ground vehicle cannot follow; return the reason."""
         return "a rover has no attitude to fly"
 
     def fly(self, craft: Craft) -> tuple[Order | None, bool]:
-        """Return the order of the last set-point, and False, since a ground vehicle never lands."""
+        """Return the order that follows the last set-point, and False, since a ground vehicle never lands."""
         (north, east, _), (vn, ve, _) = self._position, self._velocity
         level = craft.speeds()[0]
         speed = math.hypot(vn, ve)
@@ -45,6 +46,6 @@ class GroundOffboard(Offboard):
 
 
 def stop_at(craft: Craft, place: Triple) -> Order:
-    """Return the order to drive to a place NED [m], whose height does not count, and to stop there."""
+    """Return the order to drive to a position NED [m], whose height is ignored, and to stop there."""
     goal = (place[0], place[1], craft.seen.position_ned[2])
     return Order(craft.facts.name, "track", (*goal, *goal, 0.0, craft.speeds()[0], 1.0))

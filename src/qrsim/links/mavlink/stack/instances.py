@@ -6,7 +6,8 @@ import math
 
 
 def instances_of(number: float, mask: float) -> list[int] | None:
-    """Return the instance numbers that a failure command names, [] for all; None if the numbers are invalid.
+    """Return the instance numbers from a failure command's two parameters (a number, a bit mask), [] for all; None if
+    invalid.
 
     Args:
         number: param3, 0 for all; NaN: the mask says it.

@@ -26,11 +26,12 @@ class Touchdown:
         self.since: float | None = None
 
     def clear(self) -> None:
-        """Reset the time of the first ground contact."""
+        """Forget when the vehicle first touched the ground."""
         self.since = None
 
     def seconds(self, craft: Craft, wanted_z: float) -> float:
-        """Return how long [s] a vehicle commanded down to ``wanted_z`` [m] has rested on the ground; 0 in the air."""
+        """Return for how long [s] a vehicle commanded down to NED z ``wanted_z`` [m] has rested on the ground; 0 in the
+        air."""
         seen = craft.seen
         speed = abs(seen.velocity_ned[2])
         held = wanted_z - seen.position_ned[2] > HELD and speed < HELD_SPEED
@@ -51,12 +52,13 @@ class Descent:
         self._slow_since: float | None = None
 
     def begin(self) -> None:
-        """Reset the state of the last descent."""
+        """Forget the last descent, before a new one begins."""
         self.touchdown.clear()
         self._slow_since = None
 
     def fly(self, craft: Craft, place: Triple) -> tuple[Order | None, bool]:
-        """Descend by a tick; return the order, and whether the vehicle has landed.
+        """Return the order to descend vertically at a position NED [m] in this tick, and whether the vehicle has
+        landed.
 
         Args:
             craft: vehicle.
@@ -78,7 +80,8 @@ class Descent:
         return order, False
 
     def _touches(self, craft: Craft, share: float) -> bool:
-        """Return whether a foot may be on the ground: at landing speed for a while, and above its path.
+        """Return whether the vehicle may touch the ground: it has sunk at landing speed (``share`` 0) for a while, and
+        lags its path.
 
         Where it is low the while is none. ``share``: 0 at landing speed, 1 at that of its faster descent.
         """

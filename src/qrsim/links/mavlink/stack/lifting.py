@@ -25,12 +25,13 @@ class Lift:
         self._stood, self._integral = True, 0.0
 
     def begin(self, craft: Craft) -> None:
-        """Reset ground contact and integral at the start of flight by attitude."""
+        """Forget ground contact and integral, when flight by attitude set-points begins."""
         self.touchdown.clear()
         self._stood, self._integral = not craft.flies, 0.0
 
     def stands(self, craft: Craft, rises: bool, lands: bool) -> tuple[Order | None, bool] | None:
-        """Return the order of a vehicle on the ground and whether it has landed; None if it is to fly.
+        """Return the order on the ground, where ``rises`` asks for take-off, and whether it has landed; None: the
+        vehicle is to fly.
 
         Args:
             craft: vehicle.
@@ -52,7 +53,8 @@ class Lift:
         return None
 
     def throttle(self, craft: Craft, sinks: float, speeds: Triple) -> float:
-        """Move the path's height on by a tick, and return the throttle to follow it; horizontal motion is left alone.
+        """Return the throttle, 0 to 1, for a descent speed ``sinks`` [m/s], and advance the path's height by one tick;
+        horizontal motion is left alone.
 
         Args:
             craft: vehicle.

@@ -60,7 +60,7 @@ class Mission:
         self._forget()
 
     def _forget(self) -> None:
-        """Reset the progress within the current item."""
+        """Forget the progress within the current mission item."""
         self._goal: Triple | None = None
         self._way = Way()
         self._from: Triple | None = None
@@ -74,7 +74,7 @@ class Mission:
     # ---- the plan ----
 
     def accept(self, items: Sequence[Item], craft: Craft) -> tuple[PlanResult, int]:
-        """Replace the plan; return the result and the seq of the bad item, else -1."""
+        """Replace the mission, unless an item is invalid; return the result, and that item's sequence number or -1."""
         result, bad = plan.check(items, self._flavour)
         if result is not PlanResult.ACCEPTED:
             return result, bad
@@ -84,7 +84,7 @@ class Mission:
         return result, -1
 
     def why_not(self, craft: Craft) -> str:
-        """Return the reason that the mission cannot be flown, and warn clients; "" if it can."""
+        """Return why the mission cannot be flown, and warn clients; "" if it can."""
         why = "no mission" if not self.items else ""
         seq = self._outside(craft)
         if seq is not None:
@@ -94,15 +94,15 @@ class Mission:
         return why
 
     def _outside(self, craft: Craft) -> int | None:
-        """Return the seq of the first item outside the fence or area; None if all are inside."""
+        """Return the sequence number of the first item outside the fence or flight area; None if all are inside."""
         return plan.outside(self.items, craft)
 
     def status(self, in_mode: bool) -> MissionStatus:
-        """Return the fields of MISSION_CURRENT."""
+        """Return the fields of MISSION_CURRENT; ``in_mode``: the vehicle is in the mode MISSION."""
         return MissionStatus(self.current, len(self.items), self.state, in_mode)
 
     def set_current(self, seq: int, craft: Craft, reset: bool = False) -> bool:
-        """Make another item the current one; return whether it exists.
+        """Make item ``seq`` the current one, ``reset``: with jump counters cleared; return whether it exists.
 
         An item before the first that is flown stands for the whole plan, as with ArduPilot.
 
@@ -124,18 +124,18 @@ class Mission:
         return True
 
     def restart(self, craft: Craft) -> None:
-        """Go back to the first item, in the state NOT_STARTED."""
+        """Make the first item the current one, with the mission's state NOT_STARTED."""
         self._start_at(min(self._first, max(0, len(self.items) - 1)))
         self.state = MissionState.NOT_STARTED if self.items else MissionState.NO_MISSION
         craft.tell("mission")
 
     def _start_at(self, seq: int) -> None:
-        """Make an item the current one and reset all jump counters."""
+        """Make the item with sequence number ``seq`` the current one, and reset all jump counters."""
         self._jumps.clear()
         self._go_to(seq)
 
     def _go_to(self, seq: int) -> None:
-        """Make an item the current one and forget how the last one was flown."""
+        """Make item ``seq`` the current one, and forget how the last one was flown."""
         self.current = seq
         self._heading = None
         self._forget()
@@ -152,13 +152,13 @@ class Mission:
         craft.tell("mission")
 
     def pause(self, craft: Craft) -> None:
-        """Note that the mission is no longer flown."""
+        """Note that the vehicle no longer flies the mission."""
         if self.state is MissionState.ACTIVE:
             self.state = MissionState.PAUSED
             craft.tell("mission")
 
     def fly(self, craft: Craft) -> tuple[Order | None, bool]:
-        """Fly the mission by a tick; return the order, and whether the mission is over."""
+        """Fly the mission for one tick; return the order (None: keep the last one), and whether the mission is over."""
         # Items without a place take no time, but two of them may jump to each other.
         for _ in range(len(self.items)):
             item = self.items[self.current]
@@ -173,7 +173,7 @@ class Mission:
         return None, False
 
     def _next(self, item: Item, craft: Craft) -> bool:
-        """Advance to the next item, obeying jumps; return whether the mission is over."""
+        """Advance to the next item, following jumps; return whether the mission is over."""
         craft.tell("item_reached", self.current)
         self.returns = item.command == known.RETURN
         following = self.current + 1
@@ -204,7 +204,7 @@ class Mission:
         return over
 
     def _fly_item(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
-        """Fly or execute an item for a tick; return whether it is done, and the order."""
+        """Fly or execute an item for one tick; return whether it is done, and the order (None: keep the last one)."""
         command, params, now = item.command, item.params, craft.seen.time
         if command == known.LAND:
             return self._land(item, craft)
@@ -227,7 +227,7 @@ class Mission:
         return True, None
 
     def _on_the_way(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
-        """Fly to the next place until its condition holds (distance or gate); return whether it does, and the order.
+        """Fly on until this item's condition (distance or gate) holds; return whether it does, and the order.
 
         A gate is the plane through its place across the way from there to the next one, as in PX4's MissionBlock.
         """
@@ -245,14 +245,14 @@ class Mission:
         return (here[0] - gate[0]) * north + (here[1] - gate[1]) * east >= 0.0, order
 
     def _turns_to(self, item: Item) -> float:
-        """Return the heading [rad] required on the way to an item, NaN without one."""
+        """Return the heading [rad] that the mission requires on the way to an item; NaN without one."""
         if self._heading is not None:
             return self._heading
         asks = self._flavour == "px4" and item.command in (known.WAYPOINT, known.TAKEOFF)
         return math.radians(item.params[3]) if asks else math.nan
 
     def _stay(self, craft: Craft) -> Order | None:
-        """Return the order to hold the position, or to keep the motors off on the ground."""
+        """Return the order to hold the position; on the ground, to keep the motors off."""
         if not craft.flies and craft.seen.on_ground:
             return craft.idle()
         if self._goal is None:
@@ -260,7 +260,7 @@ class Mission:
         return craft.go(self._goal)
 
     def _take_off(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
-        """Climb to the item's height, then fly to its place with PX4; return whether it is done, and the order."""
+        """Climb to the item's height, and fly on to its position (PX4); return whether that is done, and the order."""
         if self._away:
             return self._go(item, craft)
         self.rises = True
@@ -283,7 +283,7 @@ class Mission:
         return risen, order
 
     def _go(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
-        """Return whether the item is done, and the order that flies to it and holds there."""
+        """Fly to an item's position and hold there; return whether the item is done, and the order."""
         here, now = craft.seen.position_ned, craft.seen.time
         if self._goal is None:
             self._goal = plan.place_of(item, craft, self._from or here)
@@ -327,7 +327,7 @@ class Mission:
         return self._arrived is not None and now - self._arrived >= hold, order
 
     def _pass_through(self, item: Item, craft: Craft, place: Triple, onward: float) -> Order:
-        """Return the order to fly through a place where the way bends, as if it went on straight ``onward`` [m]."""
+        """Return the order to pass a waypoint without stopping, as if the path went straight on for ``onward`` [m]."""
         if math.isfinite(turn := self._turns_to(item)):
             craft.turn_to(turn)
         else:
@@ -336,14 +336,14 @@ class Mission:
 
     @staticmethod
     def _hold(item: Item) -> float:
-        """Return the time [s] to hold at an item: infinite for LOITER_UNLIM, 0 for items without a hold."""
+        """Return the time [s] to hold position at an item: infinite for LOITER_UNLIM, 0 for items without a hold."""
         if item.command == known.LOITER_FOREVER:
             return math.inf
         timed = item.command in known.WAYPOINTS or item.command == known.LOITER_TIME
         return item.params[0] if timed and item.params[0] > 0.0 else 0.0
 
     def _circle(self, item: Item, craft: Craft, centre: Triple) -> tuple[bool, Order | None]:
-        """Fly a circle with its turns around a centre NED [m]; return whether they are complete, and the order."""
+        """Fly the item's turns around a centre NED [m]; return whether they are complete, and the order."""
         radius, turns = turn_radius(item), self._turns
         if self._arrived is None:
             self._arrived = craft.seen.time
@@ -358,7 +358,7 @@ class Mission:
         return done and moves, order
 
     def _land(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
-        """Fly to the place of the item and descend; return whether it has landed, and the order."""
+        """Fly to the item's position and descend; return whether the vehicle has landed, and the order."""
         here = craft.seen.position_ned
         if self._goal is None:
             place = plan.place_of(item, craft, self._from or here)

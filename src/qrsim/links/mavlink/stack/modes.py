@@ -55,7 +55,7 @@ _ADVANCED = frozenset((Mode.STABILIZED, Mode.OFFBOARD, Mode.FOLLOW, Mode.ORBIT))
 
 
 def _px4(main: int, sub: int = 0) -> int:
-    """Return PX4's custom_mode of a main mode and sub-mode."""
+    """Return PX4's custom_mode number, which packs a main mode and a sub-mode."""
     return (main << 16) | (sub << 24)
 
 
@@ -84,19 +84,19 @@ class Flavour:
     guided: int = -1
 
     def custom_mode(self, mode: Mode, guided: bool = False) -> int:
-        """Return the custom_mode of a mode in HEARTBEAT; ``guided``: HOLD is reported as ArduPilot's GUIDED."""
+        """Return the custom_mode of a flight mode for HEARTBEAT; ``guided``: HOLD is reported as ArduPilot's GUIDED."""
         return self.guided if guided and mode is Mode.HOLD and self.guided >= 0 else self.numbers[mode]
 
     def flags(self, mode: Mode) -> int:
-        """Return the base_mode of HEARTBEAT, without the armed flag."""
+        """Return the base_mode flags of a flight mode for HEARTBEAT, without the armed flag."""
         return _STICKS_FLAGS if mode in BY_STICKS and self.name == "px4" else self.base_mode
 
     def custom_of(self, main: int, sub: int) -> int:
-        """Return the custom_mode of DO_SET_MODE's main and sub-mode; ArduPilot uses only the first."""
+        """Return the custom_mode for the two mode parameters of DO_SET_MODE; ArduPilot uses only ``main``."""
         return main if self.name == "ardupilot" else _px4(main, sub)
 
     def mode_of(self, custom_mode: int) -> Mode | None:
-        """Return the mode of a custom_mode, None for an unknown one.
+        """Return the flight mode of a custom_mode number, None for an unknown one.
 
         As in PX4's Commander any sub mode of Position is Position, and that of AUTO without one is Mission; an orbit
         begins by its command alone.
@@ -110,7 +110,7 @@ class Flavour:
         return next((mode for mode, number in self.numbers.items() if number == custom_mode), None)
 
     def info(self, mode: Mode, guided: bool = False) -> ModeInfo:
-        """Return the entry of a mode in AVAILABLE_MODES and CURRENT_MODE."""
+        """Return a flight mode's entry for AVAILABLE_MODES and CURRENT_MODE; ``guided``: HOLD is reported as GUIDED."""
         custom = self.custom_mode(mode, guided)
         if self.name == "ardupilot":
             return ModeInfo(custom, name=self.names[custom])
@@ -120,7 +120,7 @@ class Flavour:
         return ModeInfo(custom, standard, properties, "" if standard else self.names[custom])
 
     def infos(self) -> tuple[ModeInfo, ...]:
-        """Return the entries of AVAILABLE_MODES for all modes of the vehicle, sorted by custom_mode."""
+        """Return the entries of AVAILABLE_MODES for all flight modes of the vehicle type, sorted by custom_mode."""
         found = {info.custom_mode: info for info in map(self.info, self.modes)}
         if self.guided >= 0:
             found[self.guided] = ModeInfo(self.guided, name=self.names[self.guided])
@@ -128,12 +128,13 @@ class Flavour:
         return tuple(found[custom] for custom in sorted(found))
 
     def standard_mode(self, number: int) -> Mode | None:
-        """Return the mode of a MAV_STANDARD_MODE, None if clients cannot request it."""
+        """Return the flight mode of a MAV_STANDARD_MODE number, None if clients cannot request it."""
         found = next((mode for mode, standard in STANDARD.items() if standard == number), None)
         return found if found in self.modes and found is not Mode.ORBIT else None
 
     def refusal(self, custom_mode: int, why: str) -> str:
-        """Return the text that refuses a mode, in the words of PX4's Commander or ArduPilot's Copter."""
+        """Return the text that refuses a flight mode because of ``why``, in the words of PX4's Commander or ArduPilot's
+        Copter."""
         name = self.names.get(custom_mode)
         if self.name == "px4":
             return f"Switching to mode '{name}' is currently not possible: {why}" if name else "Unsupported mode"
@@ -229,7 +230,8 @@ _PLANE = {
 def _flavours(
     own: Mapping[Mode, int], names: Mapping[int, str], guided: int, aliases: Mapping[int, Mode] | None = None
 ) -> dict[str, Flavour]:
-    """Return PX4's and ArduPilot's flavour of a vehicle type, from its modes with ArduPilot's numbers."""
+    """Return the "px4" and "ardupilot" flavours of a vehicle type; ``own``, ``names``, ``guided``: ArduPilot's numbers
+    and names of modes."""
     modes = frozenset(own)
     return {
         "px4": Flavour(

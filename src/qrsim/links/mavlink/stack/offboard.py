@@ -56,7 +56,7 @@ class Offboard:
     # ---- what comes in ----
 
     def take(self, target: Target, craft: Craft) -> bool:
-        """Take a set-point; return whether it is accepted, and warn clients if not."""
+        """Store a client's set-point; return whether it is accepted, and warn clients if not."""
         if isinstance(target, AttitudeTarget):
             why = self._take_attitude(target, craft)
         elif isinstance(target, LocalTarget):
@@ -69,14 +69,14 @@ class Offboard:
         return True
 
     def refuse(self, craft: Craft, why: str) -> bool:
-        """Warn clients why a set-point is refused, at most once in 5 s; always return False."""
+        """Warn clients, at most every 5 s, why a set-point is refused; always return False."""
         if craft.seen.time - self._complained >= 5.0 or craft.seen.time < self._complained:
             self._complained = craft.seen.time
             craft.say(Severity.WARNING, f"Set-point refused: {why}")
         return False
 
     def _take_local(self, target: LocalTarget, craft: Craft) -> str:
-        """Take a set-point in a local frame; return the reason for refusing it, "" if it is taken."""
+        """Store a set-point in a local frame; return "", or why it is refused."""
         frame = target.frame
         if frame not in (LOCAL_NED, LOCAL_OFFSET, BODY_NED, BODY_OFFSET, BODY_FRD):
             return f"frame {frame} is not supported"
@@ -89,7 +89,7 @@ class Offboard:
         return self._take_motion(target, position, velocity, acceleration)
 
     def _take_global(self, target: GlobalTarget, craft: Craft) -> str:
-        """Take a set-point in latitude and longitude; return the reason for refusing it, "" if it is taken."""
+        """Store a set-point in latitude and longitude; return "", or why it is refused."""
         if target.frame not in GLOBAL:
             return f"frame {target.frame} is not supported"
         ignored, velocity, acceleration = _unmasked(target)
@@ -108,7 +108,8 @@ class Offboard:
     def _take_motion(
         self, target: LocalTarget | GlobalTarget, position: Triple, velocity: Triple, acceleration: Triple
     ) -> str:
-        """Take position, velocity, acceleration NED, NaN if unset; return the reason for refusing them, or ""."""
+        """Store a set-point of position, velocity and acceleration, NED, NaN where unset; return "", or why it is
+        refused."""
         numbers = (*position, *velocity, *acceleration)
         yaw = NAN if target.mask & NO_YAW else target.yaw
         rate = NAN if target.mask & NO_YAW_RATE else target.yaw_rate
@@ -127,7 +128,7 @@ class Offboard:
         return ""
 
     def _take_attitude(self, target: AttitudeTarget, craft: Craft) -> str:
-        """Take a set-point of attitude or rates, and thrust; return the reason for refusing it, or ""."""
+        """Store a set-point of attitude or body rates, and thrust; return "", or why it is refused."""
         if target.mask & NO_THRUST or not 0.0 <= target.thrust <= 1.0:
             return f"thrust {target.thrust:g}, 0 to 1 needed" if not target.mask & NO_THRUST else "no thrust"
         tilt, yaw = None, NAN
@@ -150,7 +151,7 @@ class Offboard:
     # ---- what goes out ----
 
     def fresh(self, craft: Craft, limit: float) -> bool:
-        """Return whether the last set-point is at most ``limit`` [s] old, or is a position that does not expire."""
+        """Return whether the last set-point is at most ``limit`` [s] old, or is a position, which does not expire."""
         if self.keeps_places and self._is_place:
             return True
         # A small part of a tick is left for the rounding of times.
@@ -158,13 +159,13 @@ class Offboard:
 
     @property
     def _is_place(self) -> bool:
-        """True if the set-point is a position without a velocity."""
+        """Return whether the set-point is a position without a velocity."""
         return (
             self._kind == "motion" and all(map(math.isfinite, self._position)) and all(map(math.isnan, self._velocity))
         )
 
     def begin(self, craft: Craft) -> None:
-        """Reset the state of flight by set-points, at the vehicle's present position and heading."""
+        """Reset flight by set-points to the vehicle's present position and heading, when the mode begins."""
         self._descent.begin()
         self._descends = False
         self._lift.begin(craft)
@@ -174,7 +175,7 @@ class Offboard:
         craft.yaw = craft.seen.attitude[2]
 
     def fly(self, craft: Craft) -> tuple[Order | None, bool]:
-        """Fly the set-point by a tick; return the order, and whether the vehicle has landed."""
+        """Follow the stored set-point for one tick; return the order, and whether the vehicle has landed."""
         dt, here = craft.facts.time_step, craft.seen.position_ned
         if self._kind == "attitude":
             return self._fly_attitude(craft, dt)
@@ -206,11 +207,11 @@ class Offboard:
         return self._motion(craft, dt), False
 
     def _sinks(self) -> float:
-        """Return the descent speed [m/s] near the ground: that of the set-point, or 0.5."""
+        """Return the descent speed [m/s] near the ground: that of the set-point, else 0.5."""
         return self._velocity[2] if self._velocity[2] > 0.0 else 0.5
 
     def _rises(self, craft: Craft) -> bool:
-        """Return whether the set-point lifts the vehicle off the ground or keeps it in the air."""
+        """Return whether the set-point asks for take-off, or for flight if the vehicle is in the air."""
         here = craft.seen.position_ned[2]
         if math.isfinite(self._position[2]):
             # In flight, a place no higher than the estimate may drift above where it stood is a landing: nobody hovers
@@ -222,7 +223,8 @@ class Offboard:
         return self._acceleration[2] < (0.5 if craft.flies else -0.5)
 
     def _motion(self, craft: Craft, dt: float) -> Order:
-        """Return the order for a set-point of position, velocity or acceleration, within the speed limits."""
+        """Return the order for a set-point of position, velocity or acceleration, within the speed limits; ``dt``: tick
+        [s]."""
         position, velocity, acceleration = self._position, self._velocity, self._acceleration
         values, facts, seen = craft.parameters.values, craft.facts, craft.seen
         level = min(values["MPC_XY_VEL_MAX"], facts.speed_limit)
@@ -253,13 +255,15 @@ class Offboard:
         return craft.follow((place[0], place[1], place[2]), motion, (push[0], push[1], push[2]))
 
     def level(self, craft: Craft) -> None:
-        """Set an attitude set-point: level, at the present heading and height, as ArduPilot's GUIDED_NOGPS does."""
+        """Set a level attitude as the set-point, at the present heading and height, as ArduPilot's GUIDED_NOGPS
+        does."""
         self._kind, self.climbs, self._thrust = "attitude", True, 0.5
         self._tilt, self._rates, self._yaw = (0.0, 0.0), (0.0, 0.0, 0.0), craft.yaw
         self.heard = None
 
     def _fly_attitude(self, craft: Craft, dt: float) -> tuple[Order | None, bool]:
-        """Return the order for a set-point of attitude or rates, and whether the vehicle has landed."""
+        """Return the order for a set-point of attitude or rates, and whether the vehicle has landed; ``dt``: tick
+        [s]."""
         roll, pitch = self._lean(craft, dt)
         if not self.climbs:
             landed = craft.seen.on_ground and self._thrust < 0.1
@@ -274,7 +278,8 @@ class Offboard:
         return craft.lean(roll, pitch, self._lift.throttle(craft, sinks, (facts.speed_limit, up, down))), False
 
     def _lean(self, craft: Craft, dt: float) -> tuple[float, float]:
-        """Return the roll and pitch [rad] of the set-point, integrating rates, and set the heading."""
+        """Return the roll and pitch [rad] of the set-point, integrating its rates over ``dt`` [s], and set the
+        heading."""
         rates, freedom = self._rates, craft.freedom
         if not freedom:
             # What stands and leans tips over.
@@ -294,7 +299,7 @@ class Offboard:
 
 
 def _unmasked(target: LocalTarget | GlobalTarget) -> tuple[Triple, Triple, Triple]:
-    """Return position, velocity and acceleration of a target, NaN where its mask leaves them out."""
+    """Return position, velocity and acceleration of a client's set-point, NaN where its type mask ignores them."""
     position = target.position if isinstance(target, LocalTarget) else (0.0, 0.0, target.alt)
     parts = []
     for shift, part in ((0, position), (3, target.velocity), (6, target.acceleration)):
@@ -304,20 +309,20 @@ def _unmasked(target: LocalTarget | GlobalTarget) -> tuple[Triple, Triple, Tripl
 
 
 def _turned(vector: Triple, yaw: float) -> Triple:
-    """Return a vector rotated from heading axes to NED by a yaw [rad]; NaN on one horizontal axis spreads to both."""
+    """Rotate a vector from heading axes to NED by a yaw [rad]; NaN on one horizontal axis gives NaN on both."""
     sine, cosine = math.sin(yaw), math.cos(yaw)
     return cosine * vector[0] - sine * vector[1], sine * vector[0] + cosine * vector[1], vector[2]
 
 
 def _limited(velocity: Triple, level: float, up: float, down: float) -> Triple:
-    """Return a velocity NED [m/s], clipped to a horizontal, an upward and a downward speed [m/s]."""
+    """Clip a velocity NED [m/s] to a horizontal (``level``), an upward and a downward speed [m/s]."""
     size = math.hypot(velocity[0], velocity[1])
     ratio = min(1.0, level / size) if size > 0.0 else 1.0
     return velocity[0] * ratio, velocity[1] * ratio, min(max(velocity[2], -up), down)
 
 
 def _euler(w: float, x: float, y: float, z: float) -> Triple:
-    """Return roll, pitch and yaw [rad] of a unit quaternion from body to NED."""
+    """Convert a unit quaternion, body to NED, to roll, pitch and yaw [rad]."""
     pitch = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0))
     roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     return roll, pitch, math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -23,17 +23,17 @@ BELOW, BESIDE = 5.0, 20.0
 
 
 def airspeed(craft: Craft) -> float:
-    """Return the commanded airspeed [m/s]."""
+    """Return the commanded airspeed [m/s] of a fixed wing."""
     return craft.facts.airspeed if craft.cruise is None else craft.cruise
 
 
 def tightest(speed: float) -> float:
-    """Return the radius [m] of a circle at a speed [m/s], in calm, with a bank of 40 degrees."""
+    """Return the radius [m] of a turn at an airspeed [m/s] with a bank angle of 40 degrees, in calm air."""
     return speed * speed / (GRAVITY * math.tan(BANK_RAD))
 
 
 def why_no_radius(radius: float, speed: float) -> str:
-    """Return the reason that a radius [m] cannot be flown at a speed [m/s]; "" if it can, and for NaN."""
+    """Return why a circle of a radius [m] cannot be flown at an airspeed [m/s]; "" if it can, and for NaN."""
     least = tightest(speed)
     if abs(radius) < least:
         return f"a radius of {abs(radius):g} m is too tight, at least {math.ceil(least)} m"
@@ -41,23 +41,24 @@ def why_no_radius(radius: float, speed: float) -> str:
 
 
 def usual_radius(craft: Craft) -> float:
-    """Return the loiter radius [m] of circles without their own radius."""
+    """Return the default loiter radius [m] of a fixed wing, for items without one."""
     return craft.parameters["NAV_LOITER_RAD"]
 
 
 def circle(craft: Craft, centre: Triple, radius: float) -> Order:
-    """Return the order to circle a centre NED [m]; radius [m], below 0 counterclockwise; too tight ones are widened."""
+    """Return the order to circle a centre NED [m]; radius [m], below 0 counterclockwise, enlarged if too small to
+    fly."""
     wide = math.copysign(max(abs(radius), tightest(airspeed(craft))), radius)
     return Order(craft.facts.name, "track", (*centre, *centre, wide, airspeed(craft), 0.0))
 
 
 def line(craft: Craft, begin: Triple, end: Triple) -> Order:
-    """Return the order to fly along the straight line between two points NED [m]."""
+    """Return the order to fly along the straight line from ``begin`` to ``end``, NED [m]."""
     return Order(craft.facts.name, "track", (*begin, *end, 0.0, airspeed(craft), 0.0))
 
 
 def fits(fence: Fence, centre: Triple, radius: float) -> bool:
-    """Return whether a circle with a centre NED [m] and radius [m] lies inside a fence, sampled at PLACES points."""
+    """Return whether a level circle (centre NED [m], radius [m]) lies inside a fence, checked at PLACES points."""
     angles = [2.0 * math.pi * number / PLACES for number in range(PLACES)]
     radius = abs(radius)
     return all(
@@ -67,7 +68,8 @@ def fits(fence: Fence, centre: Triple, radius: float) -> bool:
 
 
 def fitted(craft: Craft, place: Triple, radius: float) -> Triple:
-    """Return the centre NED [m] nearest to ``place``, towards the area's middle, whose circle fits into the fence.
+    """Return the centre NED [m] of a circle of ``radius`` [m] inside the fence, near ``place``, moved towards the
+    area's middle.
 
     Where none fits, the middle. The height is below the ceiling.
     """
@@ -86,14 +88,16 @@ def fitted(craft: Craft, place: Triple, radius: float) -> Triple:
 
 
 def _around(craft: Craft, place: Triple) -> tuple[Point, ...]:
-    """Return the outline of the inclusion zone that contains a place, else of the first one; () without any."""
+    """Return the outline (north, east) [m] of the inclusion zone that contains a position, else of the first zone; ()
+    without any."""
     kept = [zone for zone in craft.facts.zones if zone.keep]
     held = [zone for zone in kept if zone.over(place[0], place[1])]
     return (held or kept)[0].outline if kept else ()
 
 
 def here(craft: Craft) -> tuple[Triple, float]:
-    """Return centre NED [m] and radius [m] of a circle at the vehicle's place, or to one side of it near the fence."""
+    """Return centre NED [m] and radius [m] of a circle to wait in: around the vehicle, or to one side of it near the
+    fence."""
     place, usual, (vn, ve, _) = craft.seen.position_ned, usual_radius(craft), craft.seen.velocity_ned
     if fits(craft.fence, place, usual + BESIDE):
         return (place[0], place[1], max(place[2], craft.facts.z_min + BELOW)), usual
@@ -111,18 +115,20 @@ def here(craft: Craft) -> tuple[Triple, float]:
 
 
 def wind(craft: Craft) -> tuple[float, float]:
-    """Return the wind, north and east [m/s], as ground velocity minus airspeed along the heading."""
+    """Return the wind (north, east) [m/s], computed as ground velocity minus airspeed along the heading."""
     yaw, fast, (north, east, _) = craft.seen.attitude[2], airspeed(craft), craft.seen.velocity_ned
     return north - fast * math.cos(yaw), east - fast * math.sin(yaw)
 
 
 def can_turn(craft: Craft) -> bool:
-    """Return whether a wing, straight on or after a turn to the left or right, stays in the area of the scenario."""
+    """Return whether a fixed wing can still avoid the edge of the flight area, straight on or by a turn to either
+    side."""
     return craft.area.empty or any(_turns(craft, side) for side in (1.0, -1.0))
 
 
 def _turns(craft: Craft, side: float) -> bool:
-    """Return whether a turn to one side (1 right, -1 left), then straight flight for ``AHEAD_S``, stays in the area."""
+    """Return whether a turn to one side (1 right, -1 left) and straight flight for ``AHEAD_S`` [s] stay in the flight
+    area."""
     seen, fast, (blown_north, blown_east) = craft.seen, airspeed(craft), wind(craft)
     yaw, radius, inside, down = seen.attitude[2], tightest(fast), craft.area.inside, seen.position_ned[2]
     sine, cosine = math.sin(yaw), math.cos(yaw)

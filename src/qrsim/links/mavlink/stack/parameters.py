@@ -45,12 +45,12 @@ class Outcome(Enum):
 
 
 def _real(name: str, default: float, low: float, high: float, unit: str, doc: str) -> Parameter:
-    """Return the entry of a parameter of type float."""
+    """Return the definition of a float parameter: default, lowest and highest value, unit, description."""
     return Parameter(name, REAL32, default, low, high, unit, doc)
 
 
 def _int(name: str, default: int, low: int, high: int, doc: str) -> Parameter:
-    """Return the entry of a parameter of type integer."""
+    """Return the definition of an integer parameter: default, lowest and highest value, description."""
     return Parameter(name, INT32, default, low, high, "", doc)
 
 
@@ -152,19 +152,20 @@ class Parameters:
         return self.values[name]
 
     def at(self, index: int) -> Parameter | None:
-        """Return the parameter at an index of the list, None if the index is out of range."""
+        """Return the definition of the parameter at an index of the parameter list; None if out of range."""
         return self._rows[index] if 0 <= index < len(self._rows) else None
 
     def index(self, name: str) -> int:
-        """Return a parameter's index in the list; raises KeyError for an unknown name."""
+        """Return a parameter's index in the parameter list; raises KeyError for an unknown name."""
         return self._index[name]
 
     def parameter(self, name: str) -> Parameter | None:
-        """Return the entry of a parameter by name, None if it is unknown."""
+        """Return the definition of a parameter by name, None if it is unknown."""
         return self._table.get(name)
 
     def set(self, name: str, value: float, type: int | None = None) -> Outcome:
-        """Set a parameter, clipped to its range; return the outcome: set, clamped, or why it is refused.
+        """Set a parameter of a client's MAV_PARAM_TYPE ``type``, clipped to its range; return set, clamped, or why it
+        is refused.
 
         Args:
             name: of it.
@@ -188,6 +189,6 @@ class Parameters:
 
 
 def _within(known: Parameter, value: float) -> float:
-    """Return a value clipped to a parameter's range, and rounded for integers."""
+    """Return a value clipped to a parameter's range, and rounded if the parameter is an integer."""
     clamped = min(max(value, known.low), known.high)
     return float(round(clamped)) if known.type == INT32 else clamped

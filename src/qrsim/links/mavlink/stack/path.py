@@ -35,16 +35,17 @@ class Path:
         self.acceleration: Triple = (0.0, 0.0, 0.0)
 
     def begin(self, position: Triple, velocity: Triple) -> None:
-        """Move the point to a vehicle's position and velocity NED, unless it is near them already."""
+        """Put the path's point at a vehicle's position and velocity NED [m, m/s], unless it is already near them."""
         if math.dist(position, self.position) > 1.5 or math.dist(velocity, self.velocity) > 1.0:
             self.position, self.velocity, self.acceleration = position, velocity, (0.0, 0.0, 0.0)
 
     def shift(self, position: Triple) -> None:
-        """Put the point at a position NED [m], at rest."""
+        """Put the path's point at a position NED [m], at rest."""
         self.position, self.velocity, self.acceleration = position, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
 
     def stop(self, most: float) -> Triple:
-        """Return where the point would come to rest, braking at most ``most`` [m/s^2]."""
+        """Return the position NED [m] where the path's point comes to rest if it brakes with at most ``most``
+        [m/s^2]."""
         north, east, down = self.velocity
         way = braking_way(math.hypot(north, east), most)
         ratio = way / max(math.hypot(north, east), 1e-9)
@@ -62,7 +63,7 @@ class Path:
         along: Triple = STANDS,
         begin: Triple | None = None,
     ) -> None:
-        """Move the point by one time step, to a goal or along the straight line that ends there.
+        """Move the path's point by one time step ``dt`` [s], to a goal NED [m] or along the line from ``begin`` to it.
 
         Off a line it returns to it: errors across the line are corrected before those along it.
 
@@ -97,7 +98,8 @@ class Path:
         along: Triple,
         rate: float,
     ) -> Triple:
-        """Return the point's acceleration [m/s^2] towards a goal; ``rate`` scales its speed if the vehicle lags."""
+        """Return the acceleration [m/s^2] of the path's point towards a goal with velocity ``along``; ``rate``, 0 to 1,
+        scales its speed."""
         px, py, pz = self.position
         vx, vy, vz = self.velocity
         ax, ay, az = self.acceleration
@@ -136,7 +138,8 @@ class Path:
         beyond: float,
         rate: float,
     ) -> Triple:
-        """Return the point's acceleration [m/s^2] along a line; ``step``: its largest change, ``rate``: as above."""
+        """Return the acceleration [m/s^2] of the path's point along the line ``begin`` to ``goal``; ``step``: its
+        largest change, ``rate``: as in ``_to_goal``."""
         line = _minus(goal, begin)
         length = math.hypot(*line)
         unit = (line[0] / length, line[1] / length, line[2] / length)
@@ -164,20 +167,21 @@ class Path:
 
 
 def approach(way: float, most: float) -> float:
-    """Return the largest speed [m/s] at a distance [m] from a goal that still brakes in time with ``most`` [m/s^2]."""
+    """Return the largest speed [m/s] at which braking with ``most`` [m/s^2] still stops within ``way`` [m]."""
     linear = most / (APPROACH * APPROACH)
     return APPROACH * way if way < linear else math.sqrt(2.0 * most * (way - 0.5 * linear))
 
 
 def braking_way(speed: float, most: float) -> float:
-    """Return the braking distance [m] from a speed [m/s] at BRAKING times ``most`` [m/s^2]."""
+    """Return the distance [m] needed to brake from a speed [m/s], at BRAKING times ``most`` [m/s^2]."""
     most *= BRAKING
     linear = most / (APPROACH * APPROACH)
     return speed / APPROACH if speed < APPROACH * linear else speed * speed / (2.0 * most) + 0.5 * linear
 
 
 def _answer(error: float, most: float, jerk: float) -> float:
-    """Return the acceleration [m/s^2] that removes a speed error [m/s] within an acceleration and jerk limit."""
+    """Return the acceleration [m/s^2] that removes a speed error [m/s], at most ``most`` [m/s^2], with a jerk limit
+    [m/s^3]."""
     # Conditions, because the functions min and max take three times as long.
     found, soon = ANSWER * error, SOON * math.sqrt(2.0 * jerk * error)
     if soon < found:

@@ -37,12 +37,14 @@ LARGEST_ALTITUDE = 1e5
 
 
 def moves(command: int) -> bool:
-    """Return whether an accepted mission command has an effect here, or is skipped."""
+    """Return whether a mission command (MAV_CMD) has an effect in this flight stack; others are accepted but
+    skipped."""
     return command not in SKIPPED
 
 
 def check(items: Sequence[Item], flavour: FlavourName) -> tuple[PlanResult, int]:
-    """Check a mission; return the result, and the seq of the first bad item (-1: none)."""
+    """Check the items of a mission for PX4 or ArduPilot; return the MAV_MISSION_RESULT and the first invalid item's
+    number or -1."""
     if len(items) > MOST_ITEMS:
         return PlanResult.NO_SPACE, MOST_ITEMS
     for index, item in enumerate(items):
@@ -57,7 +59,7 @@ def check(items: Sequence[Item], flavour: FlavourName) -> tuple[PlanResult, int]
 
 
 def _bad_place(item: Item) -> PlanResult | None:
-    """Return the result for a mission item whose frame or position is refused; None if it is valid."""
+    """Return the result that refuses a mission item's frame or position; None if they are valid."""
     if item.frame not in GLOBAL and not (item.command == SET_HOME and item.frame == MISSION_FRAME):
         return PlanResult.UNSUPPORTED_FRAME
     if has_place(item):
@@ -70,7 +72,8 @@ def _bad_place(item: Item) -> PlanResult | None:
 
 
 def _bad_numbers(item: Item, total: int) -> PlanResult | None:
-    """Return the result that names a mission item's refused parameter; None if all are valid."""
+    """Return the result that names a mission item's invalid parameter; None if all are valid. ``total``: number of
+    items."""
     first, second, third, _ = item.params
     if any(math.isinf(number) for number in item.params):
         return (
@@ -95,13 +98,13 @@ def _bad_numbers(item: Item, total: int) -> PlanResult | None:
 
 
 def has_place(item: Item) -> bool:
-    """Return whether an item has a latitude and longitude; (0, 0) and NaN count as none."""
+    """Return whether a mission item has a latitude and longitude; (0, 0) and NaN count as none."""
     unset = (UNSET_INT, -UNSET_INT - 1)
     return item.x not in unset and item.y not in unset and not (item.x == 0 and item.y == 0)
 
 
 def place_of(item: Item, craft: Craft, otherwise: Triple) -> Triple:
-    """Return the position NED [m] of an item; coordinates that it lacks are taken from ``otherwise``."""
+    """Return the position NED [m] of a mission item; coordinates that it lacks are taken from ``otherwise``."""
     home = craft.home
     z = otherwise[2]
     if math.isfinite(item.z):
@@ -123,7 +126,8 @@ def place_of(item: Item, craft: Craft, otherwise: Triple) -> Triple:
 
 
 def _above_ground(item: Item, craft: Craft, otherwise: Triple) -> Triple:
-    """Return the position NED [m] of an item with its altitude above terrain; ``otherwise`` if it has no place."""
+    """Return the position NED [m] of a mission item whose altitude is above terrain; ``otherwise`` if it has no
+    position."""
     ground_down = craft.facts.ground_down
     assert ground_down is not None
     north, east = otherwise[:2]
@@ -133,7 +137,7 @@ def _above_ground(item: Item, craft: Craft, otherwise: Triple) -> Triple:
 
 
 def next_place(items: Sequence[Item]) -> Item | None:
-    """Return the first item with a place; None if a landing, take-off, return, delay or jump comes first."""
+    """Return the first mission item with a position; None if a landing, take-off, return, delay or jump comes first."""
     for item in items:
         if item.command in PLACES - {LAND, TAKEOFF}:
             return item
@@ -143,7 +147,8 @@ def next_place(items: Sequence[Item]) -> Item | None:
 
 
 def set_home(item: Item, craft: Craft) -> None:
-    """Obey DO_SET_HOME: move home to the item's place, or to the vehicle if ``param1`` is 1 or it has no place.
+    """Obey DO_SET_HOME in a mission: move home to the item's position, or to the vehicle's if ``param1`` is 1 or it has
+    none.
 
     In the frame of a mission, x and y are degrees times 1e7 too, as ArduPilot takes them, and z is an altitude above
     mean sea level.
@@ -158,7 +163,8 @@ def set_home(item: Item, craft: Craft) -> None:
 
 
 def outside(items: Sequence[Item], craft: Craft) -> int | None:
-    """Return the seq of the first mission item outside the fence, area or distance limits; None if all are inside."""
+    """Return the sequence number of the first mission item outside the fence, area or distance limits; None if all are
+    inside."""
     for index, item in enumerate(items):
         if item.command in PLACES and craft.home is not None and _too_far(item, craft, craft.home.position_ned):
             return index
@@ -171,7 +177,8 @@ def outside(items: Sequence[Item], craft: Craft) -> int | None:
 
 
 def _too_far(item: Item, craft: Craft, home: Triple) -> bool:
-    """Return whether an item exceeds GF_MAX_HOR_DIST or GF_MAX_VER_DIST from home NED [m]; 0 sets no limit."""
+    """Return whether a mission item is farther than GF_MAX_HOR_DIST or GF_MAX_VER_DIST [m] from home; 0 sets no
+    limit."""
     far, high = craft.parameters["GF_MAX_HOR_DIST"], craft.parameters["GF_MAX_VER_DIST"]
     north, east, z = place_of(item, craft, home)
     return bool((far and math.hypot(north - home[0], east - home[1]) > far) or (high and home[2] - z > high))

@@ -30,7 +30,7 @@ class Return:
         self._descent = Descent()
 
     def begin(self, craft: Craft, rally: tuple[Item, ...]) -> None:
-        """Choose the nearest of home and rally points to return to, and the height of the return."""
+        """Start a return: choose the nearest of home and rally points as its goal, and the return's height."""
         here, values = craft.seen.position_ned, craft.parameters.values
         places: list[Triple] = [craft.home.position_ned if craft.home else here]
         places += [place_of(item, craft, here) for item in rally]
@@ -49,7 +49,8 @@ class Return:
         self._from = here
 
     def fly(self, craft: Craft) -> tuple[Order | None, bool]:
-        """Fly the return by a tick (climb, fly, descend, land); return the order, and whether it has landed."""
+        """Fly the return for one tick (climb, fly, descend, land); return the order, and whether the vehicle has
+        landed."""
         if not craft.flies and not self.lands:
             return craft.idle(), craft.seen.on_ground
         here, place = craft.seen.position_ned, self._place

@@ -26,18 +26,20 @@ class Drive(Mission):
     """A mission on the ground: heights of items do not count."""
 
     def accept(self, items: Sequence[Item], craft: Craft) -> tuple[PlanResult, int]:
-        """Replace the plan; return the result and the seq of the bad item, else -1."""
+        """Replace the mission, unless an item is invalid; return the result, and the invalid item's sequence number or
+        -1."""
         for index, item in enumerate(items):
             if item.command in UNSUPPORTED:
                 return PlanResult.UNSUPPORTED, index
         return super().accept(items, craft)
 
     def _stay(self, craft: Craft) -> Order | None:
-        """Return None, no order: a rover stops by itself at the end of its path."""
+        """Return None, which keeps the last order: a rover stops by itself at the end of its path."""
         return None
 
     def _go(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
-        """Return whether the rover has been at an item's place for its hold time, and the order; None: stand still."""
+        """Drive to an item's position and wait its hold time; return whether that is done, and the order (None: stand
+        still)."""
         here, now = craft.seen.position_ned, craft.seen.time
         if self._goal is None:
             self._goal = plan.place_of(item, craft, self._from or here)
@@ -58,13 +60,13 @@ class RoverStack(FlightStack):
     _plan = Drive
 
     def reset(self) -> None:
-        """Restart as after a boot: disarmed, time at zero."""
+        """Restart the rover's flight stack as after a boot: disarmed, time 0."""
         super().reset()
         self._stands, self.offboard = False, GroundOffboard()
         self.offboard.keeps_places = self.flavour.name == "ardupilot"
 
     def tick(self, seen: Seen) -> Order | None:
-        """Advance by one tick; return the vehicle's new order, or None to keep the last one."""
+        """Advance by one tick with the vehicle's present state; return its new order, or None to keep the last one."""
         craft = self.craft
         seen.on_ground = True
         craft.look(seen)
@@ -87,14 +89,14 @@ class RoverStack(FlightStack):
         return self._stand()
 
     def _stand(self) -> Order | None:
-        """Return the order to stop at the first call; None, nothing new, at later ones."""
+        """Return the order to stop at the first call; later None, which keeps it."""
         if self._stands:
             return None
         self._stands = True
         return Order(self.facts.name, "velocity", (0.0, 0.0, 0.0, 0.0))
 
     def _drive(self) -> Order | None:
-        """Return the order of the present mode; None: stand still."""
+        """Return the order of the present flight mode; None: stand still."""
         craft = self.craft
         if self.mode is Mode.MISSION:
             order, over = self.plan.fly(craft)
@@ -115,28 +117,28 @@ class RoverStack(FlightStack):
         return None
 
     def arm(self, force: bool = False) -> Result:
-        """Arm, or report the reasons against it; ``force`` skips the checks."""
+        """Arm the rover, or send clients the reasons against it and return the refusal; ``force`` skips the checks."""
         result = super().arm(force)
         # There is nothing to take off for.
         self.craft.flies = self.armed
         return result
 
     def command(self, command: Command) -> Ack:
-        """Obey or refuse a command."""
+        """Execute or refuse a command, with the limits of a ground vehicle."""
         if command.id not in REFUSED:
             return super().command(command)
         self._refuse(f"Command {command.id}", "a rover cannot")
         return Ack(Result.DENIED)
 
     def request(self, mode: Mode) -> Result:
-        """Change the mode for a client, or report why not and return the refusal."""
+        """Change to a flight mode for a client, or send clients the reason against it and return the refusal."""
         if mode in self.flavour.modes or mode is Mode.GUIDED:
             return super().request(mode)
         self._refuse("Mode", f"a rover has no {mode.value}")
         return Result.DENIED
 
     def switch(self, mode: Mode, goal: Triple | None = None) -> None:
-        """Change the mode; a mode that a rover lacks becomes HOLD."""
+        """Change the flight mode without checks; a mode that a rover lacks becomes HOLD."""
         if mode in self.flavour.modes:
             super().switch(mode, goal)
         else:
@@ -144,11 +146,11 @@ class RoverStack(FlightStack):
 
 
 def away(craft: Craft, place: Triple) -> float:
-    """Return the horizontal distance [m] to a place NED [m]."""
+    """Return the horizontal distance [m] from the vehicle to a position NED [m]."""
     here = craft.seen.position_ned
     return math.hypot(place[0] - here[0], place[1] - here[1])
 
 
 def drive(craft: Craft, place: Triple, beyond: float = 0.0) -> Order:
-    """Return the order to drive on to a place NED [m], at the height where it is; ``beyond`` as ``Craft.go``."""
+    """Return the order to drive to a position NED [m], whose height is ignored; ``beyond``: as in ``Craft.go``."""
     return craft.go((place[0], place[1], craft.seen.position_ned[2]), beyond=beyond)

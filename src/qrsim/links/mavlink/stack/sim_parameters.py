@@ -13,12 +13,13 @@ FARTHEST, FASTEST = 1e5, 1e3
 
 
 def _sim(name: str, default: float, low: float, high: float, unit: str, doc: str) -> Parameter:
-    """Return the entry of a float parameter, its name with SIM_ in front."""
+    """Return the definition of a float parameter named SIM_NAME: default, lowest and highest value, unit,
+    description."""
     return Parameter(f"SIM_{name}", REAL32, default, low, high, unit, doc)
 
 
 def _axes(name: str, most: tuple[float, float, float], units: tuple[str, str, str], doc: str) -> tuple[Parameter, ...]:
-    """Return the entries of a parameter for each axis, each from -most to most."""
+    """Return the definitions of the parameters SIM_NAME_X, _Y and _Z, each from ``-most`` to ``most`` of its axis."""
     return tuple(
         _sim(f"{name}_{axis}", 0.0, -limit, limit, unit, f"{axis.lower()}: {doc}")
         for axis, limit, unit in zip(AXES, most, units, strict=True)
@@ -26,12 +27,12 @@ def _axes(name: str, most: tuple[float, float, float], units: tuple[str, str, st
 
 
 def _alike(name: str, most: float, unit: str, doc: str) -> tuple[Parameter, ...]:
-    """Return the entries of a parameter for each axis, with one limit for all."""
+    """Return the definitions of the parameters SIM_NAME_X, _Y and _Z, all from ``-most`` to ``most``."""
     return _axes(name, (most, most, most), (unit, unit, unit), doc)
 
 
 def _glitch(name: str, doc: str) -> tuple[Parameter, ...]:
-    """Return the entries of an offset in latitude, longitude [deg] and height [m]."""
+    """Return the definitions of the three parameters of a position offset: latitude, longitude [deg] and height [m]."""
     return _axes(name, (180.0, 360.0, FARTHEST), ("deg", "deg", "m"), doc)
 
 

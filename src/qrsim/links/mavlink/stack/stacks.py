@@ -16,10 +16,11 @@ _KINDS: dict[int, type[FlightStack]] = {GROUND_ROVER: RoverStack, FIXED_WING: Wi
 
 
 def stack_of(flavour: FlavourName = "px4", local_origin: LocalOrigin = "start") -> Callable[[Facts, Site], Stack]:
-    """Return a function that builds the flight stack for a vehicle's MAV_TYPE from its facts and site."""
+    """Return a function that builds a vehicle's simulated flight stack, PX4's or ArduPilot's (``flavour``), from facts
+    and site."""
 
     def make(facts: Facts, site: Site) -> Stack:
-        """Build the flight stack for the MAV_TYPE in ``facts``."""
+        """Build the flight stack (multirotor, fixed wing, rover) for the MAV_TYPE in ``facts``."""
         own = replace(facts, local_origin=local_origin)
         return _KINDS.get(facts.mav_type, FlightStack)(own, site, flavour=flavour)
 

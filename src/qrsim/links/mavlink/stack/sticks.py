@@ -40,7 +40,8 @@ class Sticks:
         self._lift = Lift()
 
     def take(self, values: Sequence[float], craft: Craft) -> bool:
-        """Store roll, pitch, throttle and yaw, -1 to 1, NaN: unchanged; return whether a stick has moved far."""
+        """Store stick positions roll, pitch, throttle, yaw, -1 to 1 (NaN keeps the last); return whether one has moved
+        far."""
         if all(map(math.isnan, values)):
             return False
         before = list(self._values)
@@ -55,13 +56,14 @@ class Sticks:
         return self.heard is not None and craft.seen.time - self.heard < limit + 0.01 * craft.facts.time_step
 
     def begin(self, craft: Craft) -> None:
-        """Reset the state of flight by sticks."""
+        """Reset flight by sticks, when such a mode begins."""
         craft.begin_path()
         craft.yaw = craft.seen.attitude[2]
         self._lift.begin(craft)
 
     def fly(self, craft: Craft, mode: Mode) -> tuple[Order | None, bool]:
-        """Return the order of POSITION, ALTITUDE or STABILIZED, and whether the vehicle has landed."""
+        """Return the order that the sticks give in POSITION, ALTITUDE or STABILIZED mode, and whether the vehicle has
+        landed."""
         self._turn(craft)
         if mode is Mode.STABILIZED:
             return self._stabilized(craft)
@@ -74,7 +76,7 @@ class Sticks:
         return order, False
 
     def _turn(self, craft: Craft) -> None:
-        """Set the heading by the yaw stick's rate; a vehicle on the ground keeps its heading."""
+        """Turn the commanded heading at the yaw stick's rate; on the ground, set it to the vehicle's heading."""
         yaw = craft.seen.attitude[2]
         if not craft.flies:
             craft.yaw = yaw
@@ -93,7 +95,8 @@ class Sticks:
         )
 
     def _position(self, craft: Craft, throttle: float) -> Order:
-        """Return the order to fly at the sticks' velocity, in heading axes; centred sticks hold the position."""
+        """Return the order to fly at the sticks' velocity along and across the heading; centred sticks hold the
+        position."""
         level, up, down = speeds = self._speeds(craft)
         right, forward = _in_circle(_shaped(self._values[0]), _shaped(self._values[1]))
         sine, cosine = math.sin(craft.yaw), math.cos(craft.yaw)
@@ -105,13 +108,14 @@ class Sticks:
         return craft.go(craft.path.position, speeds, along=along)
 
     def _altitude(self, craft: Craft, throttle: float) -> Order:
-        """Return the order to lean by the sticks while the throttle stick sets the climb rate; nothing brakes."""
+        """Return the order to tilt by the sticks and climb by the throttle stick; horizontal motion is not braked."""
         _, up, down = speeds = self._speeds(craft)
         roll, pitch = self._tilt(craft, shaped=True)
         return craft.lean(roll, pitch, self._lift.throttle(craft, -throttle * (up if throttle > 0.0 else down), speeds))
 
     def _stabilized(self, craft: Craft) -> tuple[Order | None, bool]:
-        """Return the order to lean by the sticks with the throttle stick as thrust, and whether it has landed."""
+        """Return the order to tilt by the sticks with the throttle stick as thrust, and whether the vehicle has
+        landed."""
         self.lands = False
         throttle = self._values[2]
         if craft.seen.on_ground and throttle < IDLES:
@@ -124,7 +128,7 @@ class Sticks:
         return craft.lean(roll, pitch, lift), False
 
     def _tilt(self, craft: Craft, shaped: bool) -> tuple[float, float]:
-        """Return the roll and pitch [rad] that the sticks command."""
+        """Return the roll and pitch [rad] that the sticks command; ``shaped``: by the exponential curve."""
         most = math.radians(craft.parameters["MPC_MAN_TILT_MAX"]) * craft.freedom
         right, forward = (_shaped(value) if shaped else value for value in self._values[:2])
         right, forward = _in_circle(right, forward)
@@ -132,12 +136,12 @@ class Sticks:
 
 
 def _shaped(value: float) -> float:
-    """Return a stick position, -1 to 1, after dead zone and exponential curve, as PX4's ``expo_deadzone``."""
+    """Apply dead zone and exponential curve to a stick position, -1 to 1, as PX4's ``expo_deadzone`` does."""
     beyond = math.copysign(max(abs(value) - DEAD, 0.0) / (1.0 - DEAD), value)
     return (1.0 - CUBIC) * beyond + CUBIC * beyond**3
 
 
 def _in_circle(right: float, forward: float) -> tuple[float, float]:
-    """Return the positions of a stick, shortened to the unit circle."""
+    """Limit the deflection of a stick, right and forward, to the unit circle."""
     size = math.hypot(right, forward)
     return (right / size, forward / size) if size > 1.0 else (right, forward)

@@ -34,7 +34,7 @@ class Tour(Mission):
         self.end: Triple | None = None
 
     def _forget(self) -> None:
-        """Reset the progress within the current item."""
+        """Forget the progress within the current mission item."""
         super()._forget()
         self._begin: Triple = (0.0, 0.0, 0.0)
         self._centre: Triple | None = None
@@ -43,7 +43,8 @@ class Tour(Mission):
     # ---- the plan ----
 
     def accept(self, items: Sequence[Item], craft: Craft) -> tuple[PlanResult, int]:
-        """Replace the plan; return the result and the seq of the bad item, else -1."""
+        """Replace the mission, unless an item is invalid; return the result, and the invalid item's sequence number or
+        -1."""
         for index, item in enumerate(items):
             result, why = _cannot(item, craft)
             if why:
@@ -52,12 +53,13 @@ class Tour(Mission):
         return super().accept(items, craft)
 
     def restart(self, craft: Craft) -> None:
-        """Go back to the first item, in the state NOT_STARTED."""
+        """Make the first item the current one, with the mission's state NOT_STARTED."""
         self.end = None
         super().restart(craft)
 
     def _outside(self, craft: Craft) -> int | None:
-        """Return the seq of the first item that lies, with its circle, outside the fence; None if all are inside."""
+        """Return the sequence number of the first item that lies, with its circle, outside the fence; None if all are
+        inside."""
         found = plan.outside(self.items, craft)
         for index, item in enumerate(self.items if found is None else self.items[:found]):
             if item.command in CIRCLES and plan.has_place(item) and not craft.fence.empty:
@@ -69,20 +71,22 @@ class Tour(Mission):
     # ---- flight ----
 
     def _stay(self, craft: Craft) -> Order | None:
-        """Return the order to circle the place flown to before, or else a point near the vehicle; never None."""
+        """Return the order to circle the last waypoint, or a point near the vehicle; never None, since a wing cannot
+        stop."""
         if self._goal is None:
             self._goal = self._from or orbits.fitted(craft, craft.seen.position_ned, orbits.usual_radius(craft))
         return orbits.circle(craft, self._goal, orbits.usual_radius(craft))
 
     def _go(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
-        """Return whether an item is done, and the order that flies it: past a place or around it."""
+        """Fly a mission item, past its position or around it; return whether it is done, and the order."""
         if self._goal is None:
             self._begin = self._from or craft.seen.position_ned
             self._goal = self.end = plan.place_of(item, craft, self._begin)
         return self._pass(item, craft, self._goal) if item.command not in CIRCLES else self._loiter(item, craft)
 
     def _pass(self, item: Item, craft: Craft, goal: Triple) -> tuple[bool, Order | None]:
-        """Fly along the line to a goal, then circle until its height is reached; return done, and the order."""
+        """Fly along the line to ``goal`` NED [m], then circle until its height is reached; return whether it is done,
+        and the order."""
         here = craft.seen.position_ned
         radius = max(item.params[1] if item.params[1] > 0.0 else 0.0, craft.parameters["NAV_ACC_RAD"], REACH)
         north, east = goal[0] - here[0], goal[1] - here[1]
@@ -100,7 +104,7 @@ class Tour(Mission):
         return False, orbits.circle(craft, self._centre, orbits.usual_radius(craft))
 
     def _loiter(self, item: Item, craft: Craft) -> tuple[bool, Order | None]:
-        """Circle the item's place for its turns, time or height; return whether it is done, and the order."""
+        """Circle an item's position for its turns, time or height; return whether it is done, and the order."""
         here, now, goal = craft.seen.position_ned, craft.seen.time, self._goal
         assert goal is not None
         radius = radius_of(item, craft)
@@ -122,20 +126,21 @@ class Tour(Mission):
 
 
 def radius_of(item: Item, craft: Craft) -> float:
-    """Return the circle radius [m] of an item, below 0 counterclockwise; ``NAV_LOITER_RAD`` if it has none."""
+    """Return the loiter radius [m] of a mission item, negative for counterclockwise; ``NAV_LOITER_RAD`` if it has
+    none."""
     radius = item.params[1 if item.command == known.LOITER_TO_ALTITUDE else 2]
     return radius if abs(radius) > 0.1 else orbits.usual_radius(craft)
 
 
 def why_no_speed(kind: float, speed: float, craft: Craft) -> str:
-    """Return the reason that a fixed wing cannot obey a DO_CHANGE_SPEED; "" if it can."""
+    """Return why a fixed wing cannot obey a DO_CHANGE_SPEED (``kind``: speed type, speed [m/s]); "" if it can."""
     if kind not in (0.0, 1.0):
         return "a fixed wing changes its airspeed only"
     return why_no_airspeed(speed, craft) if speed >= 0.0 else ""
 
 
 def why_no_airspeed(speed: float, craft: Craft) -> str:
-    """Return the reason that an airspeed [m/s] cannot be flown; "" if it can."""
+    """Return why an airspeed [m/s] cannot be flown; "" if it can."""
     least, most = craft.facts.airspeed_min, FASTEST * craft.facts.airspeed
     if speed > most:
         return f"{speed:g} m/s is too fast, at most {most:g} m/s"
@@ -143,7 +148,8 @@ def why_no_airspeed(speed: float, craft: Craft) -> str:
 
 
 def _cannot(item: Item, craft: Craft) -> tuple[PlanResult, str]:
-    """Return the result and the reason for refusing an item that a fixed wing cannot fly; ACCEPTED and "" otherwise."""
+    """Return the result and reason that refuse a mission item which a fixed wing cannot fly; (ACCEPTED, "") if it
+    can."""
     if item.command in (known.TAKEOFF, known.LAND):
         return PlanResult.UNSUPPORTED, NO_RUNWAY
     if item.command == known.CHANGE_SPEED:

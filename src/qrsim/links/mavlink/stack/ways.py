@@ -54,7 +54,8 @@ class Way:
         self._beyond: tuple[int, float, float] | None = None
 
     def through(self, here: Triple, radius: float) -> tuple[Triple, float] | None:
-        """Return the next place NED [m] and the free distance [m] beyond it; None: only the goal is left.
+        """Return the next waypoint NED [m], passed within ``radius`` [m], and how far [m] the path may run past it;
+        None: only the goal is left.
 
         Args:
             here: where the vehicle is [m].
@@ -70,7 +71,8 @@ class Way:
         return self._places[0], self._beyond[2]
 
     def beyond_goal(self, radius: float) -> float:
-        """Return the braking distance [m] still allowed beyond the goal, which limits the speed at the goal.
+        """Return the distance [m] that the path may run past its goal, which limits the speed there; within ``radius``
+        [m].
 
         It is half of ``radius``. A turn of more than a right angle would then lead too near to the goal: there it is
         less, so that the turn begins at the speed of the same turn in a plan from a file.
@@ -83,7 +85,8 @@ class Way:
         return self._at_goal[1]
 
     def _beyond_goal(self, radius: float) -> float:
-        """Return how far [m] the path goes past its goal: half the radius, less for turns of more than 90 degrees."""
+        """Return the distance [m] that the path may run past its goal: half the radius, less for turns of more than 90
+        degrees."""
         if self._after is None:
             return 0.5 * radius
         come, leave = np.subtract(self._goal, self.begin), np.subtract(self._after, self._goal)
@@ -96,7 +99,8 @@ class Way:
         return min(max(braking_way(speed, self._limits.acceleration) - radius, 0.0), 0.5 * radius)
 
     def _passed(self, here: Triple, radius: float) -> bool:
-        """Return whether the vehicle is close enough to the next place to start the line after it, or past it."""
+        """Return whether the vehicle, within ``radius`` [m] of the next waypoint, has passed it or may turn to the line
+        after it."""
         place = self._places[0]
         after = self._places[1] if len(self._places) > 1 else self._goal
         away = math.dist(here, place)
@@ -107,7 +111,8 @@ class Way:
         return behind or away < max(LEAST_CUT, cut)
 
     def _onward(self, radius: float) -> float:
-        """Return the distance [m] beyond the next place that sets the speed there, for all later bends.
+        """Return the distance [m] past the next waypoint that limits the speed there, so that all later bends can be
+        flown.
 
         Args:
             radius: largest distance from a place at which the next line begins [m].
@@ -124,7 +129,7 @@ class Way:
         return found
 
     def join(self, here: Triple) -> None:
-        """Drop the places before the leg that is nearest to the vehicle."""
+        """Drop the waypoints before the leg that is nearest to the vehicle."""
         ends = [self.begin, *self._places, self._goal]
         nearest = min(range(len(ends) - 1), key=lambda i: _apart(here, ends[i], ends[i + 1]))
         self.begin = ends[nearest]
@@ -132,7 +137,8 @@ class Way:
 
 
 def way_to(items: Sequence[Item], item: Item, begin: Triple | None, goal: Triple, craft: Craft) -> Way:
-    """Return the way (places and limits) that the vehicle flies to an item of a plan.
+    """Return the waypoints and limits of the path that the vehicle flies to an item of a mission, from ``begin`` to
+    ``goal``.
 
     Args:
         items: of the plan.
@@ -160,7 +166,7 @@ def way_to(items: Sequence[Item], item: Item, begin: Triple | None, goal: Triple
 
 
 def _after(items: Sequence[Item], seq: int) -> Item | None:
-    """Return the first later item of a plan that has a place or is a return; None without one."""
+    """Return the first mission item after ``seq`` that has a position or is a return; None without one."""
     leads = (each for each in items[seq + 1 :] if each.command in known.PLACES or each.command == known.RETURN)
     return next(leads, None)
 
@@ -168,7 +174,8 @@ def _after(items: Sequence[Item], seq: int) -> Item | None:
 def _tangents(
     items: Sequence[Item], seq: int, before: Sequence[Item], begin: Triple | None, goal: Triple, craft: Craft
 ) -> tuple[Sequence[float], Sequence[float]]:
-    """Return the tangents at the start and end of a spline leg; zeros at a stop."""
+    """Return the tangent vectors at start and end of item ``seq``, a spline; zeros where the vehicle stops. ``before``:
+    earlier items."""
     first: Sequence[float] = NONE
     if begin and len(before) > 1 and before[-1].command in known.WAYPOINTS and not before[-1].params[0] > 0.0:
         # A take-off without a place was at home.
@@ -184,7 +191,7 @@ def _tangents(
 
 
 def _apart(here: Triple, begin: Triple, end: Triple) -> float:
-    """Return the distance [m] of a point from the segment between two points."""
+    """Return the distance [m] of ``here`` from the straight segment ``begin`` to ``end``, NED [m]."""
     way = [b - a for a, b in zip(begin, end, strict=True)]
     length2 = sum(each * each for each in way)
     along = sum((h - a) * each for h, a, each in zip(here, begin, way, strict=True))

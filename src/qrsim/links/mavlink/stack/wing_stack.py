@@ -32,7 +32,7 @@ class WingStack(FlightStack):
     _plan = Tour
 
     def reset(self) -> None:
-        """Restart as after a boot, in the air."""
+        """Restart as after a boot; a fixed wing starts in the air."""
         super().reset()
         self.armed, self.craft.landed = True, Landed.IN_AIR
         self._own, self._radius = True, math.nan
@@ -41,7 +41,7 @@ class WingStack(FlightStack):
     # ---- ticks ----
 
     def tick(self, seen: Seen) -> Order | None:
-        """Advance by one tick; return the vehicle's new order, or None to keep the last one."""
+        """Advance by one tick with the vehicle's present state; return its new order, or None to keep the last one."""
         craft = self.craft
         craft.look(seen)
         craft.flies = True
@@ -63,7 +63,7 @@ class WingStack(FlightStack):
         return self._fly()[0] if seen.valid else None
 
     def _end(self, why: str) -> None:
-        """End the run after a crash or touch-down: disarm and send clients the reason; only once."""
+        """End the vehicle's run after a crash or touch-down: disarm, and send clients the reason ``why`` once."""
         craft = self.craft
         if craft.landed is Landed.ON_GROUND:
             return
@@ -73,7 +73,8 @@ class WingStack(FlightStack):
         craft.tell("landed")
 
     def _fly(self) -> tuple[Order | None, bool]:
-        """Return the order of the mode, or None to leave it to the scenario's guidance, and False (not landed)."""
+        """Return the order of the present mode, or None to leave it to the scenario's guidance, and False (never
+        landed)."""
         craft = self.craft
         if self.mode is Mode.MISSION:
             order, over = self.plan.fly(craft)
@@ -95,7 +96,8 @@ class WingStack(FlightStack):
         return order, False
 
     def _come_down(self, order: Order) -> None:
-        """Lower the circle to the height of a return, once the vehicle has reached it."""
+        """Lower the loiter circle to the height of a return, once the vehicle has reached it; ``order``: the one that
+        flies it."""
         craft, goal = self.craft, self._goal
         assert goal is not None
         here = craft.seen.position_ned
@@ -103,7 +105,7 @@ class WingStack(FlightStack):
             self._goal = (goal[0], goal[1], max(self._return_z(), craft.facts.z_min + orbits.BELOW))
 
     def _return_z(self) -> float:
-        """Return the z coordinate [m, down] of a return to home."""
+        """Return the NED z coordinate [m] of the circle of a return to home."""
         return self.craft.home_z - self.parameters["RTL_RETURN_ALT"]
 
     def _home_below(self) -> None:
@@ -116,7 +118,8 @@ class WingStack(FlightStack):
     # ---- arming ----
 
     def arm(self, force: bool = False) -> Result:
-        """Arm, or report the reasons against it; ``force`` skips the checks."""
+        """Arm the fixed wing, or send clients the reasons against it and return the refusal; ``force`` skips the
+        checks."""
         home, armed = self.craft.home, self.armed
         result = super().arm(force)
         if self.armed and not armed:
@@ -126,14 +129,14 @@ class WingStack(FlightStack):
         return result
 
     def disarm(self, why: str) -> None:
-        """Stop the motor, and glide."""
+        """Stop the motor and glide; ``why`` is a text for clients."""
         super().disarm(why)
         self.craft.landed = Landed.IN_AIR
 
     # ---- modes and commands ----
 
     def request(self, mode: Mode) -> Result:
-        """Change the mode for a client, or report why not and return the refusal."""
+        """Change to a flight mode for a client, or send clients the reason against it and return the refusal."""
         if mode in self.flavour.modes or mode is Mode.GUIDED:
             if mode is Mode.HOLD and self._own:
                 self.switch(Mode.HOLD)
@@ -142,7 +145,8 @@ class WingStack(FlightStack):
         return Result.DENIED
 
     def switch(self, mode: Mode, goal: Triple | None = None) -> None:
-        """Change the mode; LAND becomes an endless return, and a mode that a wing lacks becomes HOLD."""
+        """Change the flight mode without checks; LAND becomes an endless return, and a mode that a wing lacks becomes
+        HOLD."""
         if mode is Mode.LAND:
             mode = Mode.RTL
         if mode not in self.flavour.modes:
@@ -151,7 +155,8 @@ class WingStack(FlightStack):
         super().switch(mode, self._way_home() if mode is Mode.RTL else goal)
 
     def _way_home(self) -> Triple | None:
-        """Return the circle centre NED [m] of a return: the nearest of home and rally points, not below the vehicle."""
+        """Return the centre NED [m] of the circle of a return: at the nearest of home and rally points, not below the
+        vehicle."""
         craft = self.craft
         here = craft.seen.position_ned
         places = [craft.home.position_ned] if craft.home else [here]
@@ -161,7 +166,8 @@ class WingStack(FlightStack):
         return orbits.fitted(craft, high, orbits.usual_radius(craft))
 
     def command(self, command: Command) -> Ack:
-        """Obey or refuse a command; DO_ORBIT is a DO_REPOSITION with a radius, as PX4's navigator takes it."""
+        """Execute or refuse a command; DO_ORBIT is treated as a DO_REPOSITION with a radius, as PX4's navigator
+        does."""
         if command.id == ORBIT and self.flavour.name == "px4":
             radius = command.params[0]
             turns = (abs(radius), 1.0 if radius < 0.0 else 0.0)
@@ -176,7 +182,7 @@ class WingStack(FlightStack):
         return ack
 
     def _why_not(self, command: Command) -> str:
-        """Return the reason that a fixed wing cannot obey a command; "" if it can, or if another check decides."""
+        """Return why a fixed wing cannot obey a command; "" if it can, or if a later check decides."""
         params = command.params
         if any(map(math.isinf, params)):
             return ""
@@ -191,7 +197,7 @@ class WingStack(FlightStack):
         return ""
 
     def _why_not_there(self, command: Command) -> str:
-        """Return the reason that the vehicle cannot circle at the place of a DO_REPOSITION; "" if it can."""
+        """Return why the vehicle cannot circle at the position of a DO_REPOSITION; "" if it can."""
         craft, speed, radius = self.craft, command.params[0], _signed_radius(command)
         if speed > 0.0 and why_no_airspeed(speed, craft):
             return why_no_airspeed(speed, craft)
@@ -206,7 +212,7 @@ class WingStack(FlightStack):
         return ""
 
     def change_altitude(self, item: Item) -> None:
-        """Circle at another altitude, as ArduPilot's Plane; refused unless the mode is HOLD."""
+        """Circle at the altitude of a guided item, as ArduPilot's Plane does; refused unless the mode is HOLD."""
         craft = self.craft
         place = place_in(self, Command.of_int(REPOSITION, item.frame, (math.nan,) * 4, 0, 0, item.z))
         if self.mode is not Mode.HOLD or place is None or not craft.allows(place):
@@ -219,7 +225,7 @@ class WingStack(FlightStack):
         self._goal = (self._goal[0], self._goal[1], max(place[2], craft.facts.z_min + orbits.BELOW))
 
     def setpoint(self, target: Target) -> bool:
-        """Refuse any set-point and return False."""
+        """Refuse any set-point, since a fixed wing has no OFFBOARD mode here; return False."""
         now = self.craft.seen.time
         if now - self._said_at >= SAID_EVERY_S:
             self._said_at = now
@@ -228,6 +234,6 @@ class WingStack(FlightStack):
 
 
 def _signed_radius(command: Command) -> float:
-    """Return the radius [m] of a DO_REPOSITION, below 0 counterclockwise (``param4`` = 1); NaN if it has none."""
+    """Return the radius [m] of a DO_REPOSITION, negative for counterclockwise (``param4`` = 1); NaN if it has none."""
     radius, turns_left = command.params[2], command.params[3] == 1.0
     return math.copysign(radius, -1.0 if turns_left else 1.0) if radius > 0.0 else math.nan

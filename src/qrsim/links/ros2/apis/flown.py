@@ -24,7 +24,8 @@ PACKAGES: dict[str, Sequence[str]] = {"mavros": mavros.PACKAGES, "px4": px4.PACK
 
 
 def spaces_of(api: ApiName, names: Sequence[str], pattern: str | None) -> list[str]:
-    """Return the prefix of each vehicle's topics, such as "/uav1/mavros/" or "/px4_1/fmu/".
+    """Return each vehicle's topic prefix for an API, such as "/uav1/mavros/" or "/px4_1/fmu/"; ``pattern``: the user's
+    own.
 
     Args:
         api: whose topics they are.
@@ -97,45 +98,46 @@ class Flown:
             self.answered += [replace(each, answer=_unless_muted(system, each.answer)) for each in made.answered]
 
     def _mavros_interface(self, types: Types, system: System, space: str) -> Interface:
-        """Return the topics and services of mavros for one vehicle."""
+        """Return the topics and services of mavros for the vehicle ``system``, with the topic prefix ``space``."""
         texts = Texts(system.number, self._dt)
         system.links.append(texts)
         asked = mavros_asked.Asked(types, system, space)
         return Interface(list(mavros.published(types, space, texts)), list(asked.heard()), list(asked.answered()))
 
     def _px4_interface(self, types: Types, system: System, space: str) -> Interface:
-        """Return the topics and services of PX4's uXRCE-DDS client for one vehicle."""
+        """Return the topics and services of PX4's uXRCE-DDS client for the vehicle ``system``, with the topic prefix
+        ``space``."""
         asked = px4_asked.Asked(types, system, space)
         self._asked.append(asked)
         told = [*px4.published(types, system, space, self._dt), asked.told()]
         return Interface(told, list(asked.heard()), [asked.answered()])
 
     def _every(self, rate: float) -> int:
-        """Return the period of a message in ticks; 0 for one that is sent at changes or on demand."""
+        """Convert a topic's rate [Hz] to a period in ticks; 0 for one that is sent on changes or on demand."""
         if rate == EACH:
             return 0
         return max(1, round(1.0 / (min(rate, self._rate) * self._dt))) if rate else 0
 
     @property
     def modes(self) -> list[str]:
-        """Return the flight mode of each vehicle's stack, or the guidance of its scenario, for all vehicles."""
+        """Return each vehicle's flight mode, as a text, or the guidance of its scenario."""
         simulation = self.world.simulation
         found = dict.fromkeys(simulation.vehicle_names, "guidance")
         found |= {system.name: name_of(system.stack.heartbeat().custom_mode) for system in self.world.systems}
         return list(found.values())
 
     def advance(self) -> None:
-        """Advance the world by one tick."""
+        """Advance the simulation and the flight stacks by one tick."""
         self.world.tick(time.monotonic())
 
     def reset(self, seed: int) -> None:
-        """Reset the simulation and the flight stacks for another episode."""
+        """Reset the simulation and the flight stacks for an episode with a seed."""
         self.world.reset(seed)
         for asked in self._asked:
             asked.restart()
 
     def due(self) -> Iterator[tuple[int, bytes]]:
-        """Yield (number of the topic, message) of everything published at the present tick."""
+        """Yield (topic number, CDR message) of every topic that is due at the present tick."""
         tick = self.world.simulation.tick
         for system, scheduled in self._told:
             for each in () if system.muted else scheduled:
@@ -143,7 +145,7 @@ class Flown:
 
 
 def _unless_muted(system: System, does: Callable[[Message], Message]) -> Callable[[Message], Message]:
-    """Return a function that returns None while the link of a vehicle is off."""
+    """Wrap a service or topic handler (``does``) so that it returns None while the vehicle's link is off."""
     return lambda message: None if system.muted else does(message)
 
 
@@ -155,7 +157,7 @@ class _Scheduled:
         self._key: object = None
 
     def due(self, tick: int, system: System) -> Iterator[tuple[int, bytes]]:
-        """Yield the messages of this schedule that are due at a tick."""
+        """Yield (topic number, CDR message) of this vehicle's topics that are due at a tick."""
         told, view = self._told, system.view
         if told.rate == EACH:
             while (message := told.make(view)) is not None:

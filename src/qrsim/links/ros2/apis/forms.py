@@ -24,7 +24,8 @@ Numbers = Callable[[View], Sequence[float] | None]
 
 
 def form(types: Types, name: str, paths: Sequence[str], numbers: Numbers, frame: str = "", **constants: object) -> Make:
-    """Return the encoder of a message type, which fills a stamp, if the type has one, and numbers.
+    """Return a function from a vehicle to its encoded message, which fills the stamp, if the type has one, and the
+    fields ``paths`` by ``numbers``.
 
     Args:
         types: of the distribution.
@@ -59,23 +60,23 @@ def form(types: Types, name: str, paths: Sequence[str], numbers: Numbers, frame:
 
 
 def enu(ned: Triple) -> Triple:
-    """Convert a vector NED to ENU, or ENU to NED: the same swap."""
+    """Convert a vector from NED to ENU axes, or back, by the same swap of axes."""
     return ned[1], ned[0], -ned[2]
 
 
 def flu(frd: Sequence[float]) -> Triple:
-    """Convert a body vector FRD to FLU, or FLU to FRD: the same change of signs."""
+    """Convert a vector from FRD to FLU body axes, or back, by the same change of signs."""
     return frd[0], -frd[1], -frd[2]
 
 
 def orientation(view: View) -> Quadruple:
-    """Return the estimated attitude FLU to ENU (x, y, z, w)."""
+    """Return the vehicle's estimated attitude as a quaternion (x, y, z, w) from FLU to ENU."""
     w, x, y, z = view.row[s.QUATERNION : s.QUATERNION + 4]
     return HALF_ROOT * (x + y), HALF_ROOT * (x - y), HALF_ROOT * (w - z), HALF_ROOT * (w + z)
 
 
 def turned(quaternion: Sequence[float], vector: Sequence[float]) -> Triple:
-    """Rotate a body-frame vector to the reference frame of an attitude (x, y, z, w)."""
+    """Rotate a body-frame vector to the reference frame, by an attitude quaternion (x, y, z, w)."""
     i, j, k, w = quaternion
     x, y, z = vector
     a, b, c = 2.0 * (j * z - k * y), 2.0 * (k * x - i * z), 2.0 * (i * y - j * x)
@@ -83,17 +84,17 @@ def turned(quaternion: Sequence[float], vector: Sequence[float]) -> Triple:
 
 
 def turned_back(quaternion: Sequence[float], vector: Sequence[float]) -> Triple:
-    """Rotate a vector from the reference frame of an attitude (x, y, z, w) to the body frame."""
+    """Rotate a reference-frame vector to the body frame, by an attitude quaternion (x, y, z, w)."""
     i, j, k, w = quaternion
     return turned((-i, -j, -k, w), vector)
 
 
 def ned_attitude(x: float, y: float, z: float, w: float) -> Quadruple:
-    """Convert an attitude FLU to ENU (x, y, z, w) into FRD to NED (w, x, y, z)."""
+    """Convert an attitude quaternion from FLU to ENU (x, y, z, w) to one from FRD to NED (w, x, y, z)."""
     return HALF_ROOT * (w + z), HALF_ROOT * (x + y), HALF_ROOT * (x - y), HALF_ROOT * (w - z)
 
 
 def heading(q: Quadruple) -> float:
-    """Return the yaw [rad] of an attitude (w, x, y, z)."""
+    """Return the yaw [rad] of an attitude quaternion (w, x, y, z)."""
     w, x, y, z = q
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -37,17 +37,18 @@ _GPS, _NO_FIX, _UNKNOWN, _DIAGONAL = 1, -1, 0, 2
 
 
 def _diagonal(std: float) -> NumpyArray:
-    """Return a covariance (9,) with three equal standard deviations and no correlation."""
+    """Return a covariance matrix (9,), row by row, with the variance ``std``^2 for each of three axes and no
+    correlation."""
     return np.diag([std * std] * 3).reshape(9)
 
 
 def _axis_paths(path: str, names: str = "xyz") -> tuple[str, ...]:
-    """Return the paths of a vector's components in a message, such as "position.x"."""
+    """Return the field paths of a vector's components in a ROS message, such as "position.x"."""
     return tuple(f"{path}.{axis}" for axis in names)
 
 
 def published(types: Types, space: str, texts: Texts) -> Iterator[Told]:
-    """Yield the topics that mavros publishes for a vehicle.
+    """Yield the ROS topics that mavros publishes for one vehicle, each with its encoder; ``space``: topic prefix.
 
     Args:
         types: of the distribution, with PACKAGES.
@@ -58,11 +59,12 @@ def published(types: Types, space: str, texts: Texts) -> Iterator[Told]:
     def told(
         name: str, kind: str, quality: Quality, rate: float, make: Make, key: Callable[[View], object] | None = None
     ) -> Told:
-        """Return a published topic from its name, message type, QoS, rate [Hz], encoder and change key."""
+        """Return a published topic from name, message type, QoS, rate [Hz], encoder and, for one sent on changes,
+        ``key``."""
         return Told(Topic(space + name, kind, quality), rate, make, key)
 
     def state(view: View) -> bytes:
-        """Return the encoded mavros_msgs/State of a vehicle."""
+        """Return the encoded mavros_msgs/State message of a vehicle."""
         beat = view.stack.heartbeat()
         message = stamped(types, "mavros_msgs/msg/State", view.seen.time)
         message.connected, message.armed = True, bool(beat.base_mode & ARMED_FLAG)
@@ -71,7 +73,7 @@ def published(types: Types, space: str, texts: Texts) -> Iterator[Told]:
         return types.encode(message)
 
     def changes(view: View) -> object:
-        """Return the values whose changes cause a State message."""
+        """Return the values whose change makes the State message due."""
         beat = view.stack.heartbeat()
         return beat.base_mode, beat.custom_mode, beat.system_status
 
@@ -105,10 +107,10 @@ def published(types: Types, space: str, texts: Texts) -> Iterator[Told]:
 
 
 def _status_text(types: Types, texts: Texts) -> Make:
-    """Return the encoder of StatusText messages, one for each waiting text."""
+    """Return the encoder of mavros StatusText messages, which takes one text from the queue at each call."""
 
     def make(view: View) -> bytes | None:
-        """Return the oldest waiting text as an encoded message, None without one."""
+        """Return the oldest queued text as an encoded StatusText message, None if there is none."""
         if not texts.waiting:
             return None
         severity, text = texts.waiting.popleft()
@@ -120,7 +122,8 @@ def _status_text(types: Types, texts: Texts) -> Make:
 
 
 def _home_position(view: View) -> tuple[float, ...] | None:
-    """Return home [degrees, m], its local position ENU [m], and its attitude (x, y, z, w); None without one."""
+    """Return home: latitude, longitude [deg], height [m], local ENU position [m], attitude (x, y, z, w); None without a
+    home."""
     home = view.stack.home
     if home is None:
         return None
@@ -136,28 +139,28 @@ Maker = Callable[..., Told]
 
 
 def _local_topics(types: Types, told: Maker) -> Iterator[Told]:
-    """Yield the topics of pose, velocity and odometry in the local frame."""
+    """Yield mavros's topics of pose, velocity and odometry in the local frame; ``told`` makes a topic."""
 
     def pose(view: View) -> tuple[float, ...] | None:
-        """Return position ENU [m] and attitude (x, y, z, w), None where the estimate is invalid."""
+        """Return position ENU [m] and attitude quaternion (x, y, z, w); None where the estimate is invalid."""
         if not view.seen.valid:
             return None
         return *f.enu(view.local(view.seen.position_ned)), *f.orientation(view)
 
     def twist(view: View) -> tuple[float, ...] | None:
-        """Return velocity and rotation rates in FLU body axes [m/s, rad/s], None where the estimate is invalid."""
+        """Return linear velocity [m/s] and body rates [rad/s] in FLU body axes; None where the estimate is invalid."""
         if not view.seen.valid:
             return None
         return *f.turned_back(f.orientation(view), f.enu(view.seen.velocity_ned)), *f.flu(view.seen.rates)
 
     def level_twist(view: View) -> tuple[float, ...] | None:
-        """Return velocity and rotation rates in ENU axes [m/s, rad/s], None where the estimate is invalid."""
+        """Return linear velocity [m/s] and body rates [rad/s] in ENU axes; None where the estimate is invalid."""
         if not view.seen.valid:
             return None
         return *f.enu(view.seen.velocity_ned), *f.turned(f.orientation(view), f.flu(view.seen.rates))
 
     def both(view: View) -> tuple[float, ...] | None:
-        """Return the pose followed by the twist, None where either is unknown."""
+        """Return the numbers of ``pose`` and ``twist`` together, None where the estimate is invalid."""
         place, motion = pose(view), twist(view)
         return None if place is None or motion is None else (*place, *motion)
 
@@ -174,17 +177,18 @@ def _local_topics(types: Types, told: Maker) -> Iterator[Told]:
 
 
 def _global_topics(types: Types, told: Maker) -> Iterator[Told]:
-    """Yield the topics of geodetic position, fix, altitude and heading."""
+    """Yield mavros's topics of geodetic position, GNSS fix, altitude and heading; ``told`` makes a topic."""
 
     def covariance(view: View) -> tuple[float, ...]:
-        """Return the three variances of the position [m^2] and the type of the covariance."""
+        """Return the variances [m^2] of east, north, up position and NavSatFix's covariance type."""
         level, up = view.seen.horizontal_accuracy, view.seen.vertical_accuracy
         if level != level or up != up:
             return -1.0, 0.0, 0.0, _UNKNOWN
         return level * level, level * level, up * up, _DIAGONAL
 
     def place(view: View) -> tuple[float, ...] | None:
-        """Return status, latitude, longitude [degrees], height [m] and covariance of the estimate."""
+        """Return fix status, latitude, longitude [deg], height [m] and covariance of the estimated position; None where
+        it is invalid."""
         seen = view.seen
         if not seen.valid:
             return None
@@ -192,9 +196,8 @@ def _global_topics(types: Types, told: Maker) -> Iterator[Told]:
         return status, seen.latitude, seen.longitude, view.height, *covariance(view)
 
     def fix(view: View) -> tuple[float, ...] | None:
-        """Return status, latitude, longitude [degrees], height [m] and covariance of the receiver's fix, None without
-        one.
-        """
+        """Return fix status, latitude, longitude [deg], height [m] and covariance of the GNSS receiver's fix; None
+        without one."""
         where = view.row[s.FIX_PLACE : s.FIX_PLACE + 3]
         if view.seen.fix_type < 3 or where[0] != where[0]:
             return None
@@ -238,11 +241,11 @@ def _global_topics(types: Types, told: Maker) -> Iterator[Told]:
 
 
 def _mavlink_numbers(name: str, part: slice) -> f.Numbers:
-    """Return the function from a vehicle to the fields of one of its MAVLink messages, in wire order."""
+    """Return a function from a vehicle to some fields (``part``, in wire order) of its MAVLink message ``name``."""
     layout = LAYOUTS[name]
 
     def numbers(view: View) -> tuple[float, ...] | None:
-        """Return the fields of the vehicle's MAVLink message, None where it has none."""
+        """Return the fields of the vehicle's MAVLink message, None if the vehicle does not send it."""
         payload = ENCODERS[layout.number](view)
         return None if payload is None else layout.struct.unpack(payload)[part]
 
@@ -250,7 +253,7 @@ def _mavlink_numbers(name: str, part: slice) -> f.Numbers:
 
 
 def _hud_numbers(view: View) -> tuple[float, ...] | None:
-    """Return the fields of VFR_HUD, with the throttle as a fraction."""
+    """Return the fields of the vehicle's VFR_HUD, with the throttle from 0 to 1 in place of percent."""
     numbers = _mavlink_numbers("VFR_HUD", slice(6))(view)
     if numbers is None:
         return None
@@ -259,10 +262,11 @@ def _hud_numbers(view: View) -> tuple[float, ...] | None:
 
 
 def _sensor_topics(types: Types, told: Maker) -> Iterator[Told]:
-    """Yield the topics of IMU, magnetometer, barometer and battery."""
+    """Yield mavros's topics of IMU, magnetometer, barometer and battery; ``told`` makes a topic."""
 
     def inertial(view: View) -> tuple[float, ...] | None:
-        """Return attitude (x, y, z, w), rates [rad/s] and specific force [m/s^2] in FLU axes; None without an IMU."""
+        """Return attitude (x, y, z, w), body rates [rad/s] and specific force [m/s^2] in FLU axes; None without an
+        IMU."""
         if not view.seen.valid or not view.seen.present & (Sensor.GYRO | Sensor.ACCELEROMETER):
             return None
         force = view.row[s.FORCE : s.FORCE + 3]
@@ -281,7 +285,7 @@ def _sensor_topics(types: Types, told: Maker) -> Iterator[Told]:
     yield told("imu/data", kind, "sensor", 50.0, f.form(types, kind, paths, inertial, BASE, **spreads))
 
     def battery(view: View) -> tuple[float, ...] | None:
-        """Return the voltage [V] and the charge as a fraction, None where it is unknown."""
+        """Return the battery's voltage [V] and charge, 0 to 1; None where the charge is unknown."""
         charge = view.seen.charge
         return None if charge != charge else (view.seen.voltage, charge)
 

@@ -40,12 +40,13 @@ _CUSTOM = 1
 
 
 def _vector(message: Message) -> Triple:
-    """Return the x, y, z of a message as a tuple."""
+    """Return the fields x, y, z of a ROS message as a tuple."""
     return message.x, message.y, message.z
 
 
 def _attitude(turn: Message) -> Quadruple:
-    """Convert an orientation FLU to ENU into (w, x, y, z) FRD to NED; four zeros are the identity, as in mavros."""
+    """Convert a ROS orientation, FLU to ENU, to a quaternion (w, x, y, z), FRD to NED; all zeros mean identity, as in
+    mavros."""
     numbers = turn.x, turn.y, turn.z, turn.w
     return f.ned_attitude(*numbers) if any(numbers) else f.ned_attitude(0.0, 0.0, 0.0, 1.0)
 
@@ -72,7 +73,7 @@ class Asked:
     # ---- set-points ----
 
     def heard(self) -> Iterator[Heard]:
-        """Yield the topics that the vehicle subscribes to, each with its handler."""
+        """Yield mavros's set-point topics that the vehicle subscribes to, each with its handler."""
         pose, twist = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped"
         for name, kind, take in (
             ("setpoint_position/local", pose, self._set_position),
@@ -90,54 +91,55 @@ class Asked:
             yield Heard(Topic(self._space + name, kind, "command"), take)
 
     def _set_position(self, message: Message) -> None:
-        """Set a local position and heading from setpoint_position/local."""
+        """Send the flight stack a local position and heading from a message on setpoint_position/local."""
         pose = message.pose
         yaw = f.heading(_attitude(pose.orientation))
         mask = _VELOCITY | _ACCELERATION | _YAW_RATE
         self._stack.setpoint(LocalTarget(_LOCAL, mask, position=f.enu(_vector(pose.position)), yaw=yaw))
 
     def _set_geodetic(self, message: Message) -> None:
-        """Set a geodetic position and heading from setpoint_position/global."""
+        """Send the flight stack a geodetic position and heading from a message on setpoint_position/global."""
         yaw = f.heading(_attitude(message.pose.orientation))
         self._send_global(_VELOCITY | _ACCELERATION | _YAW_RATE, _GLOBAL, message.pose.position, yaw=yaw)
 
     def _send_global(self, mask: int, frame: int, place: Any, **others: Any) -> None:
-        """Send a geodetic set-point to the stack; invalid coordinates become UNSET_INT."""
+        """Send the flight stack a geodetic set-point, invalid coordinates as UNSET_INT; ``mask``, ``frame``: of
+        SET_POSITION_TARGET_GLOBAL_INT."""
         north, east = place.latitude, place.longitude
         known = math.isfinite(north) and math.isfinite(east) and abs(north) <= 90.0 and abs(east) <= 180.0
         whole = (int(north * 1e7), int(east * 1e7)) if known else (UNSET_INT, UNSET_INT)
         self._stack.setpoint(GlobalTarget(frame, mask, *whole, place.altitude, **others))
 
     def _set_velocity(self, twist: Message) -> None:
-        """Set a velocity and a yaw rate from a Twist in ENU axes."""
+        """Send the flight stack a velocity and yaw rate from a Twist message in ENU axes."""
         mask = _POSITION | _ACCELERATION | _YAW
         velocity = f.enu(_vector(twist.linear))
         self._stack.setpoint(LocalTarget(_LOCAL, mask, velocity=velocity, yaw_rate=-twist.angular.z))
 
     def _set_acceleration(self, message: Message) -> None:
-        """Set an acceleration from a vector in ENU axes."""
+        """Send the flight stack an acceleration from a Vector3Stamped message in ENU axes."""
         mask = _POSITION | _VELOCITY | _YAW | _YAW_RATE
         self._stack.setpoint(LocalTarget(_LOCAL, mask, acceleration=f.enu(_vector(message.vector))))
 
     def _store_attitude(self, message: Message) -> None:
-        """Store an attitude until the thrust that belongs to it arrives."""
+        """Store an attitude message until the thrust message that belongs to it arrives."""
         self._attitude = AttitudeTarget(NO_RATES, _attitude(message.pose.orientation), _ZERO, 0.0)
 
     def _store_rates(self, message: Message) -> None:
-        """Store body rates until the thrust that belongs to them arrives."""
+        """Store a message of body rates until the thrust message that belongs to it arrives."""
         # With the axes that mavros has here: those of ENU, for rates of the body.
         rates = f.enu(_vector(message.twist.angular))
         self._attitude = AttitudeTarget(NO_ATTITUDE, (1.0, 0.0, 0.0, 0.0), rates, 0.0)
 
     def _set_thrust(self, message: Message) -> None:
-        """Send the stored attitude or rates with this thrust."""
+        """Send the flight stack the stored attitude or body rates with the thrust of this message."""
         asked = self._attitude
         if asked is not None:
             self._attitude = None
             self._stack.setpoint(AttitudeTarget(asked.mask, asked.q, asked.rates, message.thrust))
 
     def _set_raw_local(self, message: Message) -> None:
-        """Convert a PositionTarget from ENU or FLU to NED or FRD, and send it."""
+        """Send the flight stack the set-point of a PositionTarget message, converted from ENU or FLU to NED or FRD."""
         of_body = message.coordinate_frame in (_BODY, _BODY_OFFSET)
         turned = f.flu if of_body else f.enu
         yaw = -message.yaw if of_body else 0.5 * math.pi - message.yaw
@@ -147,7 +149,7 @@ class Asked:
         self._stack.setpoint(LocalTarget(frame, mask, position, velocity, acceleration, yaw, rate))
 
     def _set_raw_global(self, message: Message) -> None:
-        """Convert a GlobalPositionTarget from ENU to NED, and send it."""
+        """Send the flight stack the set-point of a GlobalPositionTarget message, converted from ENU to NED."""
         self._send_global(
             message.type_mask,
             message.coordinate_frame,
@@ -159,7 +161,7 @@ class Asked:
         )
 
     def _set_raw_attitude(self, message: Message) -> None:
-        """Convert an AttitudeTarget from ENU and FLU to NED and FRD, and send it."""
+        """Send the flight stack the set-point of an AttitudeTarget message, converted to FRD and NED."""
         thrust = min(max(message.thrust, 0.0), 1.0)
         q, rates = _attitude(message.orientation), f.flu(_vector(message.body_rate))
         self._stack.setpoint(AttitudeTarget(message.type_mask, q, rates, thrust))
@@ -167,7 +169,7 @@ class Asked:
     # ---- services ----
 
     def answered(self) -> Iterator[Answered]:
-        """Yield the services of the vehicle, with their handlers."""
+        """Yield mavros's services of the vehicle (arming, take-off, mode and others), each with its handler."""
         for name, kind, answer in (
             ("cmd/arming", "CommandBool", lambda r: self._command_response("CommandBool", _ARM, float(r.value))),
             ("cmd/command", "CommandLong", self._command_long),
@@ -183,39 +185,41 @@ class Asked:
         yield Answered(self._space + "home_position/req_update", "std_srvs/srv/Trigger", self._send_home)
 
     def _response(self, kind: str, *values: object) -> object:
-        """Return a response message of a mavros service, built from its field values."""
+        """Return the response message of a mavros service (``kind``) from its field values."""
         return self._types[f"mavros_msgs/srv/{kind}_Response"](*values)
 
     def _command_response(self, kind: str, command: int, *params: float) -> object:
-        """Send a command to the stack, and return the response with its result."""
+        """Execute a MAVLink command with up to seven parameters; return the service's response (``kind``) with the
+        result."""
         whole = (*params, *[0.0] * (7 - len(params)))
         result = self._stack.command(Command(command, whole)).result  # type: ignore[arg-type]
         return self._response(kind, result is Result.ACCEPTED, int(result))
 
     def _command_long(self, r: Message) -> object:
-        """Execute a COMMAND_LONG, and return the response."""
+        """Execute the command of a CommandLong request, and return the response."""
         params = (r.param1, r.param2, r.param3, r.param4, r.param5, r.param6, r.param7)
         return self._command_response("CommandLong", r.command, *params)
 
     def _command_int(self, r: Message) -> object:
-        """Execute a COMMAND_INT; the response is always success, as in mavros."""
+        """Execute the command of a CommandInt request, and return a response of success, as mavros does whatever the
+        result."""
         self._stack.command(Command.of_int(r.command, r.frame, (r.param1, r.param2, r.param3, r.param4), r.x, r.y, r.z))
         # mavros does not wait for the result.
         return self._response("CommandInt", True)
 
     def _take_off_or_land(self, command: int, first: float, r: Message) -> object:
-        """Execute a take-off or landing command, and return the response."""
+        """Execute a take-off or landing ``command`` with the first parameter ``first``, and return the response."""
         return self._command_response(
             "CommandTOL", command, first, 0.0, 0.0, r.yaw, r.latitude, r.longitude, r.altitude
         )
 
     def _set_home(self, r: Message) -> object:
-        """Set the home position, and return the response."""
+        """Set the home position from a CommandHome request, and return the response."""
         params = (float(r.current_gps), 0.0, 0.0, r.yaw, r.latitude, r.longitude, r.altitude)
         return self._command_response("CommandHome", _SET_HOME, *params)
 
     def _set_mode(self, r: Message) -> object:
-        """Request a flight mode by name or number, and return whether it is known."""
+        """Request a flight mode, by mavros's name or by number, and return the response: whether the mode is known."""
         base, custom = r.base_mode, 0
         if r.custom_mode:
             number = number_of(r.custom_mode)
@@ -227,6 +231,6 @@ class Asked:
         return self._response("SetMode", True)
 
     def _send_home(self, r: object) -> object:
-        """Have the stack send its home position, and return whether it could."""
+        """Have the flight stack send its home position, and return the response: whether it could."""
         result = self._stack.command(Command(_GET_HOME, (0.0,) * 7)).result
         return self._types["std_srvs/srv/Trigger_Response"](result is Result.ACCEPTED, "")

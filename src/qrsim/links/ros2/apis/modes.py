@@ -45,24 +45,25 @@ LOITER, TERMINATED = 4, 13
 
 
 def _mode_parts(custom_mode: int) -> tuple[int, int]:
-    """Return the main mode and the sub-mode of a custom_mode."""
+    """Split PX4's custom_mode number into main mode and sub-mode."""
     return custom_mode >> 16 & 255, custom_mode >> 24 & 255
 
 
 def name_of(custom_mode: int) -> str:
-    """Return mavros's name of a custom_mode, CMODE(number) for an unknown one."""
+    """Return mavros's name for PX4's custom_mode number, such as "OFFBOARD"; "CMODE(number)" for an unknown one."""
     parts = _mode_parts(custom_mode)
     # A sub mode that it does not know counts for nothing.
     return _NAMES.get(parts) or _NAMES.get((parts[0], 0)) or f"CMODE({custom_mode})"
 
 
 def number_of(name: str) -> int | None:
-    """Return the custom_mode for a name or a number in text, as mavros parses it; None for other texts."""
+    """Return PX4's custom_mode for mavros's name of a mode, or for a number in text, as mavros parses it; None for
+    other texts."""
     if name in _NUMBERS:
         return _NUMBERS[name]
     return int(name) if name.isascii() and name.isdigit() and len(name) < 11 else None
 
 
 def nav_state(custom_mode: int) -> int:
-    """Return PX4's NAVIGATION_STATE of a custom_mode; that of loiter for an unknown one."""
+    """Return PX4's NAVIGATION_STATE for a custom_mode number; that of loiter for an unknown one."""
     return _STATES.get(_mode_parts(custom_mode), LOITER)

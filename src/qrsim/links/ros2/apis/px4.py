@@ -48,7 +48,7 @@ class Status:
         self._was: tuple[bool, int, bool] = (False, -1, False)
 
     def look(self, view: View) -> None:
-        """Store the times at which arming, take-off and flight mode changed since the last call."""
+        """Note the times at which arming, take-off and flight mode last changed; call it at every tick."""
         beat, now = view.stack.heartbeat(), view.boot_us
         state = view.stack.armed, beat.custom_mode, beat.landed is not Landed.ON_GROUND
         if state[0] != self._was[0]:
@@ -61,13 +61,13 @@ class Status:
 
 
 def state_of(view: View) -> int:
-    """Return the NAVIGATION_STATE of a vehicle."""
+    """Return the vehicle's NAVIGATION_STATE, PX4's number of the flight mode."""
     beat = view.stack.heartbeat()
     return TERMINATED if beat.system_status == TERMINATION else nav_state(beat.custom_mode)
 
 
 def published(types: Types, system: System, space: str, period: float) -> Iterator[Told]:
-    """Yield the topics that PX4 publishes for a vehicle.
+    """Yield the topics that PX4's uXRCE-DDS client publishes for one vehicle, each with its encoder; ``space``: prefix.
 
     Args:
         types: of the distribution, with PACKAGES.
@@ -85,7 +85,8 @@ def published(types: Types, system: System, space: str, period: float) -> Iterat
         key: Callable[[View], object] | None = None,
         **constants: object,
     ) -> Told:
-        """Return a published topic from its name, message type, rate [Hz], field function and change key."""
+        """Return a published topic from name, px4_msgs type, rate [Hz], function of its fields and, if sent on changes,
+        ``key``."""
         return Told(
             Topic(f"{space}out/{name}", f"px4_msgs/msg/{kind}", "fmu"),
             rate,
@@ -94,12 +95,12 @@ def published(types: Types, system: System, space: str, period: float) -> Iterat
         )
 
     def changes(view: View) -> object:
-        """Return the values whose changes cause a status message."""
+        """Return the values whose change makes the status messages due."""
         beat = view.stack.heartbeat()
         return beat.base_mode, beat.custom_mode, beat.system_status, beat.landed
 
     def vehicle_status(view: View) -> Fields:
-        """Return the fields of VehicleStatus."""
+        """Return the fields of the vehicle's VehicleStatus message."""
         status.look(view)
         beat, state, armed = view.stack.heartbeat(), state_of(view), view.stack.armed
         return {
@@ -164,7 +165,8 @@ def published(types: Types, system: System, space: str, period: float) -> Iterat
 def _encoder(
     types: Types, kind: str, fields: Callable[[View], Fields | None], constants: dict[str, Any]
 ) -> Callable[[View], bytes | None]:
-    """Return the encoder of a message kind, from a function that returns its fields; times are filled in."""
+    """Return the encoder of px4_msgs/``kind`` from a function of its fields; it fills in the timestamps and
+    ``constants``."""
     made: list[Make] = []
     name = f"px4_msgs/msg/{kind}"
     times = [field for field, _ in types.fields(name) if field in ("timestamp", "timestamp_sample")]
@@ -190,7 +192,7 @@ def _encoder(
 
 
 def _control_mode(view: View) -> Fields:
-    """Return the fields of VehicleControlMode: armed, offboard, automatic and which loops run."""
+    """Return the fields of VehicleControlMode: whether armed, offboard and automatic, and which control loops run."""
     state, armed = state_of(view), view.stack.armed
     offboard, automatic = state == _OFFBOARD, state in _AUTOMATIC
     flies = offboard or automatic
@@ -206,7 +208,7 @@ def _control_mode(view: View) -> Fields:
 
 
 def _land_detected(view: View) -> Fields:
-    """Return the fields of VehicleLandDetected: on the ground, and moving."""
+    """Return the fields of VehicleLandDetected: whether the vehicle is on the ground and whether it moves."""
     landed = view.stack.heartbeat().landed is Landed.ON_GROUND
     names = ("ground_contact", "maybe_landed", "landed", "at_rest", "close_to_ground_or_skipped_check")
     north, east, down = view.seen.velocity_ned
@@ -224,7 +226,8 @@ def _home_position(view: View) -> Fields | None:
 
 
 def _accuracies(view: View) -> tuple[float, float]:
-    """Return the standard deviations [m] of the estimate, horizontal and vertical, else those of the receiver."""
+    """Return the horizontal and vertical standard deviation [m] of the estimate's position, else of the GNSS
+    receiver's."""
     north, east, down = view.row[s.STD_POSITION : s.STD_POSITION + 3]
     if north == north:
         return math.hypot(north, east), down
@@ -239,7 +242,7 @@ class _Origin:
         self._origin: Triple | None = None
 
     def of(self, view: View) -> Triple:
-        """Return latitude, longitude [degrees] and altitude above mean sea level [m] of the local origin."""
+        """Return latitude, longitude [deg] and altitude above mean sea level [m] of the vehicle's local origin."""
         if view.stack.origin != self._origin:
             self._origin = view.stack.origin
             self._place = view.stack.place(self._origin)
@@ -305,7 +308,7 @@ def _global_position(view: View) -> Fields | None:
 
 
 def _quaternion(view: View) -> list[float]:
-    """Return the estimated attitude (w, x, y, z)."""
+    """Return the vehicle's estimated attitude as a list w, x, y, z."""
     return view.row[s.QUATERNION : s.QUATERNION + 4]
 
 
@@ -331,7 +334,7 @@ def _odometry(view: View) -> Fields | None:
 
 
 def _variances(row: list[float], first: int) -> list[float]:
-    """Return the squares of the three standard deviations from a column of a row on."""
+    """Return the squares of three standard deviations in ``row``, from column ``first`` on."""
     return [std * std for std in row[first : first + 3]]
 
 

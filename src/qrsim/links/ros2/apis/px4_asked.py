@@ -47,7 +47,7 @@ class Asked:
         self.restart()
 
     def restart(self) -> None:
-        """Forget all received set-points at the start of an episode."""
+        """Forget all set-points received, at the start of an episode."""
         self._mode: Message = None
         self._mode_at = -math.inf
         # By kind, the set-point that came last.
@@ -57,7 +57,7 @@ class Asked:
         self._here: Triple | None = None
 
     def heard(self) -> Iterator[Heard]:
-        """Yield the topics that the vehicle subscribes to, with their handlers."""
+        """Yield PX4's input topics that the vehicle subscribes to, each with its handler."""
         for name, kind, quality, take in (
             ("offboard_control_mode", "OffboardControlMode", "command", self._set_control_mode),
             ("trajectory_setpoint", "TrajectorySetpoint", "command", self._set_trajectory),
@@ -68,10 +68,10 @@ class Asked:
             yield Heard(Topic(f"{self._space}in/{name}", f"px4_msgs/msg/{kind}", quality), take)  # type: ignore[arg-type]
 
     def told(self) -> Told:
-        """Return the topic of acknowledgements."""
+        """Return the topic on which the vehicle publishes its VehicleCommandAck messages."""
 
         def make(view: View) -> bytes | None:
-            """Return the oldest waiting acknowledgement, None without one."""
+            """Return the oldest queued VehicleCommandAck as bytes, None if there is none."""
             return self._acks.popleft() if self._acks else None
 
         topic = Topic(f"{self._space}out/vehicle_command_ack", "px4_msgs/msg/VehicleCommandAck", "fmu")
@@ -80,27 +80,27 @@ class Asked:
     # ---- set-points ----
 
     def _set_control_mode(self, message: object) -> None:
-        """Store an OffboardControlMode and its time, and send the set-point that it selects."""
+        """Store an OffboardControlMode message and its time; send the flight stack the set-point that it selects."""
         self._mode, self._mode_at = message, self._system.view.seen.time
         self._send_target()
 
     def _set_trajectory(self, message: object) -> None:
-        """Store a TrajectorySetpoint, and let the vehicle follow it."""
+        """Store a TrajectorySetpoint message, and send it to the flight stack if offboard mode is alive."""
         self._motion = message
         self._send_if_alive()
 
     def _set_attitude(self, message: object) -> None:
-        """Store a VehicleAttitudeSetpoint, and let the vehicle follow it."""
+        """Store a VehicleAttitudeSetpoint message, and send it to the flight stack if offboard mode is alive."""
         self._attitude = message
         self._send_if_alive()
 
     def _set_rates(self, message: object) -> None:
-        """Store a VehicleRatesSetpoint, and let the vehicle follow it."""
+        """Store a VehicleRatesSetpoint message, and send it to the flight stack if offboard mode is alive."""
         self._rates = message
         self._send_if_alive()
 
     def _send_if_alive(self) -> None:
-        """Send the new set-point to the stack, if the offboard mode has not timed out."""
+        """Send the newest set-point to the flight stack, if OffboardControlMode messages have not timed out."""
         stack = self._system.stack
         limit = stack.parameters["COM_OF_LOSS_T"] * max(1.0, stack.factor)
         if self._system.view.seen.time - self._mode_at < limit:
@@ -110,13 +110,13 @@ class Asked:
                 stack.offboard.heard = self._mode_at
 
     def _send_target(self) -> None:
-        """Send the set-point of the present mode to the stack."""
+        """Send the flight stack the set-point that the present OffboardControlMode selects."""
         target = self._target()
         if target is not None:
             self._system.stack.setpoint(target)
 
     def _target(self) -> Target | None:
-        """Return the set-point of the mode; before the first one, the present position."""
+        """Return the set-point that the OffboardControlMode selects; the present position before the first message."""
         mode = self._mode
         if mode.position or mode.velocity or mode.acceleration:
             return self._motion_target(mode)
@@ -131,20 +131,21 @@ class Asked:
         return self._hold_target() if mode.attitude or mode.body_rate else None
 
     def _hold_target(self) -> Target:
-        """Return a set-point at the position where the vehicle was when this was first needed."""
+        """Return a set-point that holds the position at which the vehicle was when this was first called."""
         if self._here is None:
             view = self._system.view
             self._here = view.local(view.seen.position_ned)
         return LocalTarget(_LOCAL, 0, position=self._here)
 
     def _motion_target(self, mode: Message) -> Target:
-        """Return the set-point of the last trajectory message, with only the parts that the mode uses."""
+        """Return the last TrajectorySetpoint with only the parts (position, velocity, acceleration) that ``mode``
+        uses."""
         if self._motion is None:
             return self._hold_target()
         motion = self._motion
 
         def part(name: str, counts: bool) -> Triple:
-            """Return a vector of the trajectory message, or NaNs if the mode does not use it."""
+            """Return a vector of the TrajectorySetpoint, or NaNs if the mode does not use it (``counts`` False)."""
             x, y, z = (float(number) for number in getattr(motion, name))
             return (x, y, z) if counts else _UNKNOWN
 
@@ -161,22 +162,22 @@ class Asked:
     # ---- commands ----
 
     def answered(self) -> Answered:
-        """Return the service of commands, whose response has the acknowledgement."""
+        """Return PX4's service vehicle_command, with its handler."""
         response = self._types["px4_msgs/srv/VehicleCommand_Response"]
 
         def answer(request: Message) -> Message:
-            """Execute a requested command, and return the service's response."""
+            """Execute the command in a service request, and return the response with its acknowledgement."""
             return response(self._acknowledged(request.request))
 
         return Answered(f"{self._space}vehicle_command", "px4_msgs/srv/VehicleCommand", answer)
 
     def _queue_acknowledgement(self, message: Message) -> None:
-        """Execute a command for this vehicle, and queue its acknowledgement."""
+        """Execute a VehicleCommand that is addressed to this vehicle, and queue its acknowledgement."""
         if message.target_system in (0, self._system.number) and message.target_component in (0, 1):
             self._acks.append(self._types.encode(self._acknowledged(message)))
 
     def _acknowledged(self, message: Message) -> object:
-        """Execute or refuse a command, and return its acknowledgement."""
+        """Execute or refuse a VehicleCommand, and return the VehicleCommandAck message."""
         command = int(message.command)
         params: Any = tuple(float(getattr(message, f"param{i}")) for i in range(1, 8))
         if command == _SET_NAV_STATE:

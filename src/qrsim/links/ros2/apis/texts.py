@@ -25,7 +25,7 @@ class Texts(Link):
         self.waiting: deque[tuple[int, str]] = deque(maxlen=_MOST)
 
     def put(self, number: int, payload: bytes) -> None:
-        """Store a text message; other messages are dropped."""
+        """Store a MAVLink message if it is a STATUSTEXT; drop others."""
         if number == _STATUSTEXT:
             text = payload[1 : 1 + _LONGEST].rstrip(b"\0").decode("ascii", "replace")
             self.waiting.append((payload[0], text))

@@ -20,7 +20,7 @@ class Received:
         self._count = 0
 
     def take(self, sequence: int) -> bool:
-        """Store a sequence number; return whether it is new."""
+        """Note that a sequence number has been received; return whether it is new."""
         if sequence < self._low or sequence in self._above or len(self._above) >= _MOST_AHEAD:
             return False
         self._above.add(sequence)
@@ -28,13 +28,14 @@ class Received:
         return True
 
     def skip(self, first: int, last: int) -> None:
-        """Mark the sequence numbers ``first`` to ``last`` as not to be waited for."""
+        """Mark the sequence numbers ``first`` to ``last`` as never to come, so that they are not requested."""
         for sequence in range(max(first, self._low), min(last, self._low + _MOST_AHEAD) + 1):
             self._above.add(sequence)
         self._advance_low()
 
     def answer(self, reader: bytes, writer: bytes, first: int, last: int) -> bytes:
-        """Return the ACKNACK that answers a HEARTBEAT."""
+        """Return the ACKNACK submessage that answers a HEARTBEAT (``first`` to ``last``); ``reader``, ``writer``:
+        entity ids."""
         if first > self._low:
             self._low = first
             self._above = {each for each in self._above if each >= first}
@@ -44,7 +45,7 @@ class Received:
         return wire.acknack(reader, writer, self._low, (each for each in near if each not in self._above), self._count)
 
     def _advance_low(self) -> None:
-        """Raise the lowest missing sequence number over the numbers received above it."""
+        """Move the lowest missing sequence number past all numbers received without a gap."""
         while self._low in self._above:
             self._above.remove(self._low)
             self._low += 1
@@ -64,7 +65,7 @@ class Kept:
         self._count = 0
 
     def add(self, payload: bytes, inline: bytes = b"") -> int:
-        """Keep a message, and return its sequence number."""
+        """Store a message under the next sequence number, and return that number; ``inline``: its inline parameters."""
         self.last += 1
         self._messages[self.last] = payload, inline
         while len(self._messages) > self._most:
@@ -72,18 +73,20 @@ class Kept:
         return self.last
 
     def message(self, reader: bytes, sequence: int) -> bytes:
-        """Return the submessage of a sequence number: DATA, or GAP where it is no longer stored."""
+        """Return the RTPS submessage for a sequence number: DATA, or GAP if it is no longer stored; ``reader``: entity
+        id."""
         if sequence not in self._messages:
             return wire.gap(reader, self.writer, sequence)
         payload, inline = self._messages[sequence]
         return wire.data(reader, self.writer, sequence, payload, inline)
 
     def all(self, reader: bytes) -> list[bytes]:
-        """Return the submessages of all stored messages."""
+        """Return the DATA submessages of all stored messages; ``reader``: entity id of the receiver."""
         return [self.message(reader, sequence) for sequence in self._messages]
 
     def heartbeat(self, reader: bytes) -> bytes:
-        """Return the HEARTBEAT with the range of stored sequence numbers."""
+        """Return the HEARTBEAT submessage with the range of stored sequence numbers; ``reader``: entity id of the
+        receiver."""
         self._count += 1
         first = next(iter(self._messages), self.last + 1)
         return wire.heartbeat(reader, self.writer, first, self.last, self._count)

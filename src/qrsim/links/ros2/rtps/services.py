@@ -88,7 +88,7 @@ class RawService:
         self.left: dict[bytes, int] = {}
 
     def forget(self, which: Callable[[bytes], bool]) -> None:
-        """Remove the client readers for whose GUID ``which`` returns True."""
+        """Remove the clients' readers for whose GUID ``which`` returns True."""
         for guid in [guid for guid in self.readers if which(guid)]:
             del self.readers[guid]
             self.left.pop(guid, None)
@@ -124,7 +124,7 @@ class Services:
         self._announced = self._spun = self._repeated = 0.0
 
     def service(self, name: str, request: str, response: str) -> RawService:
-        """Return a new service.
+        """Return a new service with a name and the DDS types of request and response.
 
         Args:
             name: in ROS, such as "/uav/mavros/cmd/arming".
@@ -144,7 +144,7 @@ class Services:
         return made
 
     def _endpoint(self, guid: bytes, topic: str, kind: str, identity: bytes) -> bytes:
-        """Return the parameter list that announces a reliable, volatile reader or writer."""
+        """Return the RTPS parameter list that announces a reliable, volatile reader or writer of a topic."""
         places = [(w.UNICAST, w.locator(*place)) for place in self._sockets.own]
         return w.listed(
             (w.ENDPOINT_GUID, guid),
@@ -160,7 +160,7 @@ class Services:
         )
 
     def reply(self, service: RawService, request: Request, cdr: bytes) -> None:
-        """Send the response to a request to all clients of the service; each recognises its own."""
+        """Send a response, encoded in CDR, to all clients of a service; the request's identity marks whose it is."""
         payload = cdr[: _HEADER.start] + request.header + cdr[_HEADER.start :]
         sequence = service.kept.add(payload, request.inline)
         for guid, place in service.readers.items():
@@ -192,7 +192,7 @@ class Services:
             self._repeat_unconfirmed()
 
     def _handle_submessage(self, message: w.Submessage, now: float) -> None:
-        """Handle a DATA, HEARTBEAT, ACKNACK or GAP submessage; ignore other kinds."""
+        """Handle a DATA, HEARTBEAT, ACKNACK or GAP submessage; ignore others. ``now``: time [s]."""
         if message.kind == w.DATA:
             self._take_data(message, now)
         elif message.kind == w.HEARTBEAT:
@@ -208,7 +208,7 @@ class Services:
                 received.skip(each, each)
 
     def _received_from(self, prefix: bytes, writer: bytes) -> Received:
-        """Return the received numbers of a remote writer; raises KeyError for an unknown or surplus writer."""
+        """Return the received sequence numbers of a remote writer; raises KeyError for an unknown or surplus writer."""
         known = self._received.get((prefix, writer))
         if known is None:
             if prefix not in self._peers or len(self._received) >= _MOST_WRITERS:
@@ -231,11 +231,11 @@ class Services:
                 self._take_request(service, message, inline, payload)
 
     def _service_of(self, prefix: bytes, reader: bytes, writer: bytes) -> RawService:
-        """Return the service that a DATA message is for: that of its reader, or, if unknown, of its writer."""
+        """Return the service that a DATA submessage is for, by its reader, or, if that is unknown, by its writer."""
         return self._clients[prefix + writer] if reader == w.UNKNOWN_ENTITY else self._by_reader[reader]
 
     def _store_peer(self, message: w.Submessage, inline: list[tuple[int, bytes]], payload: bytes, now: float) -> None:
-        """Store another participant and announce this one to it; remove one that leaves."""
+        """Store another participant from its announcement and announce this one to it; remove one that leaves."""
         if (w.STATUS, w.GONE) in inline:
             self._forget(message.prefix)
             return
@@ -263,12 +263,12 @@ class Services:
             self._announce_to(message.prefix, peer, again=False)
 
     def _nearest_locator(self, places: list[w.Locator]) -> w.Locator:
-        """Return the address of a participant that is in a network of this one, else the first."""
+        """Return a remote participant's address that is in one of this machine's networks, else its first one."""
         nets = {address.rpartition(".")[0] for address, _ in self._sockets.own}
         return next((place for place in places if place[0].rpartition(".")[0] in nets), places[0])
 
     def _forget(self, prefix: bytes) -> None:
-        """Remove a participant and its clients, identified by the prefix of its GUIDs."""
+        """Remove a remote participant and its clients; ``prefix``: first 12 bytes of their GUIDs."""
         self._peers.pop(prefix, None)
         self._received = {key: value for key, value in self._received.items() if key[0] != prefix}
         self._clients = {guid: service for guid, service in self._clients.items() if guid[:12] != prefix}
@@ -276,7 +276,7 @@ class Services:
             service.forget(lambda guid: guid[:12] == prefix)
 
     def _store_endpoint(self, prefix: bytes, inline: list[tuple[int, bytes]], payload: bytes) -> None:
-        """Store or remove a writer or a reader of a client."""
+        """Store, or remove, a remote client's reader or writer from its announcement."""
         found, little = w.parameters(payload), payload[1:2] == b"\3"
         guid = (found.get(w.ENDPOINT_GUID) or [bytes(16)])[0][:16]
         if any(identifier == w.STATUS and value[3:4] in (b"\1", b"\2", b"\3") for identifier, value in inline):
@@ -299,7 +299,7 @@ class Services:
     def _take_request(
         self, service: RawService, message: w.Submessage, inline: list[tuple[int, bytes]], payload: bytes
     ) -> None:
-        """Queue a service request with the identity that its response must carry."""
+        """Queue a service request together with the identity that its response must carry."""
         if message.vendor == _CYCLONE:
             header, cdr = payload[_HEADER], payload[: _HEADER.start] + payload[_HEADER.stop :]
             service.waiting.append((Request(b"", header), cdr))
@@ -314,7 +314,7 @@ class Services:
         service.waiting.append((Request(answer, b""), payload))
 
     def _take_heartbeat(self, message: w.Submessage) -> None:
-        """Answer a writer's HEARTBEAT with the numbers that are missing here."""
+        """Answer a remote writer's HEARTBEAT with the sequence numbers that are missing here."""
         reader, writer = message.body[:4], message.body[4:8]
         is_builtin = writer in (_PUBLICATIONS[0], _SUBSCRIPTIONS[0])
         if is_builtin:
@@ -328,7 +328,7 @@ class Services:
         self._sockets.send(w.packet(self._prefix, answer, to=message.prefix), place)
 
     def _take_acknack(self, message: w.Submessage) -> None:
-        """Send a reader the messages that it lacks, and note which it has received."""
+        """Send a remote reader the messages that its ACKNACK asks for, and note which it has received."""
         reader, writer = message.body[:4], message.body[4:8]
         base, missing = w.numbers_at(message, 8)
         peer = self._peers[message.prefix]
@@ -348,7 +348,7 @@ class Services:
     # ---- what goes out ----
 
     def _presence(self) -> bytes:
-        """Return the packet that announces this participant."""
+        """Return the RTPS packet that announces this participant to others."""
         places = [
             (kind, w.locator(*place)) for kind in (w.METATRAFFIC, w.DEFAULT_UNICAST) for place in self._sockets.own
         ]
@@ -365,7 +365,7 @@ class Services:
         return w.packet(self._prefix, w.data(_PARTICIPANT[1], _PARTICIPANT[0], 1, payload))
 
     def _announce_to(self, prefix: bytes, peer: _Peer, again: bool) -> None:
-        """Announce all services to another participant, the first time in full, and request its own."""
+        """Announce all services to another participant, in full unless ``again``, and request its announcements."""
         for writer, reader in (_PUBLICATIONS, _SUBSCRIPTIONS):
             kept = self._told[writer]
             for part in () if again else kept.all(reader):
@@ -375,7 +375,7 @@ class Services:
             self._sockets.send(w.packet(self._prefix, kept.heartbeat(reader), asked, to=prefix), peer.meta)
 
     def _repeat_unconfirmed(self) -> None:
-        """Repeat announcements, and heartbeats of responses, that others have not acknowledged."""
+        """Send announcements, and heartbeats of responses, again if others have not acknowledged them."""
         for prefix, peer in self._peers.items():
             behind = any(peer.known.get(writer, 0) < kept.last for writer, kept in self._told.items())
             if behind and peer.left:
@@ -391,7 +391,7 @@ class Services:
                     del service.left[guid]
 
     def close(self) -> None:
-        """Announce that this participant leaves, and close its sockets."""
+        """Announce that this participant leaves the network, and close its sockets."""
         payload = w.PL_CDR + w.listed((w.PARTICIPANT_GUID, self._prefix + b"\0\0\1\xc1"))
         inline = w.listed((w.STATUS, w.GONE))
         self._sockets.announce(

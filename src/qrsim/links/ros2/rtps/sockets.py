@@ -20,7 +20,7 @@ _SIOCGIFADDR = 0x8915
 
 
 def addresses() -> list[str]:
-    """Return this machine's IPv4 addresses, without loopback unless alone; only those that CYCLONEDDS_URI names."""
+    """Return this machine's IPv4 addresses, only those of CYCLONEDDS_URI if set; loopback only if there is no other."""
     chosen = re.findall(r"NetworkInterface[^>]*\bname=[\"']([^\"']+)", os.environ.get("CYCLONEDDS_URI", ""))
     found = {name: address for name, address in _interfaces() if not chosen or name in chosen}
     # The loopback is for who has nothing else.
@@ -77,7 +77,7 @@ class Sockets:
         self.own: list[Locator] = [(address, port) for address in places]
 
     def received(self) -> Iterator[bytes]:
-        """Yield the packets that have arrived."""
+        """Yield the packets that have arrived, without waiting."""
         for each in (self._discovery, self._unicast):
             for _ in range(_MOST_AT_ONCE):
                 try:
@@ -86,13 +86,13 @@ class Sockets:
                     break
 
     def announce(self, packet: bytes) -> None:
-        """Send a packet to the multicast address of discovery."""
+        """Send a packet to the multicast address of participant discovery."""
         for each in self._senders:
             with suppress(OSError):
                 each.sendto(packet, (GROUP, self._port))
 
     def send(self, packet: bytes, place: Locator) -> None:
-        """Send a packet to one address; never waits."""
+        """Send a packet to one address and port; never waits."""
         with suppress(OSError):
             self._unicast.sendto(packet, place)
 

@@ -51,12 +51,13 @@ class Submessage:
 
     @property
     def order(self) -> str:
-        """Byte order of the submessage, for ``struct``."""
+        """Byte order of the submessage as ``struct`` writes it: "<" or ">"."""
         return "<" if self.flags & LITTLE else ">"
 
 
 def submessages(packet: bytes, own: bytes) -> Iterator[Submessage]:
-    """Yield the submessages of a packet that are addressed to all participants or to ``own``.
+    """Yield the submessages of an RTPS packet that are addressed to all participants or to the one with GUID prefix
+    ``own``.
 
     Args:
         packet: of anybody.
@@ -79,29 +80,30 @@ def submessages(packet: bytes, own: bytes) -> Iterator[Submessage]:
 
 
 def packet(prefix: bytes, *parts: bytes, to: bytes | None = None) -> bytes:
-    """Return an RTPS packet of submessages, addressed to one participant or to all."""
+    """Return an RTPS packet of encoded submessages (``parts``) from a GUID prefix, to one participant or (None) to
+    all."""
     first = b"" if to is None else submessage(INFO_DST, 0, to)
     return HEADER + prefix + first + b"".join(parts)
 
 
 def submessage(kind: int, flags: int, body: bytes) -> bytes:
-    """Return an RTPS submessage: its header and body."""
+    """Return an RTPS submessage: header (``kind``, ``flags``, length) and body."""
     return struct.pack("<BBH", kind, flags | LITTLE, len(body)) + body
 
 
 def number(value: int) -> bytes:
-    """Encode a sequence number."""
+    """Encode an RTPS sequence number, 8 bytes."""
     return struct.pack("<iI", value >> 32, value & 0xFFFFFFFF)
 
 
 def number_at(message: Submessage, at: int) -> int:
-    """Decode the sequence number at an offset of a submessage."""
+    """Decode the sequence number at byte offset ``at`` of a submessage."""
     high, low = struct.unpack_from(message.order + "iI", message.body, at)
     return int(high) << 32 | int(low)
 
 
 def numbers(base: int, members: Iterable[int]) -> bytes:
-    """Encode a set of sequence numbers from ``base`` on; members too far above it are left out."""
+    """Encode a set of sequence numbers as ``base`` and a bit map; members too far above ``base`` are left out."""
     near = [each - base for each in members if 0 <= each - base < _MOST_BITS]
     count = max(near, default=-1) + 1
     words = [0] * -(-count // 32)
@@ -111,7 +113,7 @@ def numbers(base: int, members: Iterable[int]) -> bytes:
 
 
 def numbers_at(message: Submessage, at: int) -> tuple[int, list[int]]:
-    """Decode a set of sequence numbers at an offset of a submessage: its base and its members."""
+    """Decode the set of sequence numbers at byte offset ``at`` of a submessage to its base and members."""
     base = number_at(message, at)
     (count,) = struct.unpack_from(message.order + "I", message.body, at + 8)
     count = min(count, _MOST_BITS)
@@ -122,7 +124,8 @@ def numbers_at(message: Submessage, at: int) -> tuple[int, list[int]]:
 def data(
     reader: bytes, writer: bytes, sequence: int, payload: bytes, inline: bytes = b"", is_key: bool = False
 ) -> bytes:
-    """Return a DATA submessage; ``inline`` is an encoded parameter list."""
+    """Return a DATA submessage with a payload; ``inline``: an encoded parameter list; ``reader``, ``writer``: entity
+    ids."""
     flags = (INLINE if inline else 0) | (_KEY if is_key else PAYLOAD)
     # Where the inline parameters or the payload begin, after what is before them.
     whole = payload + bytes(-len(payload) % 4)
@@ -131,24 +134,24 @@ def data(
 
 
 def heartbeat(reader: bytes, writer: bytes, first: int, last: int, count: int) -> bytes:
-    """Return a HEARTBEAT submessage that asks for an answer."""
+    """Return a HEARTBEAT submessage (sequence numbers ``first`` to ``last`` are available) that asks for an answer."""
     return submessage(HEARTBEAT, 0, reader + writer + number(first) + number(last) + struct.pack("<i", count))
 
 
 def acknack(reader: bytes, writer: bytes, base: int, missing: Iterable[int], count: int) -> bytes:
-    """Return an ACKNACK submessage: all numbers before ``base`` have arrived, those in ``missing`` have not."""
+    """Return an ACKNACK submessage: all numbers below ``base`` have arrived, the ones in ``missing`` have not."""
     asked = numbers(base, missing)
     flags = FINAL if asked[8:] == bytes(4) else 0
     return submessage(ACKNACK, flags, reader + writer + asked + struct.pack("<i", count))
 
 
 def gap(reader: bytes, writer: bytes, missing: int) -> bytes:
-    """Return a GAP submessage: the sequence number ``missing`` will not be sent."""
+    """Return a GAP submessage, which tells a reader that the sequence number ``missing`` will not be sent."""
     return submessage(GAP, 0, reader + writer + number(missing) + numbers(missing + 1, ()))
 
 
 def data_parts(message: Submessage) -> tuple[list[tuple[int, bytes]], bytes]:
-    """Return the inline parameters and the payload of a DATA submessage."""
+    """Return a DATA submessage's inline parameters, as (identifier, value) pairs, and its payload."""
     (skip,) = struct.unpack_from(message.order + "H", message.body, 2)
     at, inline = 4 + skip, list[tuple[int, bytes]]()
     if message.flags & INLINE:
@@ -157,7 +160,7 @@ def data_parts(message: Submessage) -> tuple[list[tuple[int, bytes]], bytes]:
 
 
 def parameters(payload: bytes) -> dict[int, list[bytes]]:
-    """Return the values of a list of parameters with its encapsulation, by their identifiers."""
+    """Return identifier -> values of an encoded parameter list with its encapsulation header."""
     order = {b"\0\2": ">", b"\0\3": "<"}.get(payload[:2])
     found: dict[int, list[bytes]] = {}
     if order is not None:
@@ -167,7 +170,8 @@ def parameters(payload: bytes) -> dict[int, list[bytes]]:
 
 
 def _parameters_from(message: bytes, at: int, order: str) -> tuple[list[tuple[int, bytes]], int]:
-    """Return the parameters from an offset on, and the offset of their end."""
+    """Decode (identifier, value) pairs from byte offset ``at`` on; also return the offset of their end. ``order``: "<"
+    or ">"."""
     found = []
     while at + 4 <= len(message):
         identifier, size = struct.unpack_from(order + "HH", message, at)
@@ -180,7 +184,7 @@ def _parameters_from(message: bytes, at: int, order: str) -> tuple[list[tuple[in
 
 
 def listed(*values: tuple[int, bytes]) -> bytes:
-    """Encode a parameter list from (identifier, value) pairs."""
+    """Encode (identifier, value) pairs as an RTPS parameter list."""
     found = b""
     for identifier, value in values:
         padded = value + bytes(-len(value) % 4)
@@ -189,28 +193,29 @@ def listed(*values: tuple[int, bytes]) -> bytes:
 
 
 def text(value: str) -> bytes:
-    """Encode a string as a parameter's value."""
+    """Encode a string as an RTPS parameter's value."""
     raw = value.encode() + b"\0"
     return struct.pack("<I", len(raw)) + raw
 
 
 def text_of(value: bytes, little: bool) -> str:
-    """Decode the string of a parameter; ``little``: the byte order of its length."""
+    """Decode an RTPS parameter's value as a string; ``little``: its length is little-endian."""
     (size,) = struct.unpack_from("<I" if little else ">I", value)
     return value[4 : 3 + size].decode("utf-8", "replace")
 
 
 def octets(value: bytes) -> bytes:
-    """Encode bytes as a parameter's value."""
+    """Encode bytes, with their length, as an RTPS parameter's value."""
     return struct.pack("<I", len(value)) + value
 
 
 def locator(address: str, port: int) -> bytes:
-    """Encode a UDP locator."""
+    """Encode an IPv4 address and UDP port as an RTPS locator."""
     return struct.pack("<iI", _UDP4, port) + bytes(12) + bytes(int(part) for part in address.split("."))
 
 
 def locator_of(value: bytes, little: bool) -> Locator | None:
-    """Return address and port of a UDP locator, ``little`` its byte order; None for other kinds."""
+    """Decode an RTPS locator to (IPv4 address, UDP port); None for other transports. ``little``: it is
+    little-endian."""
     kind, port = struct.unpack_from("<iI" if little else ">iI", value)
     return (".".join(map(str, value[20:24])), port) if kind == _UDP4 and len(value) >= 24 and 0 < port < 65536 else None

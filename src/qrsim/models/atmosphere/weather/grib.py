@@ -52,7 +52,7 @@ class _Message(NamedTuple):
 
 
 def grib_values(file: str, path: str, request: Request) -> Values:
-    """Return the values of a GRIB file above a place; where two forecasts are for one time, the newer one counts.
+    """Return the weather above a place from a GRIB file; where two forecasts are for one time, the newer one counts.
 
     Args:
         file: its name, for messages.
@@ -80,7 +80,7 @@ def grib_values(file: str, path: str, request: Request) -> Values:
 
 
 def _messages(eccodes: ModuleType, file: str, path: str) -> Iterator[tuple[int, int]]:
-    """Yield number (from 1) and ecCodes handle of each message; raise UsageError for a file with none or too many."""
+    """Yield (number from 1, ecCodes handle) of each GRIB message; raise UsageError for none or too many."""
     with open(path, "rb") as opened:
         number = 0
         while (handle := eccodes.codes_grib_new_from_file(opened)) is not None:
@@ -96,7 +96,7 @@ def _messages(eccodes: ModuleType, file: str, path: str) -> Iterator[tuple[int, 
 
 
 def _headers(eccodes: ModuleType, file: str, path: str) -> Iterator[_Message]:
-    """Yield the headers of messages with a quantity that is used."""
+    """Yield the headers of the GRIB messages with a quantity that is used, such as wind or temperature."""
     for number, handle in _messages(eccodes, file, path):
         quantity = _quantity(eccodes, handle)
         if quantity is None:
@@ -109,7 +109,7 @@ def _headers(eccodes: ModuleType, file: str, path: str) -> Iterator[_Message]:
 
 
 def _quantity(eccodes: ModuleType, handle: int) -> tuple[str, str, float, float] | None:
-    """Return name, kind of level, level and unit factor of a message; None for a quantity that is not used."""
+    """Return name, kind of level, level and unit factor of a GRIB message's quantity; None if it is not used."""
     where = eccodes.codes_get(handle, "typeOfLevel", str)
     kind, names = KNOWN.get(where, ("", {}))
     short = eccodes.codes_get(handle, "shortName", str) if kind else ""
@@ -132,7 +132,7 @@ def _time(file: str, date: int, clock: int) -> float:
 
 
 def _optional(eccodes: ModuleType, handle: int, name: str, default: int) -> int:
-    """Return an integer of a GRIB message, or a default where it has none."""
+    """Return an integer header field of a GRIB message, or ``default`` if the message has none."""
     try:
         return int(eccodes.codes_get(handle, name, int))
     except eccodes.CodesInternalError:
@@ -140,7 +140,7 @@ def _optional(eccodes: ModuleType, handle: int, name: str, default: int) -> int:
 
 
 def _of_member(file: str, messages: list[_Message], member: int | None) -> list[_Message]:
-    """Return the messages of one ensemble member; raise UsageError if it is missing or not chosen."""
+    """Return the messages of ensemble member ``member``; raise UsageError if it is missing, or must be given."""
     known = sorted({message.member for message in messages if message.key.name in ("u", "v")})
     if member is None:
         if len(known) > 1:
@@ -152,7 +152,7 @@ def _of_member(file: str, messages: list[_Message], member: int | None) -> list[
 
 
 def _check_winds(file: str, messages: list[_Message]) -> None:
-    """Raise UsageError for a file with u and no v, or v and no u."""
+    """Raise UsageError for a file with only one of the wind components u and v."""
     names = {message.key.name for message in messages}
     for own, other in (("u", "v"), ("v", "u")):
         if own in names and other not in names:
@@ -162,7 +162,7 @@ def _check_winds(file: str, messages: list[_Message]) -> None:
 def _decoded(
     eccodes: ModuleType, file: str, path: str, chosen: dict[int, Key], values: Values, request: Request
 ) -> Values:
-    """Return ``values`` filled with the chosen messages' values at the place; u and v turned to true east and north.
+    """Return ``values`` with the chosen messages' values at the place added, winds turned to true north and east.
 
     Args:
         eccodes: the module.
@@ -198,7 +198,7 @@ def _decoded(
 
 
 def _at_place(eccodes: ModuleType, file: str, handle: int, place: Place) -> float:
-    """Return a message's value, interpolated between the four points around the place, in the unit of its key."""
+    """Return a GRIB message's value at a place in SI units, interpolated from the four grid points around it."""
     count = eccodes.codes_get_size(handle, "values")
     if count > MOST_POINTS or max(place.points) >= count:
         raise UsageError(f"{file}: a message has {count} values; expected those of its grid, at most {MOST_POINTS}")
@@ -211,7 +211,7 @@ def _at_place(eccodes: ModuleType, file: str, handle: int, place: Place) -> floa
 
 
 def _grid_section(eccodes: ModuleType, handle: int) -> str:
-    """Return a text that identifies a message's grid: equal texts, equal grids."""
+    """Return a text that identifies a GRIB message's grid: equal texts, equal grids."""
     names = (
         "gridType",
         "numberOfDataPoints",

@@ -42,7 +42,7 @@ class Place(NamedTuple):
 
 
 def place_in(get: Get, file: str, request: Request) -> Place:
-    """Return the grid points around a place in a message's grid, with weights, cell size and turn of the axes.
+    """Return the grid points around a place in a GRIB message, with weights, cell size and the axes' turn from north.
 
     Args:
         get: returns the value of a key of ecCodes.
@@ -69,7 +69,7 @@ def place_in(get: Get, file: str, request: Request) -> Place:
 
 
 def _regular(get: Get, file: str, request: Request, along: int, down: int) -> tuple[Corners, float]:
-    """Return the grid points around a place on a latitude-longitude grid, and 0, the turn of its axes [rad]."""
+    """Return the grid points around a place on a latitude-longitude grid, and 0, its axes' turn from north [rad]."""
     first, last = (
         (float(get(f"latitudeOf{end}GridPointInDegrees")), float(get(f"longitudeOf{end}GridPointInDegrees")))
         for end in ("First", "Last")
@@ -84,7 +84,7 @@ def _regular(get: Get, file: str, request: Request, along: int, down: int) -> tu
 
 
 def _lambert(get: Get, file: str, request: Request, along: int, down: int) -> tuple[Corners, float]:
-    """Return the grid points around a place on a Lambert conformal grid, and the turn of its axes [rad]."""
+    """Return the grid points around a place on a Lambert conformal grid, and its axes' turn from north [rad]."""
     if int(get("earthIsOblate")):
         raise UsageError(f"{file}: its grid is Lambert's on an ellipsoid; a sphere is read, as that of HRRR")
     one, two, middle = (float(get(name)) for name in ("Latin1InDegrees", "Latin2InDegrees", "LoVInDegrees"))
@@ -92,7 +92,7 @@ def _lambert(get: Get, file: str, request: Request, along: int, down: int) -> tu
         raise UsageError(f"{file}: its grid has the standard parallels {one:g} and {two:g}; allowed: between 0 and 90")
 
     def grown(latitude: float) -> float:
-        """Return tan(pi/4 + latitude/2), for a latitude [deg]."""
+        """Return tan(pi/4 + latitude/2) for a latitude [deg], a term of the Lambert projection."""
         return math.tan(0.25 * math.pi + 0.5 * math.radians(latitude))
 
     cone = math.sin(math.radians(one))
@@ -102,7 +102,7 @@ def _lambert(get: Get, file: str, request: Request, along: int, down: int) -> tu
     scale = float(get("radius")) * math.cos(math.radians(one)) * grown(one) ** cone / cone
 
     def plane(latitude: float, longitude: float) -> tuple[float, float]:
-        """Return x and y [m] on the map of a latitude and longitude [deg]."""
+        """Return map coordinates x and y [m] of a latitude and longitude [deg] in the Lambert projection."""
         angle = cone * math.radians((longitude - middle + 180.0) % 360.0 - 180.0)
         radius = scale / grown(min(max(latitude, -89.9999), 89.9999)) ** cone
         return radius * math.sin(angle), -radius * math.cos(angle)

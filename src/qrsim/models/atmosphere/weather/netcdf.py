@@ -66,7 +66,7 @@ _SINCE = re.compile(
 
 
 def netcdf_values(file: str, path: str, request: Request) -> Values:
-    """Return the values of a NetCDF file above a place; geopotentials become heights by 9.80665 m/s².
+    """Return the weather above a place from a NetCDF file; geopotentials become heights by 9.80665 m/s².
 
     Args:
         file: its name, for messages.
@@ -88,7 +88,7 @@ def netcdf_values(file: str, path: str, request: Request) -> Values:
 
 
 def _values(file: str, content: Any, request: Request) -> Values:
-    """Return the values at a place from an opened file; raise UsageError for missing coordinates."""
+    """Return the weather above a place from an opened NetCDF file; raise UsageError for missing coordinates."""
     names = {axis: next((name for name in known if name in content.variables), None) for axis, known in AXES.items()}
     for axis in ("time", "latitude", "longitude"):
         if names[axis] is None:
@@ -112,7 +112,7 @@ def _values(file: str, content: Any, request: Request) -> Values:
 
 
 def _present(content: Any, names: dict[str, str | None]) -> Iterator[tuple[str, tuple[str, str, float], float]]:
-    """Yield (variable, (quantity, kind of level, level), unit factor) of each variable that is used."""
+    """Yield (variable, (quantity, kind of level, level), unit factor) for each variable in the file that is used."""
     for variable in content.variables:
         dimensions = content.variables[variable].dimensions
         if names["latitude"] not in dimensions:
@@ -127,7 +127,7 @@ def _present(content: Any, names: dict[str, str | None]) -> Iterator[tuple[str, 
 
 
 def _check_winds(file: str, content: Any, found: list[tuple[str, str, float]]) -> None:
-    """Raise UsageError for a file without wind, or with only one of u and v."""
+    """Raise UsageError for a file without wind, or with only one of the components u and v."""
     known = sorted(content.variables)
     pairs = (("u", "v", ("hPa", 0.0)), ("u10", "v10", ("m", 10.0)), ("u100", "v100", ("m", 100.0)))
     there = False
@@ -145,12 +145,12 @@ def _check_winds(file: str, content: Any, found: list[tuple[str, str, float]]) -
 
 
 def _attribute(variable: Any, name: str) -> str:
-    """Return an attribute of a variable as text, "" where it is missing."""
+    """Return a NetCDF variable's attribute as text, "" if it is missing."""
     return " ".join(str(variable.getncattr(name)).split()) if name in variable.ncattrs() else ""
 
 
 def _numbers(file: str, content: Any, name: str | None) -> Floats:
-    """Return a coordinate (k,) as float64; raise UsageError unless it is one-dimensional, numeric and finite."""
+    """Return a coordinate variable (k,) as float64; raise UsageError unless one-dimensional, numeric and finite."""
     values = np.ma.filled(np.ma.asarray(content.variables[name][...], np.float64), np.nan)
     if values.ndim > 1 or not np.isfinite(values).all():
         raise UsageError(f"{file}: '{name}' is no row of finite numbers")
@@ -158,7 +158,7 @@ def _numbers(file: str, content: Any, name: str | None) -> Floats:
 
 
 def _times(file: str, variable: Any) -> list[float]:
-    """Return the times of a variable as seconds since 1970; raise UsageError for other units or calendars."""
+    """Return a time variable as seconds since 1970; raise UsageError for unknown units or calendars."""
     units = _attribute(variable, "units")
     match = _SINCE.fullmatch(units)
     second = TIME_UNITS.get(match[1].lower()) if match else None
@@ -201,7 +201,7 @@ class _Reader:
         self.picked["member"] = self._member(names["member"], member)
 
     def _levels(self, name: str | None) -> list[tuple[int, float]]:
-        """Return (index, pressure [hPa]) of each pressure level that is read."""
+        """Return (index, pressure [hPa]) of each pressure level that is read, [] for ``name`` None."""
         if name is None:
             return []
         units = _attribute(self.content.variables[name], "units")
@@ -211,7 +211,7 @@ class _Reader:
         return [(i, float(each)) for i, each in enumerate(pressures) if each >= LOWEST_HPA]
 
     def _member(self, name: str | None, member: int | None) -> int:
-        """Return the index of an ensemble member; raise UsageError if it is missing, or none is chosen."""
+        """Return the index of ensemble member ``member``; raise UsageError if it is missing, or must be given."""
         if name is None or self.content.variables[name].ndim == 0:
             if member is not None:
                 raise UsageError(f"{self.file}: has no ensemble, and member is {member}")
@@ -224,7 +224,7 @@ class _Reader:
         return numbers.index(member) if member is not None else 0
 
     def read(self, variable: str, name: str, kind: str, level: float, factor: float, found: Values) -> None:
-        """Add a variable's values at the place to ``found``; raise UsageError for other units or impossible speeds."""
+        """Add a variable's values at the place to ``found``; raise UsageError for wrong units or impossible speeds."""
         source = self.content.variables[variable]
         if source.dtype.kind not in "fiu":
             raise UsageError(f"{self.file}: '{variable}' is of type {source.dtype}; expected numbers")
@@ -249,7 +249,7 @@ class _Reader:
                     found.found[Key(name, time, kind, own)] = value
 
     def _at_place(self, variable: str, source: Any, factor: float) -> Floats:
-        """Return the values (times, levels) of a variable at the place; one level where it has none."""
+        """Return a variable's values (times, levels) at the place; one level for a variable without levels."""
         axes: list[str] = []
         parts: list[object] = []
         for dimension in source.dimensions:
@@ -283,7 +283,7 @@ class _Reader:
 
 
 def _taken(source: Any, parts: list[Any]) -> Floats:
-    """Return ``source`` indexed by ``parts``, NaN for missing values; a list of two indices may be in any order."""
+    """Return ``source`` indexed by ``parts``, NaN for missing values; a pair of indices may be in any order."""
     lists = [(i, part) for i, part in enumerate(parts) if isinstance(part, list)]
     if not lists:
         return np.ma.filled(np.ma.asarray(source[tuple(parts)], np.float64), np.nan)

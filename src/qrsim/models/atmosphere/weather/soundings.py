@@ -80,14 +80,14 @@ class Site(NamedTuple):
 
 
 def kind_of(file: str) -> str:
-    """Return "NetCDF", "GRIB" or "" by the first bytes of a file; raises UsageError where it cannot be read."""
+    """Return a weather file's format by its first bytes: "NetCDF", "GRIB" or ""; raise UsageError if unreadable."""
     with readable(file), open_file(file, LARGEST_FILE) as opened:
         head = opened.read(1024)
     return "NetCDF" if head.startswith((b"CDF", b"\x89HDF")) else "GRIB" if b"GRIB" in head else ""
 
 
 def read_weather(file: str, request: Request, site: Site) -> Soundings:
-    """Return the wind over height in a weather model's GRIB or NetCDF file, which a child process reads.
+    """Return the wind over height and time above a site from a GRIB or NetCDF file, read in a child process.
 
     Raises:
         UsageError: no such file, or it does not hold the place, the run, or the wind.
@@ -105,7 +105,7 @@ def read_weather(file: str, request: Request, site: Site) -> Soundings:
 
 
 def soundings_of(file: str, values: Values, request: Request, site: Site) -> Soundings:
-    """Return the wind over height at each time from a weather model's values.
+    """Return the wind over height and time above a site, from a weather model's values there.
 
     Raises:
         UsageError: no level lies above the ground, or the heights of levels of pressure cannot be known.
@@ -128,7 +128,7 @@ def soundings_of(file: str, values: Values, request: Request, site: Site) -> Sou
 
 
 def _levels(file: str, values: Values, time: float, site: Site, notes: dict[str, None]) -> Iterator[Level]:
-    """Yield the levels above the ground at a time, lowest first; add notes for the user to ``notes``."""
+    """Yield the wind at each level above ground at a time, lowest first; messages to the user go into ``notes``."""
     found = {key._replace(time=0.0): value for key, value in values.found.items() if key.time == time}
     pairs = [
         (key.kind, key.level, found[key], found[other])
@@ -154,7 +154,7 @@ def _levels(file: str, values: Values, time: float, site: Site, notes: dict[str,
 def _heights(
     file: str, found: dict[Key, float], pressures: Sequence[float], site: Site, notes: dict[str, None]
 ) -> dict[float, float]:
-    """Return {pressure [hPa]: height above ground [m]}; add notes for the user to ``notes``."""
+    """Return {pressure [hPa]: height above ground [m]} of the levels; messages to the user go into ``notes``."""
     own = {level: found.get(Key("height", 0.0, "hPa", level)) for level in pressures}
     heights = {level: height for level, height in own.items() if height is not None}
     if len(heights) < len(own):
@@ -176,7 +176,7 @@ def _heights(
 
 
 def _ground(found: dict[Key, float], heights: dict[float, float]) -> float | None:
-    """Return the height of the model's ground above the sea [m], None if the file does not tell."""
+    """Return the height [m] of the weather model's ground above the sea, as given or by its pressure, or None."""
     ground = found.get(Key("height", 0.0, "ground", 0.0))
     pressure = found.get(Key("pressure", 0.0, "ground", 0.0))
     if ground is not None or pressure is None or len(heights) < 2 or not pressure > 0.0:
@@ -193,7 +193,7 @@ def _ground(found: dict[Key, float], heights: dict[float, float]) -> float | Non
 def _by_hypsometry(
     file: str, found: dict[Key, float], pressures: Sequence[float], notes: dict[str, None]
 ) -> dict[float, float]:
-    """Return {pressure [hPa]: height above the sea [m]} by the temperatures, or by the standard atmosphere.
+    """Return {pressure [hPa]: height above the sea [m]} from temperatures, or else from the standard atmosphere.
 
     The thickness of a layer is R T/g ln(p1/p2), T the mean of both ends.
     """

@@ -22,7 +22,7 @@ MOST_ROWS = 200_000
 
 
 def read_table(file: str, roughness: float) -> Soundings:
-    """Return the wind over height from a CSV table; without times the wind is steady.
+    """Return the wind over height, and over time if the table has times, from a CSV file.
 
     Args:
         file: CSV with the columns ``height`` [m] above the ground, ``direction`` [deg], from where the wind comes, and
@@ -58,7 +58,7 @@ def read_table(file: str, roughness: float) -> Soundings:
 
 
 def _names(opened: CsvFile) -> list[str]:
-    """Return the column names without units; raise UsageError for wrong units and missing or repeated columns."""
+    """Return the CSV column names without units; raise UsageError for wrong units, missing or repeated columns."""
     names = []
     for written in opened.header:
         name, unit = name_and_unit(written)
@@ -79,7 +79,7 @@ def _names(opened: CsvFile) -> list[str]:
 
 
 def _level(opened: CsvFile, height: float, row: dict[str, str], name: str) -> Level:
-    """Return the wind at a height [m] from a row of the table; raise UsageError for impossible numbers."""
+    """Return the wind at a height [m] from a row of the CSV table; raise UsageError for impossible numbers."""
     speed = opened.number(name, row[name]) * SPEEDS[name]
     direction = opened.number("direction", row["direction"])
     if not 0.0 <= direction <= 360.0:
@@ -93,7 +93,7 @@ def _level(opened: CsvFile, height: float, row: dict[str, str], name: str) -> Le
 
 
 def _time(opened: CsvFile, file: str, text: str) -> float:
-    """Return seconds since 1970 of an ISO 8601 time, in UTC where it names no zone."""
+    """Return an ISO 8601 time as seconds since 1970, in UTC unless it names a zone."""
     try:
         when = datetime.fromisoformat(text.strip())
     except ValueError:

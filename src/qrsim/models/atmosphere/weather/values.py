@@ -68,7 +68,7 @@ class Values:
 
 
 def needed_times(file: str, times: list[float], request: Request) -> list[float]:
-    """Return the times of a file that a run needs, including the last one before it and the first one after it.
+    """Return those times of a weather file that a run needs, with the last before it and the first after it.
 
     Raises:
         UsageError: the file does not hold the run.
@@ -85,7 +85,7 @@ def needed_times(file: str, times: list[float], request: Request) -> list[float]
 
 
 def span(first: float, last: float) -> str:
-    """Return two times, seconds since 1970, in words: from 2026-05-01 09:00 to 11:00 UTC."""
+    """Return two times (seconds since 1970) as text, such as "from 2026-05-01 09:00 to 11:00 UTC"."""
     begin, end = (datetime.fromtimestamp(round(time, 3), UTC) for time in (first, last))
     texts = [f"{when:%Y-%m-%d %H:%M}" + (f":{when:%S}" if when.second else "") for when in (begin, end)]
     if first == last:
@@ -96,14 +96,14 @@ def span(first: float, last: float) -> str:
 
 
 def plausible_time(file: str, time: float) -> float:
-    """Return the given time (seconds since 1970); raise UsageError beyond the years 1900 to 2199."""
+    """Return ``time`` (seconds since 1970) if it is in the years 1900 to 2199; else raise UsageError."""
     if not -2_208_988_800.0 <= time <= 7_258_118_400.0:
         raise UsageError(f"{file}: has a time beyond the years 1900 to 2199")
     return time
 
 
 def checked_speed(file: str, name: str, value: float) -> float:
-    """Return the given velocity [m/s]; raise UsageError if its size is impossible for wind."""
+    """Return the velocity ``value`` [m/s] if it is possible for wind; else raise UsageError."""
     if not math.isfinite(value):
         raise UsageError(f"{file}: '{name}' has no value at the site")
     if abs(value) > FASTEST:
@@ -131,13 +131,13 @@ class Corners(NamedTuple):
     cell: float
 
     def weighted(self, values: Floats) -> Floats:
-        """Return bilinearly interpolated values (...) from those at the corners (..., 2, 2), rows before columns."""
+        """Return values (...) interpolated bilinearly from those at grid points (..., 2, 2), rows before columns."""
         rows = values[..., 0, :] * (1.0 - self.down) + values[..., 1, :] * self.down
         return rows[..., 0] * (1.0 - self.along) + rows[..., 1] * self.along
 
 
 def corners_of(file: str, latitudes: Floats, longitudes: Floats, latitude_deg: float, longitude_deg: float) -> Corners:
-    """Return the four grid points around a place, with weights; axes latitude (Y,) and longitude (X,) in order [deg].
+    """Return the four grid points around a place, with weights; axes latitude (Y,), longitude (X,) in order [deg].
 
     Longitudes may begin anywhere; a grid round the Earth is closed.
 
@@ -178,6 +178,6 @@ def corners_of(file: str, latitudes: Floats, longitudes: Floats, latitude_deg: f
 
 
 def _cell(values: Floats, place: float) -> tuple[int, float]:
-    """Return the index of the grid cell around a coordinate, and the position in it, 0 to 1; clipped to the grid."""
+    """Return the index of the grid cell around a coordinate, and the position in the cell, 0 to 1; clipped."""
     number = int(np.clip(np.searchsorted(values, place, side="right") - 1, 0, len(values) - 2))
     return number, float(np.clip((place - values[number]) / (values[number + 1] - values[number]), 0.0, 1.0))

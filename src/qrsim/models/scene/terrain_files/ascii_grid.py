@@ -19,13 +19,13 @@ LARGEST_PRJ = 2**16
 
 
 def prj_file(file: str) -> str | None:
-    """Return the path of the .prj file next to a grid, None if the grid has no such file."""
+    """Return the path of the .prj file (coordinate reference system) next to a grid file, None without one."""
     path = Path(os.path.expanduser(file))
     return next((str(each) for each in (path.with_suffix(".prj"), path.with_suffix(".PRJ")) if each.is_file()), None)
 
 
 def prj_of(file: str) -> str | None:
-    """Return the WKT in the .prj file of a grid, None if it has none; raises UsageError if it is not text."""
+    """Return the WKT text in a grid file's .prj file, None without this file; raises UsageError if it is not text."""
     path = prj_file(file)
     if path is None:
         return None
@@ -34,7 +34,7 @@ def prj_of(file: str) -> str | None:
 
 
 def open_ascii_grid(file: str, gdal: Gdal, site: tuple[float, float], given: Crs | None) -> ArrayRaster:
-    """Return an ESRI ASCII grid in the coordinate reference system of its .prj file, else in the given one.
+    """Return an ESRI ASCII grid as a raster, in the reference system of its .prj file, or else the given one.
 
     Raises:
         UsageError: it cannot be read, or has no coordinate reference system.

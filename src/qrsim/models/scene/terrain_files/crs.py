@@ -15,12 +15,12 @@ _DEGREES = re.compile(r'\s*GEOG(?:CS|CRS|RAPHICCRS)\s*\[\s*"(?:GCS_WGS_1984|WGS 
 
 
 def is_wgs84(wkt: str) -> bool:
-    """Return whether a WKT text is latitude and longitude of WGS 84, judged without PROJ."""
+    """Return whether a WKT text means latitude and longitude of WGS 84, decided without PROJ."""
     return _DEGREES.match(wkt) is not None
 
 
 def from_code(code: str, gdal: Gdal, site: tuple[float, float]) -> Crs:
-    """Return the coordinate reference system of an EPSG code.
+    """Return the coordinate reference system of a code such as "EPSG:32632", near a site [deg].
 
     Args:
         code: EPSG:n.
@@ -39,7 +39,7 @@ def from_code(code: str, gdal: Gdal, site: tuple[float, float]) -> Crs:
 
 
 def from_wkt(file: str, wkt: str, gdal: Gdal, site: tuple[float, float], *, esri: bool = False) -> Crs:
-    """Return the coordinate reference system of a WKT text, ESRI's dialect with ``esri``; raises as ``from_code``."""
+    """Return the coordinate reference system of a WKT text; ``esri``: in ESRI's dialect; raises as ``from_code``."""
     if is_wgs84(wkt):
         return WGS84
     try:
@@ -51,7 +51,7 @@ def from_wkt(file: str, wkt: str, gdal: Gdal, site: tuple[float, float], *, esri
 
 
 def _checked(file: str, found: dict[str, object]) -> Crs:
-    """Return a reference system that GDAL has described; raise UsageError for unusable kinds."""
+    """Return the reference system that GDAL has described in ``found``; raise UsageError for unusable kinds."""
     if found["kind"] not in ("geographic", "projected"):
         raise UsageError(
             f"{file}: its coordinate reference system '{found['name']}' is {found['kind'] or 'of no known kind'}; "
@@ -69,14 +69,14 @@ def _checked(file: str, found: dict[str, object]) -> Crs:
 
 
 def to_file(file: str, crs: Crs, gdal: Gdal, latitude: Float64, longitude: Float64) -> tuple[Float64, Float64]:
-    """Return x and y, any shape, of latitudes and longitudes [deg] in a reference system; infinite beyond its area."""
+    """Return map coordinates x and y, any shape, of latitudes and longitudes [deg]; infinite beyond the map's area."""
     if crs.is_wgs84:
         return longitude, latitude
     return gdal.transform(file, WGS84.wkt, crs.wkt, np.asarray(longitude), np.asarray(latitude))
 
 
 def to_degrees(file: str, crs: Crs, gdal: Gdal, x: Float64, y: Float64) -> tuple[Float64, Float64]:
-    """Return latitude and longitude [deg], any shape, of points x and y in a coordinate reference system."""
+    """Return latitudes and longitudes [deg], any shape, of map coordinates x and y in a reference system."""
     if crs.is_wgs84:
         return y, x
     longitude, latitude = gdal.transform(file, crs.wkt, WGS84.wkt, np.asarray(x), np.asarray(y))

@@ -61,7 +61,7 @@ class Gdal:
         self.child.__exit__()
 
     def describe(self, file: str, driver: str) -> Content:
-        """Return a file's bands, dtype, shape, transform, crs (WKT), unit, overviews and palette."""
+        """Return a raster file's header by GDAL: bands, dtype, shape, transform, WKT, unit, overviews, palette."""
         return self._ask(file, gdal_requests.describe, _path(file), driver)
 
     def read(
@@ -75,7 +75,7 @@ class Gdal:
         metres: float = 1.0,
         nodata: tuple[float, ...] = (),
     ) -> NumpyArray:
-        """Return the heights [m] of a window, NaN where they are missing.
+        """Return the heights [m] in a window (rows, columns) of a raster file, NaN where they are missing.
 
         Args:
             file: its path.
@@ -90,7 +90,7 @@ class Gdal:
         return self._ask(file, gdal_requests.read, _path(file), driver, rows, columns, coarse, metres, nodata)
 
     def crs(self, file: str, text: str, site: tuple[float, float], esri: bool = False) -> Content:
-        """Return wkt, name, kind, wgs84 and accuracy of a reference system (EPSG:n or WKT) near a site [deg]."""
+        """Return wkt, name, kind, wgs84 and accuracy of a reference system (EPSG:n or WKT), near a site [deg]."""
         return self._ask(file, gdal_requests.crs, text, site, esri)
 
     def transform(self, file: str, source: str, target: str, x: Float64, y: Float64) -> tuple[Float64, Float64]:
@@ -99,7 +99,7 @@ class Gdal:
         return found[0], found[1]
 
     def _ask(self, file: str, function: Callable[..., T], *arguments: object) -> T:
-        """Return a function's result from the GDAL child process; raise UsageError for a failure, naming the file."""
+        """Return a function's result from the GDAL child process; raise UsageError, naming the file, if it fails."""
         require("terrain", f"reading {file}", "rasterio")
         try:
             return self.child.call(function, *arguments)
@@ -108,12 +108,12 @@ class Gdal:
 
 
 def _path(file: str) -> str:
-    """Return the absolute path of a file, ``~`` expanded."""
+    """Return a file's absolute path, with ``~`` expanded."""
     return os.path.abspath(os.path.expanduser(file))
 
 
 def _refusal(file: str, error: ChildError) -> UsageError:
-    """Return the error, with a readable reason, for a failure of GDAL with a file."""
+    """Return the UsageError, with a readable reason, for GDAL's failure ``error`` with a file."""
     reasons = error.reasons
     if not reasons:
         return UsageError(f"{file}: cannot be read: {error}")

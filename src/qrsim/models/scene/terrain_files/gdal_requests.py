@@ -20,21 +20,21 @@ MISSING, LARGEST_HEIGHT = (-9999.0, -32768.0), 20_000.0
 
 
 def dataset(file: str, driver: str) -> Any:
-    """Return the rasterio dataset of a file, opened again only if the file has changed."""
+    """Return the opened rasterio dataset of a file, opened again only if the file has changed."""
     status = os.stat(file)
     return opened(file, driver, status.st_mtime_ns, status.st_size)
 
 
 @lru_cache(maxsize=OPEN_FILES)
 def opened(file: str, driver: str, changed: int, size: int) -> object:
-    """Return the rasterio dataset of a file; ``changed`` and ``size`` are the cache's key for its version."""
+    """Return the opened rasterio dataset of a file; ``changed`` and ``size`` identify its version for the cache."""
     import rasterio
 
     return rasterio.open(file, driver=driver)
 
 
 def describe(file: str, driver: str) -> dict[str, Any]:
-    """Return bands, dtype, shape, transform, crs (WKT), unit, overviews and palette of a file."""
+    """Return a raster file's header: bands, dtype, shape, transform, WKT, unit, overviews and palette."""
     found = dataset(file, driver)
     colours = [each.name for each in found.colorinterp]
     return {
@@ -52,7 +52,7 @@ def describe(file: str, driver: str) -> dict[str, Any]:
 def read(
     file: str, driver: str, rows: range, columns: range, coarse: bool, metres: float, nodata: tuple[float, ...]
 ) -> npt.NDArray[Any]:
-    """Return a window's heights [m], NaN if missing: every n-th in float64, or if ``coarse`` n by n means, float32."""
+    """Return a window's heights [m], NaN if missing: every n-th, float64, or one per block if ``coarse``, float32."""
     import numpy as np
     from rasterio.windows import Window
 
@@ -71,7 +71,7 @@ def read(
 def heights(
     found: Any, window: Any, shape: tuple[int, int] | None, metres: float, nodata: tuple[float, ...]
 ) -> npt.NDArray[np.float64]:
-    """Return the heights [m] of a window, resampled to ``shape`` if given; NaN where missing."""
+    """Return the heights [m] in a window of an open raster, resampled to ``shape`` if given; NaN where missing."""
     import numpy as np
     from rasterio.enums import MaskFlags
 
@@ -89,7 +89,7 @@ def heights(
 
 
 def crs_of(text: str, esri: bool = False) -> Any:
-    """Return the rasterio CRS of EPSG:n, WKT or PROJJSON."""
+    """Return the rasterio CRS (coordinate reference system) of an EPSG code, WKT or PROJJSON text."""
     from rasterio.crs import CRS
 
     if text.upper().startswith("EPSG:"):
@@ -98,7 +98,7 @@ def crs_of(text: str, esri: bool = False) -> Any:
 
 
 def crs(text: str, site: tuple[float, float], esri: bool) -> dict[str, Any]:
-    """Return wkt, name, kind, wgs84 and accuracy of the horizontal part of a coordinate reference system."""
+    """Return wkt, name, kind, wgs84 and accuracy of a reference system's horizontal part, near a site [deg]."""
     found = crs_of(text, esri)
     content = found.to_dict(projjson=True)
     while content.get("type") in ("CompoundCRS", "BoundCRS"):
@@ -146,7 +146,7 @@ def accuracy(base: dict[str, object], latitude: float, longitude: float) -> floa
 def transform(
     source: str, target: str, x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
-    """Return points in another reference system as one array, all x and then all y; infinite beyond its area."""
+    """Return points converted to another reference system, as one array: all x, then all y; infinite if impossible."""
     import numpy as np
     from rasterio.warp import transform as transformed
 

@@ -45,7 +45,7 @@ class Pgm:
     overviews: tuple[int, ...] = ()
 
     def heights(self, rows: range, columns: range) -> Heights:
-        """Return the heights [m] at rows and columns of the file."""
+        """Return the geoid heights [m] at rows and columns of the file."""
         lines = []
         with open_file(self.file, LARGEST_FILE) as opened:
             for row in rows:
@@ -54,12 +54,12 @@ class Pgm:
         return self.scale * np.array(lines, np.float64) + self.offset
 
     def coarse(self, rows: range, columns: range) -> Heights:
-        """Return the height [m] at the first cell of each block of cells, float32."""
+        """Return the geoid height [m] at the first cell of each block of cells, float32."""
         return self.heights(rows, columns).astype(np.float32)
 
 
 def geoid_of_file(file: str, site: Site) -> GeoidPlane:
-    """Return the plane of a geoid near a site; its heights are above the WGS-84 ellipsoid [m].
+    """Return the plane that fits a geoid file near a site, as heights above the WGS-84 ellipsoid.
 
     Args:
         file: .tif, .tiff, .img, or .pgm.
@@ -78,7 +78,7 @@ def geoid_of_file(file: str, site: Site) -> GeoidPlane:
 
 
 def _open_pgm(file: str) -> Pgm:
-    """Return the open geoid of a GeographicLib .pgm file; raise UsageError for other content."""
+    """Return the geoid in a GeographicLib .pgm file, opened; raise UsageError for other content."""
     with open_file(file, LARGEST_FILE) as opened:
         head = opened.read(LARGEST_HEAD)
         size = opened.seek(0, 2)
@@ -102,7 +102,7 @@ def _open_pgm(file: str) -> Pgm:
 
 
 def _heights(raster: Raster, gdal: Gdal, latitude: Float64, longitude: Float64) -> Float64:
-    """Return the heights (n,) [m] of a raster at places (n,) [deg]; raise UsageError for places beyond it."""
+    """Return a raster's heights (n,) [m] at places (n,) [deg]; raise UsageError for places beyond it."""
     grid = raster.grid
     x, y = to_file(raster.file, grid.crs, gdal, latitude, longitude)
     round_earth = False
@@ -126,7 +126,7 @@ def _heights(raster: Raster, gdal: Gdal, latitude: Float64, longitude: Float64) 
 
 
 def _height(raster: Raster, row: float, column: float, round_earth: bool) -> float:
-    """Return the height [m] interpolated at a row and a column, by 4 points if a farther one is missing; else NaN."""
+    """Return a raster's height [m] interpolated at (row, column), from fewer points near gaps; else NaN."""
     for points in (POINTS, 2):
         i, high = _window(row, points, raster.grid.rows)
         j, wide = _window(column, points, raster.grid.columns)
@@ -146,7 +146,7 @@ def _window(place: float, points: int, count: int) -> tuple[int, int]:
 
 
 def _part(raster: Raster, rows: range, first: int, count: int) -> Heights:
-    """Return the heights at rows and at ``count`` columns from ``first`` on, wrapped around the Earth."""
+    """Return the heights [m] at rows and at ``count`` columns from ``first`` on, wrapped around the Earth."""
     size = raster.grid.columns
     start = first % size
     parts = [raster.heights(rows, range(start, min(start + count, size)))]

@@ -38,15 +38,15 @@ class GeoTiff:
     overviews: tuple[int, ...]
 
     def heights(self, rows: range, columns: range) -> Heights:
-        """Return the heights [m] at rows and columns, NaN where they are missing."""
+        """Return the heights [m] at rows and columns of the file, NaN where they are missing."""
         return self._read(rows, columns, False)
 
     def coarse(self, rows: range, columns: range) -> Heights:
-        """Return one height [m] for each block of cells, float32, from overviews if the file has them."""
+        """Return one height [m] per block of cells (the ranges' steps), float32, by the file's overviews if any."""
         return self._read(rows, columns, True)
 
     def _read(self, rows: range, columns: range, coarse: bool) -> Heights:
-        """Return the heights [m] at rows and columns, or of blocks if ``coarse``, read by GDAL."""
+        """Return the heights [m] at rows and columns, or one per block of cells if ``coarse``, read by GDAL."""
         return self.gdal.read(
             self.file, self.driver, rows, columns, coarse=coarse, metres=self.metres, nodata=self.nodata
         )
@@ -55,7 +55,7 @@ class GeoTiff:
 def open_geotiff(
     file: str, gdal: Gdal, site: tuple[float, float], given: Crs | None, nodata: tuple[float, ...] = ()
 ) -> GeoTiff:
-    """Return an open GeoTIFF or other raster that GDAL reads, its content checked.
+    """Return a GeoTIFF, or other raster that GDAL reads, opened, with its content checked.
 
     Args:
         file: its path.
@@ -91,7 +91,7 @@ def open_geotiff(
 
 
 def _system(file: str, wkt: str | None, gdal: Gdal, site: tuple[float, float], given: Crs | None) -> Crs:
-    """Return the coordinate reference system of a file, else the given one; raise UsageError for none or a conflict."""
+    """Return a file's coordinate reference system, or the given one; raise UsageError for none or a conflict."""
     if not wkt:
         if given is None:
             raise UsageError(f"{file}: has no coordinate reference system; give crs: EPSG:n")

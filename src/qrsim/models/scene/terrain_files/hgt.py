@@ -30,15 +30,15 @@ class Hgt:
     overviews: tuple[int, ...] = ()
 
     def heights(self, rows: range, columns: range) -> Heights:
-        """Return the heights [m] at rows and columns, NaN where they are missing."""
+        """Return the heights [m] at rows and columns of the tile, NaN where they are missing."""
         return self._all().heights(rows, columns)
 
     def coarse(self, rows: range, columns: range) -> Heights:
-        """Return the height [m] at the middle of each block of cells, float32."""
+        """Return the height [m] at the middle of each block of cells (the ranges' steps), float32."""
         return self._all().coarse(rows, columns)
 
     def _all(self) -> ArrayRaster:
-        """Return all heights of the file, NaN where they are missing."""
+        """Return all heights of the tile as a raster, NaN where they are missing."""
         raw = np.fromfile(check_file(self.file), ">i2")
         if raw.size != self.grid.rows * self.grid.columns:
             raise UsageError(f"{self.file}: its size has changed while it was read")
@@ -47,7 +47,7 @@ class Hgt:
 
 
 def open_hgt(file: str) -> Hgt:
-    """Return an SRTM tile (.hgt) as a raster, after a check of its name and size.
+    """Return an SRTM tile (.hgt file) as a raster, with its name and size checked.
 
     Raises:
         UsageError: either is not that of a tile.

@@ -34,12 +34,12 @@ class Crs:
 
     @property
     def is_wgs84(self) -> bool:
-        """True if coordinates are longitude and latitude of WGS 84."""
+        """True if the coordinates are longitude and latitude of WGS 84."""
         return self.wkt == "EPSG:4326"
 
     @property
     def unit(self) -> str:
-        """Unit of the coordinates, for messages."""
+        """Name of the coordinates' unit, for messages."""
         return "deg" if self.geographic else "m"
 
 
@@ -63,12 +63,12 @@ class Grid:
     crs: Crs
 
     def place(self, row: Float64, column: Float64) -> tuple[Float64, Float64]:
-        """Return x and y of cells' centres, by row and column, of any shape."""
+        """Return map coordinates x and y of cell centres, by row and column of any shape."""
         a, b, c, d, e, f = self.transform
         return a * (column + 0.5) + b * (row + 0.5) + c, d * (column + 0.5) + e * (row + 0.5) + f
 
     def cell(self, x: Float64, y: Float64) -> tuple[Float64, Float64]:
-        """Return row and column of places, of any shape: whole numbers at the centres of cells."""
+        """Return row and column of map points, any shape; whole numbers at cell centres."""
         a, b, c, d, e, f = self.transform
         size = a * e - b * d
         column, row = (e * (x - c) - b * (y - f)) / size, (a * (y - f) - d * (x - c)) / size
@@ -76,7 +76,7 @@ class Grid:
 
     @property
     def spacing(self) -> tuple[float, float]:
-        """Distances between neighbouring rows and between neighbouring columns, in the unit of the coordinates."""
+        """Distances between rows and between columns, in the unit of the map coordinates."""
         a, b, _, d, e, _ = self.transform
         return math.hypot(b, e), math.hypot(a, d)
 
@@ -86,22 +86,22 @@ class Raster(Protocol):
 
     @property
     def file(self) -> str:
-        """Name of the file, for messages."""
+        """Name of the raster's file, for messages."""
         ...
 
     @property
     def grid(self) -> Grid:
-        """Grid of the file's cells: shape, geotransform and coordinate reference system."""
+        """Grid of the raster's cells: shape, geotransform and coordinate reference system."""
         ...
 
     @property
     def note(self) -> str:
-        """Note for the user on the unit from which heights were converted; "" if they are in metres."""
+        """Message to the user about the unit from which heights were converted; "" if they are in metres."""
         ...
 
     @property
     def overviews(self) -> tuple[int, ...]:
-        """Factors by which the file's overviews are coarser than its cells."""
+        """Factors by which the file's overviews (reduced copies) are coarser than its cells."""
         ...
 
     def heights(self, rows: range, columns: range) -> Heights:
@@ -109,12 +109,12 @@ class Raster(Protocol):
         ...
 
     def coarse(self, rows: range, columns: range) -> Heights:
-        """Return one height [m] for each block of cells, float32; ranges are whole multiples of their step."""
+        """Return one height [m] per block of cells (the ranges' steps), float32; ranges are multiples of their step."""
         ...
 
 
 def grid_of(file: str, shape: tuple[int, int], transform: list[float], crs: Crs) -> Grid:
-    """Return the grid of a file from its shape and geotransform; raise UsageError if they are not valid.
+    """Return a file's grid from its shape and GDAL geotransform; raise UsageError if these are invalid.
 
     Raises:
         UsageError: too few cells, or a transform that has no inverse.
@@ -148,12 +148,12 @@ class ArrayRaster:
     overviews: tuple[int, ...] = ()
 
     def heights(self, rows: range, columns: range) -> Heights:
-        """Return the heights [m] at rows and columns."""
+        """Return the heights [m] at rows and columns, NaN where they are missing."""
         part = self.array[rows.start : rows.stop : rows.step, columns.start : columns.stop : columns.step]
         return part.astype(np.float64)
 
     def coarse(self, rows: range, columns: range) -> Heights:
-        """Return the height [m] at the middle of each block of cells, float32."""
+        """Return the height [m] at the middle of each block of cells (the ranges' steps), float32."""
         half = rows.step // 2
         part = self.heights(
             range(rows.start + half, rows.stop, rows.step), range(columns.start + half, columns.stop, columns.step)

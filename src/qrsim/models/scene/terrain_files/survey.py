@@ -61,7 +61,7 @@ class Survey:
     notes: list[str] = field(default_factory=list)
 
     def down(self, north: Float64, east: Float64) -> Float64:
-        """Return the down coordinate [m] of the ground at places of any shape [m], NaN beyond the files."""
+        """Return the down coordinate [m] of the ground at places north and east [m]; NaN beyond the files."""
         rows, columns = cells(self.mosaic, self.site, self.gdal, self.name, north, east)
         found = self.near.at(rows, columns)
         if self.far is not None:
@@ -69,7 +69,7 @@ class Survey:
         return self.zero - found
 
     def grid(self, rows: Float64, columns: Float64) -> Float64:
-        """Return the down coordinate (R, C) [m] at every north (R,) and east (C,) [m] in the area."""
+        """Return the down coordinates (R, C) [m] of the ground on a grid of north (R,) and east (C,) [m]."""
         coarse = [_lattice(axis) for axis in (rows, columns)]
         place = cells(self.mosaic, self.site, self.gdal, self.name, coarse[0][:, None], coarse[1][None, :])
         along = [_spread(each, columns, coarse[1]) for each in (part.T for part in place)]
@@ -81,7 +81,7 @@ class Survey:
         return self.zero - found
 
     def gap(self) -> str | None:
-        """Return a text on the part of the area that no file covers, None if all is covered."""
+        """Return a text about the part of the area that no file covers, None if all is covered."""
         r0, r1, c0, c1 = self.needed
         inside = ((self.near.rows > r0 - 1.0) & (self.near.rows < r1 + 1.0))[:, None]
         places = np.argwhere(inside & (self.near.columns > c0 - 1.0) & (self.near.columns < c1 + 1.0) & ~self.covered)
@@ -104,13 +104,13 @@ def _tile_of(files: Mosaic, latitude: float, longitude: float) -> str:
 
 
 def _lattice(axis: Float64) -> Float64:
-    """Return evenly spaced coordinates from the first to the last value of an axis, LATTICE apart or wider."""
+    """Return even coordinates that span an axis from its first to its last value, LATTICE apart or more."""
     extent = float(axis[-1] - axis[0])
     return np.linspace(axis[0], axis[-1], min(max(2, math.ceil(extent / LATTICE) + 1), MOST_LATTICE))
 
 
 def _spread(values: Float64, at: Float64, nodes: Float64) -> Float64:
-    """Return values (K, ...) at coordinates (K,), interpolated linearly from values (N, ...) at even nodes (N,)."""
+    """Return values interpolated linearly at coordinates ``at`` (K,) from those (N, ...) at even ``nodes`` (N,)."""
     place = np.clip((at - nodes[0]) / (nodes[1] - nodes[0]), 0.0, len(nodes) - 1.0)
     i = np.minimum(place.astype(int), len(nodes) - 2)
     part = (place - i)[:, None]
@@ -118,7 +118,7 @@ def _spread(values: Float64, at: Float64, nodes: Float64) -> Float64:
 
 
 def cells(files: Mosaic, site: Site, gdal: Gdal, name: str, north: Float64, east: Float64) -> tuple[Float64, Float64]:
-    """Return row and column of places north and east [m] in the files' grid; NaN beyond their map projection."""
+    """Return row and column, in the files' grid, of places north and east [m]; NaN beyond the map projection."""
     north, east = np.broadcast_arrays(np.asarray(north, np.float64), np.asarray(east, np.float64))
     latitude, longitude, _ = site.ned_to_geodetic(np.stack([north, east, np.zeros_like(north)], axis=-1))
     crs = files.grid.crs
@@ -132,7 +132,7 @@ def cells(files: Mosaic, site: Site, gdal: Gdal, name: str, north: Float64, east
 
 
 def extent(files: Mosaic, rows: Float64, columns: Float64, to: str = "to") -> str:
-    """Return a text with the range of coordinates between the first and last rows and columns."""
+    """Return the range of coordinates from first to last rows and columns as text for messages."""
     ends = np.array([rows.min(), rows.max()], float), np.array([columns.min(), columns.max()], float)
     x, y = files.grid.place(ends[0][:, None], ends[1][None, :])
     if files.grid.crs.geographic:
@@ -163,7 +163,7 @@ class Wanted:
 
 
 def survey(wanted: Wanted, site: Site, box: Bounds | None, gdal: Gdal) -> Survey:
-    """Return the terrain around an area, from files checked to cover the area.
+    """Return the terrain around an area, from files that are checked to cover it.
 
     Args:
         wanted: which files, and how.
@@ -197,7 +197,7 @@ def survey(wanted: Wanted, site: Site, box: Bounds | None, gdal: Gdal) -> Survey
 
 
 def _notes(rasters: list[Raster]) -> list[str]:
-    """Return notes for the user: on the first file's unit, and on an inexact coordinate reference system."""
+    """Return messages to the user about the files' unit, and about an inexact coordinate reference system."""
     notes = [f"{raster.file}: {raster.note}" for raster in rasters[:1] if raster.note]
     crs = rasters[0].grid.crs
     if crs.accuracy is None or crs.accuracy > 1.0:
@@ -210,7 +210,7 @@ def _notes(rasters: list[Raster]) -> list[str]:
 
 
 def _needed(name: str, files: Mosaic, site: Site, gdal: Gdal, box: Bounds) -> tuple[float, float, float, float]:
-    """Return first row, last row, first column and last column of an area; raise UsageError if the files end inside."""
+    """Return (first row, last row, first column, last column) of an area; raise UsageError if files end inside."""
     south, north, west, east = box
     # A box in metres is none on a map, so points along its sides are looked at.
     along = np.linspace(0.0, 1.0, 33)
@@ -224,7 +224,7 @@ def _needed(name: str, files: Mosaic, site: Site, gdal: Gdal, box: Bounds) -> tu
 
 
 def _check_cover(name: str, files: Mosaic, area: tuple[Float64, Float64], has: Float64) -> None:
-    """Raise UsageError for files with an extent ``has`` (rows, columns) that ends inside an area."""
+    """Raise UsageError if files with the extent ``has``, (rows, columns), end inside an area's rows and columns."""
     rows, columns = area
     if (
         rows.min() < has[0] - SLACK
@@ -239,7 +239,7 @@ def _check_cover(name: str, files: Mosaic, area: tuple[Float64, Float64], has: F
 
 
 def _check_near(name: str, files: Mosaic, site: Site, gdal: Gdal) -> None:
-    """Raise UsageError for files far from the site."""
+    """Raise UsageError for terrain files that are far from the site."""
     r0, r1, c0, c1 = files.extent
     row, column = (float(each) for each in cells(files, site, gdal, name, np.zeros(()), np.zeros(())))
     if r0 <= row <= r1 and c0 <= column <= c1:
@@ -248,7 +248,7 @@ def _check_near(name: str, files: Mosaic, site: Site, gdal: Gdal) -> None:
     latitude, longitude = map(np.radians, to_degrees(name, files.grid.crs, gdal, *files.grid.place(rows, columns)))
 
     def away(site_latitude: float, site_longitude: float) -> float:
-        """Return the distance [m] from a place [rad] to the nearest point of the files."""
+        """Return the distance [m] from a place [rad] to the nearest point that the files cover."""
         half = np.sin(0.5 * (latitude - site_latitude)) ** 2
         half = half + np.cos(latitude) * math.cos(site_latitude) * np.sin(0.5 * (longitude - site_longitude)) ** 2
         return float(np.nanmin(2.0 * EARTH_RADIUS * np.arcsin(np.sqrt(np.clip(half, 0.0, 1.0)))))
@@ -271,7 +271,7 @@ def _check_near(name: str, files: Mosaic, site: Site, gdal: Gdal) -> None:
 def _read_near(
     name: str, files: Mosaic, needed: tuple[float, float, float, float], every: int
 ) -> tuple[Elevations, Heights]:
-    """Return the heights around an area, and a bool array: a file covers the place."""
+    """Return the heights around an area, each ``every``-th cell, and a bool array: a file covers the place."""
     axes = []
     for low, high, first, last in zip(needed[::2], needed[1::2], files.extent[::2], files.extent[1::2], strict=True):
         start = max(math.floor(low) - MARGIN * every, first)
@@ -295,7 +295,7 @@ def _read_near(
 
 
 def _spacing(found: Survey, box: Bounds, every: int) -> tuple[float, float]:
-    """Return the distances north and east [m] between cells that are read, in the middle of a box."""
+    """Return the distances north and east [m] between the cells that are read, at the middle of a box."""
     north, east = 0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3])
     step = 10.0
     norths, easts = north + np.array([0.0, step, 0.0]), east + np.array([0.0, 0.0, step])
@@ -305,7 +305,7 @@ def _spacing(found: Survey, box: Bounds, every: int) -> tuple[float, float]:
 
 
 def _read_far(found: Survey, box: Bounds, reach: float) -> Elevations | None:
-    """Return coarser heights up to ``reach`` [m] around the middle of a box, None without any; may add a note."""
+    """Return coarser heights up to ``reach`` [m] around a box's middle, None without any; may add a note."""
     middle = 0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3])
     whole = reach
     while True:
@@ -328,7 +328,7 @@ def _read_far(found: Survey, box: Bounds, reach: float) -> Elevations | None:
 
 
 def _around(found: Survey, middle: tuple[float, float], reach: float) -> tuple[range, range]:
-    """Return ranges of rows and columns within ``reach`` [m] of a place, thinned to at most MOST_HEIGHTS cells."""
+    """Return the ranges of rows and columns within ``reach`` [m] of a place, at most MOST_HEIGHTS cells."""
     turns = np.linspace(0.0, 2.0 * math.pi, 64)
     north, east = middle[0] + reach * np.cos(turns), middle[1] + reach * np.sin(turns)
     axes = cells(found.mosaic, found.site, found.gdal, found.name, north, east)
@@ -346,7 +346,7 @@ def _around(found: Survey, middle: tuple[float, float], reach: float) -> tuple[r
 
 
 def _closed(heights: Heights) -> Heights:
-    """Return heights with gaps of one row or column between tiles filled from their neighbours."""
+    """Return heights with gaps of one row or column, between tiles, filled from their neighbours."""
     for axis in (0, 1):
         for shift in (1, -1):
             if not np.isnan(heights).any():
@@ -356,7 +356,7 @@ def _closed(heights: Heights) -> Heights:
 
 
 def _zero(found: Survey, given: float | None) -> float:
-    """Return the height [m] that becomes z = 0: the given one, else that of the ground at the origin."""
+    """Return the height [m] that becomes z = 0: the given one, else the ground's at the site's origin."""
     if given is not None:
         return given
     origin = np.zeros(())

@@ -24,7 +24,7 @@ SAME_SPACING, SAME_CELLS = 1e-6, 0.05
 
 
 def sources_of(files: Files) -> tuple[Source, ...]:
-    """Return the sources of a file, a list of files or a folder; a .vrt is replaced by its own files.
+    """Return the sources (file names, missing values) of a file, list or folder; a .vrt is replaced by its files.
 
     Raises:
         UsageError: a file of another kind, a folder without tiles, or too many of them.
@@ -51,7 +51,7 @@ def sources_of(files: Files) -> tuple[Source, ...]:
 
 
 def _names(files: Files) -> tuple[str, ...]:
-    """Return the names of terrain files: those given, or the tiles in the given folder; raise UsageError for none."""
+    """Return the names of the terrain files: those given, or those in the given folder; raise UsageError for none."""
     if not isinstance(files, str):
         return files
     folder = Path(os.path.expanduser(files))
@@ -66,14 +66,14 @@ def _names(files: Files) -> tuple[str, ...]:
 
 
 def called(files: Files) -> str:
-    """Return the name of files for messages: the first one, "and n more"."""
+    """Return the name of several files for messages: the first one's, "and n more"."""
     if isinstance(files, str):
         return files
     return files[0] if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
 
 
 def stamps(sources: tuple[Source, ...]) -> tuple[tuple[str, int, int], ...]:
-    """Return (name, time of change [ns], size [bytes]) of every file that heights depend on, without missing files."""
+    """Return (name, time of change [ns], size [bytes]) of every existing file that the heights depend on."""
     found = []
     for source in sources:
         for name in (source.file, prj_file(source.file) if source.file.lower().endswith(".asc") else None):
@@ -84,7 +84,7 @@ def stamps(sources: tuple[Source, ...]) -> tuple[tuple[str, int, int], ...]:
 
 
 def open_raster(source: Source, gdal: Gdal, site: tuple[float, float], given: Crs | None) -> Raster:
-    """Return a terrain file as a raster, by its suffix; raises UsageError if it cannot be read."""
+    """Return a terrain file opened as a raster, by its suffix; raises UsageError if it cannot be read."""
     suffix, nodata = Path(source.file).suffix.lower(), () if source.nodata is None else (source.nodata,)
     with readable(source.file):
         if suffix == ".hgt":
@@ -103,7 +103,7 @@ class _Tile:
     column: int
 
     def within(self, rows: range, columns: range, whole: bool) -> tuple[slice, slice, range, range] | None:
-        """Return the tile's part of a window: slices into the window, and ranges in the tile; None if they are apart.
+        """Return the overlap of tile and window: slices into the window and ranges in the tile; None without one.
 
         With ``whole``, those for which it has a whole block of cells.
         """
@@ -130,12 +130,12 @@ class Mosaic:
 
     @property
     def grid(self) -> Grid:
-        """The grid of the first tile; rows and columns are counted from its first cell."""
+        """Grid of the first tile; rows and columns of the mosaic are counted from its first cell."""
         return self.tiles[0].raster.grid
 
     @property
     def extent(self) -> tuple[int, int, int, int]:
-        """First row, last row, first column and last column that any tile covers."""
+        """First row, last row, first column and last column that any of the tiles covers."""
         grids = [(tile, tile.raster.grid) for tile in self.tiles]
         return (
             min(tile.row for tile, _ in grids),
@@ -145,7 +145,7 @@ class Mosaic:
         )
 
     def heights(self, rows: range, columns: range) -> tuple[Heights, Heights]:
-        """Return heights [m] at rows and columns, NaN if missing, and a bool array: a tile covers the place."""
+        """Return the heights [m] at rows and columns, NaN if missing, and a bool array: a tile covers the place."""
         found = np.full((len(rows), len(columns)), np.nan)
         covered = np.zeros(found.shape, bool)
         for here, there, raster in self._parts(rows, columns, False):
@@ -155,7 +155,7 @@ class Mosaic:
         return found, covered
 
     def coarse(self, rows: range, columns: range) -> Heights:
-        """Return one height [m] for each block of cells that one tile covers, float32; NaN for other blocks."""
+        """Return one height [m] per block of cells, float32; NaN unless one tile covers the whole block."""
         found = np.full((len(rows), len(columns)), np.nan, np.float32)
         for here, there, raster in self._parts(rows, columns, True):
             found[here] = np.where(np.isnan(found[here]), raster.coarse(*there), found[here])
@@ -164,7 +164,7 @@ class Mosaic:
     def _parts(
         self, rows: range, columns: range, whole: bool
     ) -> Iterator[tuple[tuple[slice, slice], tuple[range, range], Raster]]:
-        """Yield for each tile in a window its slices into the window, its own ranges, and its raster."""
+        """Yield, for each tile that overlaps a window, its slices into the window, its own ranges and its raster."""
         for tile in self.tiles:
             part = tile.within(rows, columns, whole)
             if part is not None:
@@ -172,7 +172,7 @@ class Mosaic:
 
 
 def mosaic(rasters: list[Raster]) -> Mosaic:
-    """Return tiles joined on one grid.
+    """Return raster tiles joined on one grid, that of the first.
 
     Raises:
         UsageError: they differ in their coordinates, or in size or place of their cells.

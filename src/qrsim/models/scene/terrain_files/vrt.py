@@ -40,7 +40,7 @@ class _Builder(ElementTree.TreeBuilder):
     """Refuses a document type before any of its entities is read: entities can grow without bound."""
 
     def doctype(self, name: str, pubid: str | None, system: str | None) -> NoReturn:
-        """Raise _DocumentTypeError: document types are refused."""
+        """Raise _DocumentTypeError: XML files with a document type are refused."""
         raise _DocumentTypeError
 
 
@@ -49,7 +49,7 @@ class _DocumentTypeError(Exception):
 
 
 def read_vrt(file: str) -> tuple[Source, ...]:
-    """Return the source files of a virtual raster, topmost first: in the file, the last one has priority.
+    """Return the source files of a virtual raster (.vrt), topmost first: the file lists the topmost last.
 
     Raises:
         UsageError: it is no virtual raster, computes something, or names files outside its folder.
@@ -71,7 +71,7 @@ def read_vrt(file: str) -> tuple[Source, ...]:
 
 
 def _root(file: str, data: bytes) -> Element:
-    """Return the root element of a VRT file; raise UsageError for other XML."""
+    """Return the root XML element of a .vrt file; raise UsageError for other XML."""
     parser = ElementTree.XMLParser(target=_Builder())
     try:
         parser.feed(data)
@@ -86,7 +86,7 @@ def _root(file: str, data: bytes) -> Element:
 
 
 def _band(file: str, root: Element) -> Element:
-    """Return the only band of a VRT file; raise UsageError for several bands, or for one that computes."""
+    """Return the only band of a .vrt file; raise UsageError for several bands, or for one computed by a function."""
     if root.get("subClass"):
         raise UsageError(f"{file}: is a {shortened(str(root.get('subClass')), 40)}; expected what gdalbuildvrt writes")
     bands = root.findall("VRTRasterBand")
@@ -98,7 +98,7 @@ def _band(file: str, root: Element) -> Element:
 
 
 def _source(file: str, number: int, element: Element, own: float | None) -> Source:
-    """Return a source of a VRT file: file and missing height; raise UsageError for one that changes heights."""
+    """Return file name and missing value of a .vrt file's source; raise UsageError for one that changes heights."""
     name = element.find("SourceFilename")
     text = "" if name is None else (name.text or "").strip()
     if not text:
@@ -125,7 +125,7 @@ def _source(file: str, number: int, element: Element, own: float | None) -> Sour
 
 
 def _is(text: str, number: float) -> bool:
-    """Return whether a text is a number equal to ``number``."""
+    """Return whether ``text`` is a number equal to ``number``."""
     try:
         return float(text) == number
     except ValueError:
@@ -133,7 +133,7 @@ def _is(text: str, number: float) -> bool:
 
 
 def _number(file: str, text: str | None) -> float | None:
-    """Return the missing height that a text names; None for none and for NaN."""
+    """Return the missing value that a text gives as a number; None for no text and for NaN."""
     if text is None:
         return None
     try:

@@ -27,7 +27,7 @@ class AirData:
 
 
 def air_data(relative: Vec3) -> AirData:
-    """Return the air data of a velocity through the air (n,) [m/s] in body axes (W1)."""
+    """Return airspeed, angle of attack and sideslip of a velocity through the air (n,) [m/s], body axes (eq. W1)."""
     level = relative.x * relative.x + relative.z * relative.z
     airspeed = jnp.sqrt(jnp.maximum(level + relative.y * relative.y, SLOWEST * SLOWEST))
     calm = level < SLOWEST * SLOWEST
@@ -36,7 +36,7 @@ def air_data(relative: Vec3) -> AirData:
 
 
 def lift_and_drag(of: Longitudinal, aspect_ratio: Array, alpha: Array) -> tuple[Array, Array]:
-    """Return the coefficients (n,) of lift and drag at an angle of attack [rad], without rates and deflections (W2)."""
+    """Return lift and drag coefficients (n,) at an angle of attack [rad], without rates and deflections (eq. W2)."""
     # Far from the stall either term is 0 or 1, to the last bit of double precision.
     over = exp(jnp.clip(of.stall_sharpness * (alpha - of.stall_angle), -40.0, 40.0))
     under = exp(jnp.clip(-of.stall_sharpness * (alpha + of.stall_angle), -40.0, 40.0))
@@ -49,7 +49,7 @@ def lift_and_drag(of: Longitudinal, aspect_ratio: Array, alpha: Array) -> tuple[
 
 
 def propeller(model: Aeroplane, airspeed: Array, throttle: Array) -> tuple[Array, Array]:
-    """Return thrust [N] and torque [N m] (n,) of the propeller at the speed where motor and air torque balance (W5)."""
+    """Return propeller thrust [N] and torque [N m] (n,) at the speed where motor and air torques balance (eq. W5)."""
     own, rho = model.propeller, model.air_density
     d, constant = own.diameter, 60.0 / (2.0 * math.pi * own.speed_constant)
     a = own.torque_0 * rho * d**5 / (4.0 * math.pi**2)
@@ -68,7 +68,7 @@ def propeller(model: Aeroplane, airspeed: Array, throttle: Array) -> tuple[Array
 def forces(
     model: Aeroplane, air: AirData, rates: Vec3, surfaces: Surfaces, throttle: Array
 ) -> tuple[Vec3, Vec3, Array]:
-    """Return force [N] and moment [N m] (n,) in body axes without gravity, and the thrust [N] (W3 to W6).
+    """Return force [N] and moment [N m] (n,) of air and propeller in body axes, and thrust [N] (eqs. W3 to W6).
 
     Args:
         model: numbers.

@@ -46,7 +46,7 @@ class SurfaceCommand:
 
 
 def shown(command: Any) -> AttitudeCommand:
-    """Return any fixed-wing command as the record kept in a world's state, NaN in fields that it lacks."""
+    """Return a fixed-wing command of any type as the record a world's state keeps, NaN in fields that it lacks."""
     if isinstance(command, AttitudeCommand):
         return command
     none = jnp.full_like(command.throttle, jnp.nan)

@@ -17,7 +17,7 @@ from qrsim.models.atmosphere.standard import SiteAir
 
 
 def _coefficient(default: float, doc: str) -> Array:
-    """Return the declaration of an aerodynamic coefficient."""
+    """Return the field declaration of an aerodynamic coefficient."""
     return parameter(default=default, unit="1", doc=doc)
 
 
@@ -162,9 +162,9 @@ class Aeroplane:
 
     @property
     def air_density(self) -> Array:
-        """Density of the air [kg/m^3]: the given one, else that of the standard atmosphere at the site."""
+        """Density of the air [kg/m^3]: the given one, or else the standard atmosphere's at the site."""
         return self.site_air.site_density if self.density is None else self.density
 
     def in_density(self, density: Array | None) -> Aeroplane:
-        """Return the aeroplane in air of a density (n,) [kg/m^3]; unchanged for None, or if its density is given."""
+        """Return the aeroplane in air of a density (n,) [kg/m^3]; unchanged for None or if its density is given."""
         return self if density is None or self.density is not None else replace(self, density=density)

@@ -16,7 +16,7 @@ from qrsim.models.vehicles.fixed_wing.state import Motion, Surfaces
 def slope_of(
     model: Aeroplane, motion: Motion, surfaces: Surfaces, throttle: Array, air_ned: Vec3, air_rates: Vec3
 ) -> tuple[Motion, Vec3]:
-    """Return the time derivative of a motion, and the specific force (n,) [m/s^2] in body axes.
+    """Return the time derivative of position, attitude, velocity and rates, and the specific force (n,) [m/s^2].
 
     Args:
         model: numbers.
@@ -51,7 +51,7 @@ def slope_of(
 def substep(
     model: Aeroplane, motion: Motion, surfaces: Surfaces, throttle: Array, air_ned: Vec3, air_rates: Vec3, dt: float
 ) -> tuple[Motion, Vec3]:
-    """Return the motion dt [s] later by a classical Runge-Kutta step, and the mean specific force (n,) [m/s^2].
+    """Return the motion dt [s] later by the classical Runge-Kutta rule, and the mean specific force (n,) [m/s^2].
 
     The four stages are turns of one loop, so that the program is a quarter as long.
 

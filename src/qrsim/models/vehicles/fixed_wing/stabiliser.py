@@ -31,7 +31,7 @@ def wanted_surfaces(
     elevator: Array,
     dt: float,
 ) -> tuple[Stabiliser, Surfaces]:
-    """Return the stabiliser's new memory, and the surface deflections (n,) [rad] that it asks for.
+    """Return the stabiliser's new memory, and the control surface deflections (n,) [rad] for a command.
 
     Args:
         model: numbers.
@@ -61,13 +61,13 @@ def wanted_surfaces(
 
 
 def moved(model: Aeroplane, surfaces: Surfaces, wanted: Surfaces, dt: float) -> Surfaces:
-    """Return the surfaces (n,) [rad] after dt [s], following ``wanted`` with a first-order lag and a limited rate."""
+    """Return the control surfaces (n,) [rad] dt [s] later: a first-order lag to ``wanted``, with a limited rate."""
     lag = jnp.asarray(model.surface_lag)
     share = jnp.where(lag > 0.0, 1.0 - exp(-dt / jnp.where(lag > 0.0, lag, 1.0)), 1.0)
     most = jnp.where(jnp.asarray(model.surface_rate_max) > 0.0, model.surface_rate_max * dt, 10.0)
 
     def followed(now: Array, goal: Array) -> Array:
-        """Return a surface [rad] that moves towards its goal with lag and limited rate."""
+        """Return one surface's deflection [rad] moved towards ``goal``, with a lag and a limited rate."""
         # Without a lag the goal itself is returned, so that it is exact.
         way = jnp.where(share < 1.0, share * (goal - now), goal - now)
         there = (share >= 1.0) & (jnp.abs(way) <= most)
@@ -81,5 +81,5 @@ def moved(model: Aeroplane, surfaces: Surfaces, wanted: Surfaces, dt: float) -> 
 
 
 def _within(value: Array, limit: Array | float) -> Array:
-    """Return values clipped to [-limit, limit]."""
+    """Return values clipped elementwise to [-limit, limit]."""
     return jnp.clip(value, -limit, limit)

@@ -26,7 +26,7 @@ STEPS, FOUND = 60, 1e-10
 
 
 def cruise(model: Aeroplane, airspeed: Array) -> tuple[Array, Array, Array]:
-    """Return angle of attack [rad], elevator [rad] and throttle (n,) of straight level flight, to about 1 % (W9).
+    """Return angle of attack [rad], elevator [rad] and throttle (n,) of straight level flight, to about 1 % (eq. W9).
 
     The thrust carries nothing of the weight in it, and the flow is attached.
     """
@@ -42,7 +42,7 @@ def cruise(model: Aeroplane, airspeed: Array) -> tuple[Array, Array, Array]:
 
 
 def throttle_for(model: Aeroplane, airspeed: Array, thrust: Array) -> Array:
-    """Return the throttle (n,) that gives a thrust (n,) [N] at an airspeed [m/s], the inverse of (W5)."""
+    """Return the throttle (n,) for a thrust (n,) [N] at an airspeed [m/s]: equation W5 inverted."""
     own, rho = model.propeller, model.air_density
     d, constant = own.diameter, 60.0 / (2.0 * math.pi * own.speed_constant)
     v = airspeed / d
@@ -77,7 +77,7 @@ class Trim:
 
 
 def trim(model: Aeroplane, airspeed: float, climb_angle: float = 0.0, radius: float = math.inf) -> Trim:
-    """Return the coordinated steady flight at an airspeed [m/s], climb angle [rad] and radius [m], right positive.
+    """Return the coordinated trim at an airspeed [m/s], climb angle [rad] and turn radius [m], right positive.
 
     Raises:
         UsageError: there is none.
@@ -112,7 +112,7 @@ def trim(model: Aeroplane, airspeed: float, climb_angle: float = 0.0, radius: fl
 
 
 def _missing(y: Array, model: Aeroplane, flight: Array) -> Array:
-    """Return the residual (8,) of steady flight at unknowns y: accelerations, climb error and sideslip."""
+    """Return the residual (8,) of steady flight for trim unknowns y: accelerations, climb error and sideslip."""
     airspeed, turn, climb = flight
     motion, surfaces = _steady(y, airspeed, turn)
     slope, _ = slope_of(model, motion, surfaces, y[6], _still(), _still())
@@ -122,12 +122,12 @@ def _missing(y: Array, model: Aeroplane, flight: Array) -> Array:
 
 @jax.jit
 def _balance(model: Aeroplane, y: Array, flight: Array) -> tuple[Array, Array]:
-    """Return the residual (8,) of steady flight at unknowns y, and its Jacobian (8, 8)."""
+    """Return the residual (8,) of steady flight for trim unknowns y, and its Jacobian (8, 8)."""
     return _missing(y, model, flight), jax.jacfwd(_missing)(y, model, flight)
 
 
 def modes(model: Aeroplane, at: Trim) -> Floats:
-    """Return the eigenvalues [1/s], complex, of small motions about a straight trim, with fixed surfaces.
+    """Return the eigenvalues [1/s], complex, of small motions about a straight trim, with surfaces held.
 
     Those of place and heading, 0, are left out.
     """
@@ -137,7 +137,7 @@ def modes(model: Aeroplane, at: Trim) -> Floats:
         motion, surfaces = _steady(y, at.airspeed, 0.0)
 
         def slope(x: Array) -> Array:
-            """Return the derivatives of roll, pitch, velocity and rates at a state x (8,)."""
+            """Return the time derivatives of roll, pitch, velocity and rates for a state x (8,) of these."""
             moved = Motion(_still(), Quaternion.of(Euler(x[0], x[1], jnp.zeros(()))), Vec3(*x[2:5]), Vec3(*x[5:8]))
             found, _ = slope_of(model, moved, surfaces, y[6], _still(), _still())
             p, q, r = x[5:8]
@@ -155,7 +155,7 @@ _lift_and_drag = on_host(lift_and_drag)
 
 
 def stall_speed(model: Aeroplane) -> float:
-    """Return the lowest airspeed [m/s] at which the wing carries the weight; of several aeroplanes, the first."""
+    """Return the lowest airspeed [m/s] at which the wing carries the weight, of the first aeroplane if several."""
     angles = np.linspace(0.0, 0.8, 401)
     first = jax.tree.map(lambda leaf: np.float64(np.ravel(leaf)[0]), cast(model, np.float64))
     with jax.enable_x64(True):
@@ -166,13 +166,13 @@ def stall_speed(model: Aeroplane) -> float:
 
 
 def _still() -> Vec3:
-    """Return a zero vector."""
+    """Return a zero vector of scalars ()."""
     zero = jnp.zeros(())
     return Vec3(zero, zero, zero)
 
 
 def _steady(y: Array, airspeed: Array | float, turn: Array | float) -> tuple[Motion, Surfaces]:
-    """Return motion and surfaces for unknowns y: alpha, beta, phi, elevator, aileron, rudder, throttle, theta."""
+    """Return motion and surfaces for trim unknowns y: alpha, beta, roll, elevator, aileron, rudder, throttle, pitch."""
     sa, ca = jnp.sin(y[0]), jnp.cos(y[0])
     sb, cb = jnp.sin(y[1]), jnp.cos(y[1])
     st, ct, sp, cp = jnp.sin(y[7]), jnp.cos(y[7]), jnp.sin(y[2]), jnp.cos(y[2])

@@ -43,13 +43,13 @@ class FixedWing(Aeroplane, Vehicle):
     adds_position: ClassVar[bool] = True
 
     def in_air(self, air: SiteAir) -> FixedWing:
-        """Return the vehicle with the air of a site."""
+        """Return the vehicle model in the air of a site."""
         return replace(self, site_air=air)
 
     def initial_state(
         self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
     ) -> FixedWingState:
-        """Return the state at a pose, with the velocity through still air and the elevator for level flight."""
+        """Return the state at a pose, with the elevator for level flight at its velocity through still air."""
         zero = jnp.zeros_like(jnp.asarray(position_ned.x))
         air = air_data(velocity_body)
         here = self.in_density(self.site_air.density(position_ned))
@@ -69,7 +69,7 @@ class FixedWing(Aeroplane, Vehicle):
         )
 
     def launched(self, state: FixedWingState, air_ned: Vec3) -> FixedWingState:
-        """Return the state in level flight at the start speed as airspeed; 0 becomes the cruise airspeed."""
+        """Return the state in level flight, the start speed taken as airspeed; 0 becomes the cruise airspeed."""
         speed = root(state.velocity_body.dot(state.velocity_body))
         speed = jnp.where(speed > 0.0, speed, self.cruise_airspeed)
         alpha = cruise(self.in_density(self.site_air.density(state.position_ned)), speed)[0]
@@ -81,25 +81,25 @@ class FixedWing(Aeroplane, Vehicle):
         return replace(level, velocity_body=through + level.quaternion.rotation().to_body(air_ned))
 
     def idle_command(self, like: Array) -> AttitudeCommand:
-        """Return the command for level flight at the cruise airspeed."""
+        """Return the command for level flight at the cruise airspeed; ``like``: any array (n,), for the shape."""
         zero = jnp.zeros_like(like)
         alpha, _, throttle = cruise(self, jnp.asarray(self.cruise_airspeed))
         return AttitudeCommand(zero, zero + alpha, jnp.clip(zero + throttle, 0.0, 1.0))
 
     def shown(self, command: object) -> AttitudeCommand:
-        """Return a command as the record kept in a world's state, NaN in fields that it lacks."""
+        """Return a command of any type as the record that a world's state keeps, NaN in fields that it lacks."""
         return shown(command)
 
     def wake_points(self) -> tuple[Point, ...]:
-        """Return the midpoints of six equal parts of the span, in body axes [m]."""
+        """Return the midpoints of six equal parts of the wing span, in body axes [m]."""
         return tuple((0.0, self.span * (part / 12.0), 0.0) for part in (-5.0, -3.0, -1.0, 1.0, 3.0, 5.0))
 
     def load(self, state: FixedWingState) -> Load:
-        """Return the propeller's thrust [N] as load; the weight is NaN because the wing carries it."""
+        """Return the propeller's thrust [N] as battery load; the weight is NaN because the wing carries it."""
         return Load(state.thrust, jnp.full_like(state.thrust, jnp.nan))
 
     def pose(self, state: FixedWingState) -> Pose:
-        """Return position, attitude, velocity and body rates (n,)."""
+        """Return position, attitude, velocity and body rates (n,) of a state."""
         return Pose(state.position_ned, state.quaternion.euler(), state.velocity_body, state.rates_body)
 
     def step(
@@ -111,7 +111,7 @@ class FixedWing(Aeroplane, Vehicle):
         dt: float,
         around: Around | None = None,
     ) -> tuple[FixedWingState, Vec3]:
-        """Return the state one step later, in substeps, and the mean specific force; see ``Vehicle.step``."""
+        """Return the state dt [s] later, in substeps, and the mean specific force (n,); see ``Vehicle.step``."""
         air, spins = _outside(state, air_velocity, around)
         here = self.in_density(None if around is None else around.air_density)
         count = max(1, math.ceil(dt / self.longest_substep - 1e-9))
@@ -121,7 +121,7 @@ class FixedWing(Aeroplane, Vehicle):
         zero = jnp.zeros_like(state.airspeed)
 
         def advance(_: Array, carried: Any) -> Any:
-            """Return the loop's state after one substep of stabiliser, surfaces and motion."""
+            """Return the loop's state after one substep of stabiliser, control surfaces and motion."""
             motion, surfaces, memory, force = carried
             through = air_data(motion.velocity - motion.quaternion.rotation().to_body(air))
             memory, wanted = wanted_surfaces(
@@ -158,24 +158,24 @@ class FixedWing(Aeroplane, Vehicle):
         dt: float,
         around: Around | None = None,
     ) -> Vec3:
-        """Return the specific force (n,) [m/s^2] in body axes at an instant, at the present deflections."""
+        """Return the specific force (n,) [m/s^2] in body axes at an instant, with the present deflections."""
         air, spins = _outside(state, air_velocity, around)
         here = self.in_density(None if around is None else around.air_density)
         return slope_of(here, _motion_of(state), state.surfaces, command.throttle, air, spins)[1]
 
     def stopped(self, state: FixedWingState) -> FixedWingState:
-        """Return the state with all motion set to zero."""
+        """Return the state with all motion set to zero, as for vehicles that have been stopped."""
         rest = Vec3.zeros(state.airspeed.shape, state.airspeed.dtype)
         zero = jnp.zeros_like(state.airspeed)
         return replace(state, velocity_body=rest, rates_body=rest, airspeed=zero, thrust=zero)
 
     def outline(self) -> Outline:
-        """Return the outline of an aeroplane with this span, for pictures."""
+        """Return the outline, for pictures, of an aeroplane with this span."""
         return Outline(kind="plane", size=float(np.ravel(np.asarray(self.span))[0]))
 
 
 def _motion_of(state: FixedWingState) -> Motion:
-    """Return the quantities of a state that the solver integrates; the displacement in the step begins at 0."""
+    """Return the parts of a state that the solver integrates, with the displacement in the step set to 0."""
     zero = jnp.zeros_like(state.airspeed)
     return Motion(Vec3(zero, zero, zero), state.quaternion, state.velocity_body, state.rates_body)
 
@@ -183,7 +183,7 @@ def _motion_of(state: FixedWingState) -> Motion:
 def _outside(
     state: FixedWingState, air_velocity: Callable[[AttitudeTrig], Vec3], around: Around | None
 ) -> tuple[Vec3, Vec3]:
-    """Return the air's velocity (n,) [m/s] NED, and its rotation [rad/s] in body axes, at the beginning of a step."""
+    """Return the air's velocity (n,) [m/s] NED and rotation (n,) [rad/s], body axes, at the beginning of a step."""
     zero, one = jnp.zeros_like(state.airspeed), jnp.ones_like(state.airspeed)
     # At a level attitude, heading north, the air in body axes is that in NED.
     air = air_velocity(AttitudeTrig(zero, one, zero, one, zero, one))

@@ -35,7 +35,7 @@ def forces(
     air_rates: Vec3,
     ground: Ground,
 ) -> tuple[Vec3, Vec3]:
-    """Return force [N] and moment [N m] of the air, and of the rotors as gyros, in body axes (V17, V19 to V21).
+    """Return force [N] and moment [N m] of air and spinning rotors in body axes (eqs. V17, V19 to V21).
 
     Args:
         model: parameters.
@@ -85,7 +85,7 @@ def forces(
 
 
 def near_ground(static: Array, sideways: Array, above: Array, radius: Array, per_disc: Array) -> Array:
-    """Return the thrust (n,) [N] of a rotor, raised by the ground effect at its height (V19), in one division.
+    """Return a rotor's thrust (n,) [N] increased by ground effect at a height ``above`` [m] (eq. V19).
 
     I. C. Cheeseman, W. E. Bennett, "The effect of the ground on a helicopter rotor in forward flight", ARC R&M 3021,
     1955.
@@ -97,7 +97,7 @@ def near_ground(static: Array, sideways: Array, above: Array, radius: Array, per
 
 
 def _in_plane(flow: Vec3, axial: Array, rotor: Rotor) -> list[Number]:
-    """Return the flow (n,) in a rotor's plane by body axes; the number 0.0 where it is zero by geometry."""
+    """Return the air flow (n,) in a rotor's plane, body axes; plain 0.0 for components that are zero by geometry."""
     return [
         part if a == 0.0 else 0.0 if abs(a) == 1.0 else part - a * axial
         for part, a in zip((flow.x, flow.y, flow.z), rotor.axis, strict=True)
@@ -105,19 +105,19 @@ def _in_plane(flow: Vec3, axial: Array, rotor: Rotor) -> list[Number]:
 
 
 def _crossed(plane: list[Number], axis: Triple) -> list[Number]:
-    """Return the cross product of the flow in a rotor's plane and the rotor's axis."""
+    """Return the cross product of ``plane``, the air flow in a rotor's plane, and the rotor's constant axis."""
     (x, y, z), (a, b, c) = plane, axis
     terms = (((c, y), (-b, z)), ((a, z), (-c, x)), ((b, x), (-a, y)))
     return [combined(*((factor, part) for factor, part in pair if not isinstance(part, float))) for pair in terms]
 
 
 def _along(axis: Triple, amount: Array) -> list[Number]:
-    """Return a vector of length ``amount`` (n,) along an axis known at compile time; 0.0 where it has no part."""
+    """Return a vector of length ``amount`` (n,) along a constant axis; plain 0.0 for zero components."""
     return [combined((part, amount)) for part in axis]
 
 
 def _plus(total: Sequence[Number], terms: Sequence[Number]) -> list[Number]:
-    """Return the sum of two vectors, part by part; a plain number is 0.0 and costs nothing."""
+    """Return the sum of two vectors by component; a plain number is 0.0 and costs no operation."""
     return [
         now if isinstance(term, float) else rounded(term) if isinstance(now, float) else now + term
         for now, term in zip(total, terms, strict=True)
@@ -125,12 +125,12 @@ def _plus(total: Sequence[Number], terms: Sequence[Number]) -> list[Number]:
 
 
 def _minus(whole: Number, part: Number) -> Number:
-    """Return a difference; a plain number is 0.0 and costs nothing."""
+    """Return ``whole`` - ``part``; a plain number is 0.0 and costs no operation."""
     return whole if isinstance(part, float) else -part if isinstance(whole, float) else whole - part
 
 
 def _crossed_by(rates: Vec3, spin: Sequence[Number]) -> list[Number]:
-    """Return the cross product of body rates with a vector of which parts may be the plain number 0.0."""
+    """Return the cross product of body rates and a vector; its components may be the plain number 0.0."""
     (p, q, r), (x, y, z) = rates.axes, spin
     pairs = ((_times(q, z), _times(r, y)), (_times(r, x), _times(p, z)), (_times(p, y), _times(q, x)))
     return [_minus(first, second) for first, second in pairs]
@@ -142,5 +142,5 @@ def _vec(parts: Sequence[Number], like: Array) -> Vec3:
 
 
 def _times(factor: Array, part: Number) -> Number:
-    """Return ``factor * part``, and 0.0 for a plain number ``part``, which is 0.0 by geometry."""
+    """Return ``factor * part``, and plain 0.0 for a plain ``part``, which is 0.0 by geometry."""
     return 0.0 if isinstance(part, float) else factor * part

@@ -13,7 +13,7 @@ HALVINGS = 40
 
 
 def leaning(vehicle: Airframe, tilt: object) -> tuple[Floats, Floats] | None:
-    """Return airspeed [m/s] and thrust [N] (n,) of steady flight at a tilt (n,) [rad], None if rotors are tilted.
+    """Return airspeed [m/s] and thrust [N] (n,) of steady flight at a tilt (n,) [rad]; None for tilted rotors.
 
     Leaning by theta into a steady wind V with N rotors at a speed W, of a thrust T each,
     m g sin(theta) = (N k_d W + c_x V) V cos(theta), and N T = m g cos(theta) + c_z V^2 sin(theta), where
@@ -39,7 +39,7 @@ def leaning(vehicle: Airframe, tilt: object) -> tuple[Floats, Floats] | None:
     sine, cosine = np.sin(lean), np.cos(lean)
 
     def speed(wind: Floats) -> Floats:
-        """Return the rotor speed [rad/s] that carries the weight in a wind [m/s]."""
+        """Return the rotor speed (n,) [rad/s] with which the weight is carried in a wind (n,) [m/s]."""
         wanted = (weight * cosine + c_z * wind * wind * sine) / count - k_h * (wind * cosine) ** 2
         loss = k_z * wind * sine
         return (loss + np.sqrt(loss * loss + 4.0 * k_t * np.maximum(wanted, 0.0))) / (2.0 * k_t)

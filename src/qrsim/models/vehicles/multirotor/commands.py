@@ -57,18 +57,18 @@ class MotorCommand:
 
     @staticmethod
     def of_count(count: int) -> type:
-        """Return the class of commands for a number of rotors, 1 to 16."""
+        """Return the class of motor commands for ``count`` rotors, 1 to 16."""
         return _CLASSES[count]
 
     @staticmethod
     def of(fractions: Array) -> Any:
-        """Return a command of rotor speeds (n, N) as fractions, 0 to 1, of the largest speed."""
+        """Return a motor command from rotor speeds (n, N) as fractions, 0 to 1, of the largest speed."""
         columns = fractions.T
         return _CLASSES[len(columns)](*columns)
 
 
 def _motor_command(count: int) -> type:
-    """Return a new command class with a speed field for each rotor."""
+    """Return a new class of motor commands with a speed field for each of ``count`` rotors."""
     name = f"MotorCommand{count}"
     fields: dict[str, object] = {
         f"rotor_{i}": quantity(unit="1", doc=f"speed of rotor {i}, of the largest", minimum=0.0, maximum=1.0)
@@ -98,7 +98,7 @@ class Powered:
 
 
 def shown(command: Any) -> AttitudeCommand:
-    """Return any command as the record kept in a world's state, NaN in fields that it lacks."""
+    """Return a command of any type as the record that a world's state keeps, NaN in fields that it lacks."""
     inside = command.command if isinstance(command, Powered) else command
     if isinstance(inside, AttitudeCommand):
         return inside

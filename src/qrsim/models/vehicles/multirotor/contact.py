@@ -50,13 +50,13 @@ class Touch:
 
 
 def stiffness(contact: Contact, weight: Array, mass: Array, feet: int) -> tuple[Array, Array]:
-    """Return spring [N/m] and damper [N s/m] of each contact point (V23)."""
+    """Return spring [N/m] and damper [N s/m] of each contact point, by weight and number of feet (eq. V23)."""
     spring = weight / contact.sink / feet
     return spring, 2.0 * contact.damping * jnp.sqrt(feet * spring * mass) / feet
 
 
 def plane_below(height: Array, normal: Vec3) -> Ground:
-    """Return the plane through a point ``height`` [m] below the vehicle with an upward normal (n,)."""
+    """Return the ground as a plane ``height`` [m] below the vehicle (n,), with an upward unit normal (n,)."""
     # Northwards and eastwards along the plane; level ground has the axes themselves.
     length = jnp.sqrt(normal.x * normal.x + normal.z * normal.z)
     north = Vec3(-normal.z / length, jnp.zeros_like(length), normal.x / length)
@@ -74,7 +74,7 @@ def touch(
     ground: Ground,
     quickest: float,
 ) -> Touch:
-    """Return the contact forces of feet and other points with the ground (V23 and V24).
+    """Return the contact forces of feet and other points with the ground (eqs. V23 and V24).
 
     Args:
         contact: parameters.
@@ -115,7 +115,7 @@ def touch(
 def _friction(
     contact: Contact, brush: Brush, slides: tuple[Array, Array], bears: Array, quickest: float
 ) -> tuple[Brush, Brush]:
-    """Return a sliding point's friction as a share of the largest, north and east, and the rate of its bristles [1/s].
+    """Return a sliding point's friction, as a share of its limit, and its bristles' rate [1/s], each (north, east).
 
     The friction is a part of its largest, north and east, at most 1 together. ``bears``: the ground carries the point.
     """
@@ -124,7 +124,7 @@ def _friction(
     per_way = 1.0 / jnp.maximum(contact.bristle, speed * quickest)
 
     def slope(bent: Array, velocity: Array) -> Array:
-        """Return the rate of a bristle's deflection: with load it follows the sliding, without it straightens."""
+        """Return a friction bristle's rate of deflection: it follows the sliding under load, else straightens."""
         stuck = (velocity - speed * bent) * per_way
         return jnp.where(bears, stuck, -bent / STRAIGHTENING_S)
 

@@ -10,7 +10,7 @@ from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 
 
 def derived(vehicle: Multirotor) -> dict[str, float]:
-    """Return derived quantities by name, units at the end of the names; for lists of numbers, of the first vehicle.
+    """Return derived quantities of a multirotor, {name with unit: value}; of the first vehicle if several.
 
     Hover is in the air of the site, the coefficients are those of the vehicle.
     """
@@ -42,11 +42,11 @@ def derived(vehicle: Multirotor) -> dict[str, float]:
 
 
 def _throttle(a: float, share: float) -> float:
-    """Return the throttle u with a u^2 + (1 - a) u equal to ``share`` of the largest thrust."""
+    """Return the throttle u at which a u^2 + (1 - a) u equals ``share``, thrust over largest thrust."""
     return 2.0 * share / ((1.0 - a) + math.sqrt((1.0 - a) ** 2 + 4.0 * a * share))
 
 
 def _first(vehicle: Multirotor) -> dict[str, float]:
-    """Return the parameters of the first vehicle as plain floats by name."""
+    """Return the first vehicle's parameters as plain floats by name."""
     values = {name: value for name, value in vars(vehicle).items() if isinstance(value, int | float | np.ndarray)}
     return {name: float(np.ravel(value)[0]) for name, value in values.items()}

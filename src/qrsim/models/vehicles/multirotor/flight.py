@@ -51,7 +51,7 @@ def fly(
     dt: float,
     around: Around | None,
 ) -> tuple[MultirotorState, Vec3]:
-    """Return the state dt [s] later, and the mean specific force; arguments and result as of ``Vehicle.step``."""
+    """Return the state dt [s] later, and the mean specific force (n,); arguments as of ``Vehicle.step``."""
     outside = surroundings(model, state, air_velocity, noise, around)
     # The stabiliser knows its rotors in the air that their coefficients are for; the air is what it is.
     body = model.in_density(model.share(state.position_ned))
@@ -63,11 +63,11 @@ def fly(
     near = outside.ground.height < reach(points) + CLEAR_M + 2.0 * dt * speed
 
     def advance(motion: Motion) -> tuple[Motion, Loops, Outcome]:
-        """Return motion, loops and outcome after all substeps, from a motion with or without contact."""
+        """Return motion, control loops and step results after all substeps, from a motion with or without contact."""
         zero = jnp.zeros_like(speed)
 
         def part(_: Array, carried: Any) -> Any:
-            """Return motion, loops and outcome after one more substep."""
+            """Return motion, control loops and step results after one more substep."""
             motion, loops, found = carried
             targets, loops = motors(motion, loops)
             motion, now = substep(body, motion, targets, outside, dt / count)
@@ -84,7 +84,7 @@ def fly(
         return found
 
     def by_the_ground() -> object:
-        """Return the outcome of the step with contact forces computed."""
+        """Return the step's results with contact forces computed."""
         motion, after, found = advance(start)
         touched = touch(
             model.contact,
@@ -102,7 +102,7 @@ def fly(
         return replace(motion, brush=select(near, motion.brush, straight)), after, found, touched.bearing
 
     def far_above() -> object:
-        """Return the outcome of the step without contact forces, for vehicles out of reach of the ground."""
+        """Return the step's results without contact forces, for vehicles out of reach of the ground."""
         motion, after, found = advance(replace(start, brush=()))
         straight = jax.tree.map(jnp.zeros_like, start.brush)
         return replace(motion, brush=straight), after, found, jnp.zeros_like(near)
@@ -132,14 +132,14 @@ def at_an_instant(
     noise: ProcessNoise,
     around: Around | None,
 ) -> Vec3:
-    """Return the specific force (n,) [m/s^2] in body axes at the present rotor speeds."""
+    """Return the specific force (n,) [m/s^2] in body axes at an instant, at the present rotor speeds."""
     outside = surroundings(model, state, air_velocity, noise, around)
     model = model.in_density(model.share(state.position_ned))
     return slope_of(model, motion_of(state), state.rotor_speed, outside)[1]
 
 
 def motion_of(state: MultirotorState) -> Motion:
-    """Return the integrated part of a state, with zero displacement."""
+    """Return the parts of a state that the solver integrates, with the displacement in the step set to 0."""
     zero = jnp.zeros_like(state.standing)
     return Motion(
         Vec3(zero, zero, zero), state.quaternion, state.velocity_body, state.rates_body, state.rotor_speed, state.brush
@@ -153,7 +153,7 @@ def surroundings(
     noise: ProcessNoise,
     around: Around | None,
 ) -> Surroundings:
-    """Return air, ground and process noise of vehicles (n,) at the beginning of a step."""
+    """Return air, ground plane and process noise at vehicles (n,) at the beginning of a step."""
     position = state.position_ned
     zero = jnp.zeros_like(state.standing)
     still, one = Vec3(zero, zero, zero), jnp.ones_like(zero)
@@ -171,7 +171,7 @@ def surroundings(
 def stabilised(
     model: Airframe, state: MultirotorState, command: object, dt: float, count: int, around: Around | None
 ) -> tuple[Array | None, Loops, Motors]:
-    """Return the heading held (None: none), the control loops' state, and a function of motion for motor speeds.
+    """Return the heading held (None: none), the control loops' state, and a function from motion to motor speeds.
 
     Args:
         model, state, command, around: as of ``Vehicle.step``.
@@ -193,7 +193,7 @@ def stabilised(
     stuck = {} if around is None else dict(around.stuck_rotors)
 
     def told(speeds: Sequence[Array]) -> tuple[Array, ...]:
-        """Return motor speeds [rad/s] as the motors reach them: clipped, weakened or stuck by faults."""
+        """Return motor speeds [rad/s] as the motors can follow them: clipped, and weakened or stuck by faults."""
         if stuck:
             held = [(speed, stuck.get(number)) for number, speed in enumerate(speeds)]
             speeds = [
@@ -217,7 +217,7 @@ def stabilised(
     runs = command.throttle > 0.0
 
     def speeds_for(motion: Motion, wanted: Vec3, loops: Loops) -> tuple[tuple[Array, ...], Loops]:
-        """Return the commanded rotor speeds [rad/s] for wanted body rates, and the loops' new state."""
+        """Return the commanded rotor speeds [rad/s] for wanted body rates [rad/s], and the loops' new state."""
         thrusts, integral = rotor_thrusts(
             model.stabiliser, model.inertia, mixer, motion.rates, wanted, loops.integral, thrust, dt / count
         )
@@ -241,7 +241,7 @@ def stabilised(
     tilt = Quaternion.of_tilt(command.roll, command.pitch)
 
     def motors(motion: Motion, loops: Loops) -> tuple[tuple[Array, ...], Loops]:
-        """Return the commanded rotor speeds [rad/s] for an attitude command, and the loops' new state."""
+        """Return the commanded rotor speeds [rad/s] for the attitude command, and the loops' new state."""
         turned = replace(
             loops,
             cosine=loops.cosine * turn_cosine - loops.sine * turn_sine,

@@ -39,7 +39,7 @@ class Rotor:
 
 
 def ring(count: int, arm: float, first_rad: float, direction: int = 1, down: float = 0.0) -> tuple[Rotor, ...]:
-    """Return rotors on a circle, clockwise from above, with alternating directions of rotation.
+    """Return ``count`` rotors on a circle of radius ``arm`` [m], clockwise from above, spinning alternately.
 
     Args:
         count: how many.
@@ -56,7 +56,7 @@ def ring(count: int, arm: float, first_rad: float, direction: int = 1, down: flo
 
 
 def combined(*terms: tuple[float, Array]) -> Number:
-    """Return the sum of factor times array; terms with factor 0.0 are left out, and 0.0 is returned for none.
+    """Return the sum of factor times array; terms with factor 0.0 cost nothing, and none left gives 0.0.
 
     Products are taken by the size of the factor, so that mirrored points share them; the rounding is the same.
     """
@@ -76,7 +76,7 @@ def combined(*terms: tuple[float, Array]) -> Number:
 
 
 def cross_known(a: Vec3, r: Triple) -> tuple[Number, Number, Number]:
-    """Return a x r for an r known at compile time."""
+    """Return the cross product a x r of a vector of arrays and a constant vector r."""
     return (
         combined((r[2], a.y), (-r[1], a.z)),
         combined((r[0], a.z), (-r[2], a.x)),
@@ -85,28 +85,28 @@ def cross_known(a: Vec3, r: Triple) -> tuple[Number, Number, Number]:
 
 
 def known_cross(r: Triple, a: Vec3) -> tuple[Number, Number, Number]:
-    """Return r x a for an r known at compile time."""
+    """Return the cross product r x a of a constant vector r and a vector of arrays."""
     x, y, z = cross_known(a, r)
     return -x, -y, -z
 
 
 def dot_known(a: Vec3, r: Triple) -> Number:
-    """Return a . r for an r known at compile time."""
+    """Return the scalar product a . r of a vector of arrays and a constant vector r."""
     return combined((r[0], a.x), (r[1], a.y), (r[2], a.z))
 
 
 def reach(points: Sequence[Triple]) -> float:
-    """Return the distance [m] of the farthest point from the centre of mass, the origin."""
+    """Return the distance [m] of the farthest of some body points from the centre of mass, the origin."""
     return max(math.hypot(*point) for point in points)
 
 
 def square_feet(side: float, down: float) -> tuple[Triple, ...]:
-    """Return four contact points at the corners of a square, in body axes [m]: (+/-side, +/-side, down)."""
+    """Return four feet at the corners of a square, in body axes [m]: (+/- side, +/- side, down)."""
     return ((side, side, down), (-side, side, down), (-side, -side, down), (side, -side, down))
 
 
 def effects(rotor: Rotor, torque_ratio: Number) -> tuple[Number, Number, Number, Number]:
-    """Return collective thrust [N] and torque about the body axes [N m] per newton of a rotor's thrust."""
+    """Return collective thrust and roll, pitch, yaw torque [N m], each per newton of one rotor's thrust."""
     (x, y, z), (a, b, c) = rotor.position, rotor.axis
     turning = [rotor.direction * component for component in rotor.axis]
     lever = (y * c - z * b, z * a - x * c, x * b - y * a)
@@ -119,7 +119,7 @@ def effects(rotor: Rotor, torque_ratio: Number) -> tuple[Number, Number, Number,
 def allocation(
     rotors: Sequence[Rotor], torque_ratio: Array, without: Sequence[int] = (), yaw: bool = True
 ) -> list[list[Number]]:
-    """Return the pseudo-inverse of the rotors' effects: N rows of 4, thrust [N] per wanted N and N m.
+    """Return the control allocation, a pseudo-inverse: N rows of 4, rotor thrust [N] per collective N and torque N m.
 
     Args:
         rotors: all of them.
@@ -151,7 +151,7 @@ def allocation(
 
 
 def rank_of(rotors: Sequence[Rotor], torque_ratio: float) -> float:
-    """Return a measure of control over thrust and torques: smallest over largest singular value, 0 without control."""
+    """Return how well rotors control thrust and torques: smallest over largest singular value; 0 if they cannot."""
     sizes = reach([rotor.position for rotor in rotors]) or 1.0
     table = np.array([effects(rotor, torque_ratio) for rotor in rotors], float).T
     with np.errstate(all="ignore"):
@@ -164,7 +164,7 @@ def rank_of(rotors: Sequence[Rotor], torque_ratio: float) -> float:
 
 
 def holds_yaw(rotors: Sequence[Rotor], torque_ratio: float, without: Sequence[int]) -> bool:
-    """Return whether the rotors other than ``without`` can hover without yawing, each carrying some thrust."""
+    """Return whether the vehicle can hover without yawing if rotors ``without`` fail, all others giving thrust."""
     left = [rotor for i, rotor in enumerate(rotors) if i not in without]
     if len(left) < 4 or rank_of(left, torque_ratio) < 0.02:
         return False
@@ -173,7 +173,7 @@ def holds_yaw(rotors: Sequence[Rotor], torque_ratio: float, without: Sequence[in
 
 
 def _sum(terms: Iterable[Number]) -> Number:
-    """Return the sum of terms, leaving out the plain number 0.0."""
+    """Return the sum of terms, leaving out those that are the plain number 0.0."""
     total: Number = 0.0
     for term in terms:
         if not (isinstance(term, float) and term == 0.0):
@@ -196,10 +196,10 @@ def _inverse(matrix: list[list[Number]]) -> list[list[Number]]:
 
 
 def _times(a: Number, b: Number) -> Number:
-    """Return a product, the plain number 0.0 if a factor is the plain number 0.0."""
+    """Return the product a b; the plain number 0.0 if a factor is the plain number 0.0."""
     return 0.0 if any(isinstance(each, float) and each == 0.0 for each in (a, b)) else a * b
 
 
 def _minus(a: Number, b: Number) -> Number:
-    """Return a difference, leaving out a term that is the plain number 0.0."""
+    """Return the difference a - b, leaving out a term that is the plain number 0.0."""
     return a if isinstance(b, float) and b == 0.0 else -b if isinstance(a, float) and a == 0.0 else a - b

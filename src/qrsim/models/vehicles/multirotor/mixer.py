@@ -36,7 +36,7 @@ class Mixer:
     holds_yaw: Number
 
     def share(self, thrust: Array, torque: Vec3, yaw_share: Array) -> list[Array]:
-        """Return the thrust (n,) [N] of each rotor for a collective thrust [N] and a torque [N m] (V30).
+        """Return each rotor's thrust (n,) [N] for a collective thrust [N] and a torque [N m], within limits (eq. V30).
 
         Roll and pitch come first, scaled together if they do not fit; the collective is shifted to keep them; yaw gets
         what is left, but at least ``yaw_share`` of itself.
@@ -58,7 +58,7 @@ class Mixer:
         return [jnp.clip(f - over, 0.0, most) for f in found]
 
     def torque(self, thrusts: Sequence[Array]) -> Vec3:
-        """Return the torque (n,) [N m] in body axes of rotor thrusts (n,) [N]."""
+        """Return the torque (n,) [N m] in body axes that rotor thrusts (n,) [N] produce."""
         axes = [
             reduce(
                 jnp.add, [_sum((effect[axis], thrust)) for effect, thrust in zip(self.effects, thrusts, strict=True)]
@@ -69,7 +69,7 @@ class Mixer:
 
 
 def mixer_of(rotors: Sequence[Rotor], torque_ratio: Array, most: Array, lost: Sequence[tuple[int, Array]]) -> Mixer:
-    """Return the mixer for a step, with rotors that are known to have failed left out.
+    """Return the mixer (control allocation) for a step, without rotors that are known to have failed.
 
     Args:
         rotors: geometry.
@@ -98,23 +98,23 @@ def mixer_of(rotors: Sequence[Rotor], torque_ratio: Array, most: Array, lost: Se
 
 
 def _room(thrust: Array, turning: Array, most: Array) -> Array:
-    """Return the largest factor (n,) on a rotor's yaw thrust ``turning`` that keeps its thrust in 0 to ``most`` [N]."""
+    """Return the largest factor (n,) on a rotor's yaw thrust that keeps the rotor within 0 to ``most`` [N]."""
     gap = jnp.where(turning > 0.0, most - thrust, thrust)
     size = jnp.abs(turning)
     return jnp.where(size > LEAST_YAW_N, gap / jnp.maximum(size, LEAST_YAW_N), jnp.inf)
 
 
 def _sum(*terms: tuple[Number, Array]) -> Array:
-    """Return a sum of products factor times array; the plain factor 0.0 costs nothing."""
+    """Return the sum of products factor times array; the plain factor 0.0 costs no operation."""
     found = [array * factor for factor, array in terms if not (isinstance(factor, float) and factor == 0.0)]
     return reduce(jnp.add, found) if found else jnp.zeros_like(terms[0][1])
 
 
 def _least(values: Sequence[Array]) -> Array:
-    """Return the smallest of several arrays, element by element."""
+    """Return the elementwise minimum of several arrays."""
     return reduce(jnp.minimum, values)
 
 
 def _largest(values: Sequence[Array]) -> Array:
-    """Return the largest of several arrays, element by element."""
+    """Return the elementwise maximum of several arrays."""
     return reduce(jnp.maximum, values)

@@ -54,7 +54,7 @@ class MotorTable:
 
     @staticmethod
     def of(columns: object) -> MotorTable:
-        """Return a table from columns by name, see COLUMNS, or from ``{"file": PATH}``, a CSV file with the columns.
+        """Return a motor table from columns by name (see COLUMNS), or from ``{"file": PATH}`` of a CSV file.
 
         Raises:
             UsageError: the file cannot be read, a column is missing, unknown or no numbers, or thrust does not rise
@@ -93,7 +93,7 @@ class MotorTable:
         return MotorTable(**found)._checked()
 
     def _checked(self) -> MotorTable:
-        """Return this table; raise UsageError for columns that are short, unequal or do not rise."""
+        """Return this table if its columns are valid; raise UsageError if they are short, unequal or do not rise."""
         rows = {name: len(column) for name, column in vars(self).items()}
         if len(set(rows.values())) > 1:
             raise UsageError(f"columns of different lengths: {', '.join(f'{name} {n}' for name, n in rows.items())}")
@@ -112,7 +112,7 @@ class MotorTable:
         return self
 
     def numbers(self, weight: float, rotors: int) -> dict[str, float]:
-        """Return parameters of ``Multirotor`` and the operating point in hover, for a vehicle of a weight [N].
+        """Return multirotor parameters and the hover point by name, for a weight [N] and a number of rotors.
 
         Returns:
             ``thrust_coefficient`` (least squares of thrust over speed squared), ``thrust_to_weight``, ``speed_max``,
@@ -148,7 +148,7 @@ class MotorTable:
         }
 
     def oddities(self, radius: float) -> Iterator[str]:
-        """Yield a warning for each row that is implausible for a propeller of this radius [m].
+        """Yield a warning for each row of the table that is implausible for a propeller of this radius [m].
 
         The radius may be a guess, so the ranges are wide.
         """
@@ -176,12 +176,12 @@ class MotorTable:
 
 
 def _names_of(quantity: str) -> str:
-    """Return the allowed column names of a quantity as text, joined by "or"."""
+    """Return a quantity's allowed column names as text, joined by "or"."""
     return " or ".join(name for name, (other, _) in COLUMNS.items() if other == quantity)
 
 
 def _columns_of(path: Path) -> dict[str, list[float]]:
-    """Return the columns of COLUMNS in a CSV file by name; other columns are ignored.
+    """Return the columns of COLUMNS found in a CSV file, by name; other columns are ignored.
 
     A name may have its unit in brackets: ``thrust [g]`` is ``thrust_g``. Case does not matter. Voltage and current
     count if there is no power.
@@ -210,7 +210,7 @@ def _columns_of(path: Path) -> dict[str, list[float]]:
 
 
 def _name_of(column: str) -> str:
-    """Return a CSV column's name in the form of COLUMNS: ``throttle [%]`` becomes ``throttle_percent``."""
+    """Return a CSV heading in the form of COLUMNS: ``throttle [%]`` becomes ``throttle_percent``."""
     name, unit = name_and_unit(column)
     whole = name if unit in (None, "1", "1/min") else f"{name}_{'percent' if unit == '%' else unit}"
     known = {each.casefold(): each for each in COLUMNS}
@@ -218,7 +218,7 @@ def _name_of(column: str) -> str:
 
 
 def _numbers(name: str, values: object) -> Floats:
-    """Return a list of numbers as an array; raise UsageError, naming the list, for anything else."""
+    """Return a list of numbers as an array; raise UsageError, naming ``name``, for anything else."""
     if not isinstance(values, Sequence) or isinstance(values, str):
         raise UsageError(f"{name}: expected a list of numbers, found {values!r:.80}")
     for row, value in enumerate(values, start=1):

@@ -71,7 +71,7 @@ class Geometry:
 
     @property
     def count(self) -> int:
-        """Number of rotors."""
+        """Number of rotors of the arrangement."""
         return self.arms * (2 if self.coaxial else 1)
 
 
@@ -88,7 +88,7 @@ USUAL = {4: "quad_x", 6: "hexa_x", 8: "octo_x"}
 
 
 def rotors_of(geometry: str, arm: float, height: float = 0.0) -> tuple[Rotor, ...]:
-    """Return the rotors of a usual arrangement, clockwise from the nose; neighbours turn opposite ways.
+    """Return the rotors of a named arrangement with arms [m], clockwise from the nose; neighbours spin opposite ways.
 
     Args:
         geometry: one of GEOMETRIES.
@@ -119,7 +119,7 @@ def own_parameters(
     known: Mapping[str, object] | None = None,
     curve: float | None = None,
 ) -> dict[str, Any]:
-    """Return the parameters of a multirotor, derived by the rules of docs/explanation/models/multirotor.md.
+    """Return a multirotor's parameters by name, derived by the rules of docs/explanation/models/multirotor.md.
 
     Args:
         mass: take-off mass [kg].
@@ -203,7 +203,7 @@ def own_multirotor(
     warn: Callable[[str], None] = warn_user,
     **parameters: object,
 ) -> Multirotor:
-    """Return a multirotor from six numbers, or from four and a motor table, for ``make_scenario(vehicle=...)``.
+    """Return a multirotor derived from six numbers, or from four and a motor table, for ``make_scenario``.
 
     Args:
         mass: take-off mass [kg].
@@ -276,7 +276,7 @@ def _powered(derived: Mapping[str, Any], table: Mapping[str, float]) -> dict[str
 
 
 def known_numbers(parameters: Mapping[str, object]) -> dict[str, float]:
-    """Return those given parameters that are single positive numbers and sources of derived ones."""
+    """Return the user's parameters that are positive numbers and from which others are derived, by name."""
     found = {name: parameters[name] for name in SOURCES if name in parameters}
     return {
         name: float(value)
@@ -286,7 +286,7 @@ def known_numbers(parameters: Mapping[str, object]) -> dict[str, float]:
 
 
 def _check_thrust(declared: float, found: float) -> None:
-    """Raise UsageError if the declared thrust-to-weight ratio differs from the computed one."""
+    """Raise UsageError if the declared thrust-to-weight ratio differs from ``found``, that of the parameters."""
     # Numbers are given to two digits.
     if abs(found - declared) > 0.02 * declared:
         raise UsageError(
@@ -296,7 +296,7 @@ def _check_thrust(declared: float, found: float) -> None:
 
 
 def _check(given: dict[str, float]) -> None:
-    """Raise UsageError for a number out of its range."""
+    """Raise UsageError for a number in ``given`` {name: value} that is out of its range."""
     for name, value in given.items():
         unit, low, high = RANGES[name]
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
@@ -305,14 +305,14 @@ def _check(given: dict[str, float]) -> None:
 
 
 def _arrangement(name: object) -> Geometry:
-    """Return the arrangement of rotors with a name; raise UsageError for other names."""
+    """Return the arrangement of rotors with a name, such as "quad_x"; raise UsageError for other names."""
     if not isinstance(name, str) or name not in GEOMETRIES:
         raise UsageError(f"geometry: no arrangement is called '{name}'{did_you_mean(str(name), GEOMETRIES)}")
     return GEOMETRIES[name]
 
 
 def _geometry(rotors: int, geometry: str | None) -> Geometry:
-    """Return the arrangement for a number of rotors: the named one, or the usual one."""
+    """Return the arrangement of ``rotors`` rotors named ``geometry``, or the usual one for None."""
     if isinstance(rotors, bool) or not isinstance(rotors, int) or rotors < 3:
         raise UsageError(f"rotors: {rotors!r}; a multirotor needs 4, 6 or 8, or a geometry")
     if geometry is None:
@@ -326,13 +326,13 @@ def _geometry(rotors: int, geometry: str | None) -> Geometry:
 
 
 def _radius(arm: float, arms: int) -> float:
-    """Return the usual rotor radius [m] for arms of a length [m]."""
+    """Return the usual rotor radius [m] for ``arms`` arms of length ``arm`` [m]."""
     spacing = 2.0 * arm * math.sin(math.pi / arms)
     return min(OF_SPACING * spacing, OF_ARM * arm)
 
 
 def _curve(hover: float, ratio: float) -> float:
-    """Return a of thrust/largest thrust = a u^2 + (1 - a) u for hover at throttle ``hover``; raise UsageError."""
+    """Return a of thrust/largest = a u^2 + (1 - a) u, from hover throttle and thrust-to-weight; raise UsageError."""
     low, high = 1.0 / ratio, 1.0 / math.sqrt(ratio)
     # Numbers are given to two digits.
     if not low - 0.005 <= hover <= high + 0.005:
@@ -344,7 +344,7 @@ def _curve(hover: float, ratio: float) -> float:
 
 
 def _check_bandwidth(attitude: float, spin_up: float) -> None:
-    """Raise UsageError if the attitude loop [rad/s] is too fast for the rotors' time constant [s]."""
+    """Raise UsageError if the attitude loop [rad/s] is too fast for the rotors' time constant ``spin_up`` [s]."""
     fastest = RATE_TIMES_SPIN_UP / (RATE_OVER_ATTITUDE * spin_up)
     if attitude > 1.02 * fastest:
         raise UsageError(

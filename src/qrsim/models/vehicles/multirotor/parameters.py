@@ -134,50 +134,50 @@ class Airframe:
 
     @property
     def inertia(self) -> Vec3:
-        """Moments of inertia [kg m^2]."""
+        """Moments of inertia about the body axes [kg m^2]."""
         return Vec3(self.inertia_x, self.inertia_y, self.inertia_z)
 
     @property
     def drag(self) -> Vec3:
-        """Drag coefficients of the body [N s^2/m^2]."""
+        """Coefficients of the body's quadratic drag along its axes [N s^2/m^2]."""
         return Vec3(self.drag_x, self.drag_y, self.drag_z)
 
     @property
     def others(self) -> tuple[Triple, ...]:
-        """Contact points other than the feet: the rotors' hubs and the top [m]."""
+        """Contact points other than the feet, in body axes [m]: the rotor hubs and the top."""
         return (*(rotor.position for rotor in self.rotors), self.top)
 
     @property
     def lift_share(self) -> float:
-        """Collective thrust over the thrust of one rotor, with all at one speed."""
+        """Collective thrust over one rotor's thrust, with all rotors at one speed."""
         return -sum(rotor.axis[2] for rotor in self.rotors)
 
     @property
     def thrust_max(self) -> Array:
-        """Largest collective thrust [N] at nominal voltage and air density."""
+        """Largest collective thrust [N], at nominal voltage and air density."""
         return self.thrust_coefficient * (self.speed_max * self.speed_max * self.lift_share)
 
     def thrust_of(self, throttle: Array) -> Array:
-        """Return the collective thrust [N] at a throttle (n,), 0 to 1, at nominal air density (V31)."""
+        """Return the collective thrust [N] at a throttle (n,), 0 to 1, at the nominal air density (eq. V31)."""
         a = self.throttle_curve
         return self.thrust_max * throttle * (a * throttle + (1.0 - a))
 
     def throttle_of(self, thrust: Array) -> Array:
-        """Return the throttle at a collective thrust [N] at nominal air density."""
+        """Return the throttle, 0 to 1, for a collective thrust [N] at the nominal air density."""
         a, share = self.throttle_curve, thrust / self.thrust_max
         return 2.0 * share / ((1.0 - a) + jnp.sqrt((1.0 - a) * (1.0 - a) + 4.0 * a * share))
 
     @property
     def site_share(self) -> Array | float:
-        """Air density at the site over the density for which the coefficients hold."""
+        """Air density at the site over the nominal one, for which the coefficients hold."""
         return 1.0 if self.thin_air == "ignored" else self.site_air.site_density / self.air_density
 
     def share(self, position_ned: Vec3) -> Array | float:
-        """Return the air density at positions (n,) [m] over the density for which the coefficients hold."""
+        """Return the air density at positions (n,) [m] over the nominal one, for which the coefficients hold."""
         return 1.0 if self.thin_air == "ignored" else self.site_air.density(position_ned) / self.air_density
 
     def in_density(self, share: Array | float) -> Airframe:
-        """Return the vehicle with all air forces scaled by a relative density (n,) (S30)."""
+        """Return the vehicle with all air forces scaled by ``share``, a relative air density (n,) (eq. S30)."""
         if self.thin_air == "ignored":
             return self
         names = (

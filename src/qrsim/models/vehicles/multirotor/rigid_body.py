@@ -47,14 +47,14 @@ class Surroundings:
 
 
 def larger(known: Array, new: Array) -> Array:
-    """Return the elementwise maximum, ``known`` where ``new`` is NaN."""
+    """Return the elementwise maximum; ``known`` where ``new`` is NaN."""
     return jnp.where(new > known, new, known)
 
 
 def slope_of(
     model: Airframe, motion: Motion, targets: tuple[Array, ...], around: Surroundings
 ) -> tuple[Motion, Vec3, Touch | None]:
-    """Return a motion's time derivative, the specific force [m/s^2] (V18, V22), and the contacts, None if not sought.
+    """Return a motion's time derivative, the specific force [m/s^2], and contacts or None (eqs. V18, V22).
 
     Args:
         model: parameters.
@@ -107,7 +107,7 @@ def slope_of(
 def substep(
     model: Airframe, motion: Motion, targets: tuple[Array, ...], around: Surroundings, dt: float
 ) -> tuple[Motion, Outcome]:
-    """Return the motion dt [s] later by a classical Runge-Kutta step, and the step's mean force and contacts.
+    """Return the motion dt [s] later by the classical Runge-Kutta rule, and the step's mean force and contacts.
 
     The four stages are turns of one loop: its program is a quarter as long, and stays in the processor's cache.
     """

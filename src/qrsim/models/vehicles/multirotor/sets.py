@@ -16,7 +16,7 @@ def x500() -> Multirotor:
 
 
 def hummingbird() -> Multirotor:
-    """Return the AscTec Hummingbird of rotorpy 3.0.0, with the rotor time constants of RotorS."""
+    """Return the AscTec Hummingbird of rotorpy 3.0.0 as a multirotor, with rotor time constants from RotorS."""
     c = 0.17 / math.sqrt(2.0)
     return _multirotor(
         mass=0.5,
@@ -73,7 +73,7 @@ def hexa4() -> Multirotor:
 
 
 def pelican() -> Multirotor:
-    """Return the AscTec Pelican of RotorS as a rigid body (pelican.xacro).
+    """Return the AscTec Pelican of RotorS (pelican.xacro) as a multirotor, a rigid body with rotors.
 
     It weighs 1 kg there; the identified one (``type: pelican``) weighs 1.68 kg and has its own autopilot in it.
     """
@@ -100,7 +100,7 @@ def pelican() -> Multirotor:
 
 
 def crazyflie() -> Multirotor:
-    """Return the Crazyflie 2.x with L250 propellers of drone-models 0.1.0.
+    """Return the Crazyflie 2.x with L250 propellers of drone-models 0.1.0 as a multirotor.
 
     Its thrust is fitted there by a quadratic with a linear term; here it is in proportion to the square of the speed,
     equal in hover (1986 rad/s) and at the largest thrust, 0.12 N a rotor. Drag after J. Foerster, "System
@@ -137,10 +137,10 @@ SETS = {"x500": x500, "hummingbird": hummingbird, "pelican": pelican, "crazyflie
 
 
 def _multirotor(**values: Any) -> Multirotor:
-    """Return a multirotor with plain numbers; building a world turns them into arrays."""
+    """Return a multirotor with plain numbers as parameters; building a world makes them arrays."""
     return Multirotor(**values)
 
 
 def _stabiliser(**gains: Any) -> Stabiliser:
-    """Return a stabiliser with these gains."""
+    """Return an attitude stabiliser with these gains."""
     return Stabiliser(**gains)

@@ -46,7 +46,7 @@ class Stabiliser:
 
 
 def rates_wanted(gains: Stabiliser, attitude: Quaternion, wanted: Quaternion, yaw_rate: Array) -> Vec3:
-    """Return the body rates (n,) [rad/s] that turn ``attitude`` into ``wanted``, tilt first (V28).
+    """Return the body rates (n,) [rad/s] that rotate ``attitude`` to ``wanted``, tilt first (eq. V28).
 
     D. Brescianini, M. Hehn, R. D'Andrea, "Nonlinear quadrocopter attitude control", ETH Zurich, 2013.
 
@@ -84,7 +84,7 @@ def rotor_thrusts(
     thrust: Array,
     dt: float,
 ) -> tuple[list[Array], Vec3]:
-    """Return each rotor's thrust (n,) [N] that drives body rates to ``wanted``, and the new integral (V29).
+    """Return each rotor's thrust (n,) [N] for wanted body rates [rad/s], and the rate loop's integral (eq. V29).
 
     Args:
         gains, inertia: parameters.
@@ -118,7 +118,7 @@ def rotor_thrusts(
 
 
 def _integrated(now: Array, error: Array, missing: Array, slack: Array, gain: Array, limit: Array) -> Array:
-    """Return one axis' integral, clipped to ``limit``, held while the error would drive saturated rotors further."""
+    """Return one axis' rate-loop integral after a step, clipped; held while rotors saturate in that direction."""
     held = (jnp.abs(missing) > slack + 1e-9) & (error * missing > 0.0)
     return jnp.clip(jnp.where(held, now, now + gain * error), -limit, limit)
 

@@ -65,13 +65,13 @@ class Multirotor(Airframe, Vehicle):
     pushable: ClassVar[tuple[str, ...]] = ("x", "y", "z")
 
     def in_air(self, air: SiteAir) -> Multirotor:
-        """Return the vehicle with the air of a site; its autopilot's hover throttle is for that air."""
+        """Return the vehicle in the air of a site; its autopilot's hover throttle is for this air."""
         return replace(self, site_air=air)
 
     def initial_state(
         self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
     ) -> MultirotorState:
-        """Return the state at a pose with rotors at the speed that carries the weight."""
+        """Return the state at a pose, with rotors at the speed that carries the weight."""
         like = jnp.asarray(position_ned.x)
         zero = jnp.zeros_like(like)
         lift = self.thrust_coefficient * self.lift_share * self.share(position_ned)
@@ -91,35 +91,35 @@ class Multirotor(Airframe, Vehicle):
         )
 
     def with_thrust(self, state: MultirotorState, thrust: Array) -> MultirotorState:
-        """Return the state with its collective thrust set to (n,) [N]; NaN leaves it unchanged."""
+        """Return the state with a collective thrust (n,) [N]; unchanged where that is NaN."""
         lift = self.thrust_coefficient * self.lift_share * self.share(state.position_ned)
         speed = jnp.sqrt(jnp.maximum(thrust, 0.0) / lift)
         given = jnp.isfinite(thrust)
         return replace(state, rotor_speed=tuple(jnp.where(given, speed, old) for old in state.rotor_speed))
 
     def idle_command(self, like: Array) -> AttitudeCommand:
-        """Return the command for level hover."""
+        """Return the command for level hover; ``like``: any array (n,), for the shape."""
         zero = jnp.zeros_like(like)
         throttle = self.throttle_of(jnp.asarray(self.mass * self.gravity / self.site_share))
         return AttitudeCommand(zero, zero, jnp.broadcast_to(throttle, like.shape), zero)
 
     def clip(self, command: object, powered: bool = False) -> tuple[object, Array]:
-        """Return a command clipped to its limits, and (n,) bool: clipping changed it."""
+        """Return a command clipped to its fields' limits, and (n,) bool: it was changed."""
         if isinstance(command, Powered):
             inside, changed = clipped(command.command)
             return replace(command, command=inside), changed
         return clipped(command)
 
     def powered(self, command: object, voltage: Array | None) -> object:
-        """Return a command with a battery's voltage (n,) [V] set; None means the nominal voltage."""
+        """Return a command with a battery's voltage (n,) [V] put in; None means the nominal voltage."""
         return command if voltage is None else Powered(command, voltage)
 
     def shown(self, command: object) -> AttitudeCommand:
-        """Return a command as the record kept in a world's state, NaN in fields that it lacks."""
+        """Return a command of any type as the record that a world's state keeps, NaN in fields that it lacks."""
         return shown(command)
 
     def handling(self) -> Handling:
-        """Return the numbers that a tilt-and-throttle controller needs, with the thrust in the site's air."""
+        """Return mass, thrust and command responses for a tilt-and-throttle controller, in the site's air."""
         a, most = self.throttle_curve, self.thrust_max * self.site_share
         one = jnp.ones_like(jnp.asarray(most))
         curve = (jnp.zeros_like(one), (1.0 - a) * most, a * most)
@@ -132,14 +132,14 @@ class Multirotor(Airframe, Vehicle):
         return AttitudeCommand(pitch, roll, throttle, yaw_rate)
 
     def wake(self) -> Wake:
-        """Return the parameters of the vehicle's wake."""
+        """Return the parameters of the vehicle's rotor wake."""
         hubs = [rotor.position for rotor in self.rotors]
         radius = jnp.asarray(self.rotor_radius)
         size = 2.0 * max(math.hypot(x, y) for x, y, _ in hubs)
         return Wake(size * jnp.ones_like(radius), (len(hubs) * math.pi) * (radius * radius))
 
     def wake_points(self) -> tuple[Point, ...]:
-        """Return the positions of the rotors' hubs, in body axes [m]."""
+        """Return the positions of the rotor hubs, in body axes [m], at which other wakes act."""
         return tuple(rotor.position for rotor in self.rotors)
 
     def on_ground(self, state: MultirotorState) -> Array:
@@ -147,11 +147,11 @@ class Multirotor(Airframe, Vehicle):
         return state.standing >= LANDED_S
 
     def standing_height(self) -> float:
-        """Return the length of its longest leg [m]."""
+        """Return the height [m] of the vehicle's origin above level ground: its longest leg."""
         return max(foot[2] for foot in self.feet)
 
     def stood(self, state: MultirotorState, ground: Callable[[Vec3], tuple[Array, Vec3]]) -> MultirotorState:
-        """Return the start state; vehicles with all feet near the ground stand on it, rotors stopped."""
+        """Return the start state; vehicles at rest with all feet near the ground stand on it, rotors stopped."""
         down, normal = ground(state.position_ned)
         up, height = state.quaternion.rotation().to_body(normal), (state.position_ned.z - down) * normal.z
         depths = [-(height + dot_known(up, foot)) for foot in self.feet]
@@ -167,8 +167,9 @@ class Multirotor(Airframe, Vehicle):
         )
 
     def load(self, state: MultirotorState) -> Load:
-        """Return thrust [N], weight [N], electrical power [W] (V25) and air density over that at sea level, each (n,)
-        or one number for all; the last is None if ``thin_air`` is ignored.
+        """Return battery load: thrust [N], weight [N], electrical power [W] (eq. V25), air density over sea level's.
+
+        Each is (n,) or one number for all; the density ratio is None if ``thin_air`` is ignored.
         """
         square = sum(rate * rate for rate in state.rotor_speed)
         cube = sum(rate * rate * rate for rate in state.rotor_speed)
@@ -178,11 +179,11 @@ class Multirotor(Airframe, Vehicle):
         return Load(coefficient * square, self.mass * self.gravity, power, ratio)
 
     def pose(self, state: MultirotorState) -> Pose:
-        """Return position, attitude, velocity and body rates (n,)."""
+        """Return position, attitude, velocity and body rates (n,) of a state."""
         return Pose(state.position_ned, state.quaternion.euler(), state.velocity_body, state.rates_body)
 
     def draw_noise(self, draw: Noise, dt: float) -> ProcessNoise:
-        """Return one step's random process noise: a white spectral density, sigma(T) = sigma sqrt(0.02/T)."""
+        """Return a step's random accelerations, as white noise of a fixed spectral density: std sigma sqrt(0.02/dt)."""
         return white_accelerations(draw, self.process_noise, dt)
 
     def step(
@@ -194,7 +195,7 @@ class Multirotor(Airframe, Vehicle):
         dt: float,
         around: Around | None = None,
     ) -> tuple[MultirotorState, Vec3]:
-        """Return the state one step later and the mean specific force; without ``around`` level ground at 0 m."""
+        """Return the state dt [s] later, and the mean specific force (n,); without ``around`` level ground at 0 m."""
         return fly(self, state, command, air_velocity, noise, dt, around)
 
     def specific_force(
@@ -210,7 +211,7 @@ class Multirotor(Airframe, Vehicle):
         return at_an_instant(self, state, air_velocity, noise, around)
 
     def stopped(self, state: MultirotorState) -> MultirotorState:
-        """Return the state with all motion, rotors included, set to zero."""
+        """Return the state with all motion set to zero, the rotors included."""
         rest = Vec3.zeros(state.standing.shape, state.standing.dtype)
         still = tuple(jnp.zeros_like(rate) for rate in state.rotor_speed)
         return replace(state, velocity_body=rest, rates_body=rest, rotor_speed=still)
@@ -220,7 +221,7 @@ class Multirotor(Airframe, Vehicle):
         return leaning(self, tilt)
 
     def outline(self) -> Outline:
-        """Return the positions and radius of the rotors as outline for pictures."""
+        """Return the rotors' positions and radius as the outline for pictures."""
         radius = float(np.ravel(np.asarray(self.rotor_radius))[0])
         return Outline(tuple(rotor.position for rotor in self.rotors), radius)
 

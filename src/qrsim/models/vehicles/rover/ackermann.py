@@ -93,22 +93,22 @@ class Rover(Vehicle):
         return SteeringCommand(jnp.clip(steering, -limit, limit), jnp.clip(speed, -most, most))
 
     def initial_state(self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3) -> RoverState:
-        """Return the state at a pose, wheels straight."""
+        """Return the state at a pose, with wheels straight."""
         zero = jnp.zeros_like(jnp.asarray(position_ned.x))
         return RoverState(position_ned, attitude, velocity_body.x, velocity_body.y, rates_body.z, zero)
 
     def idle_command(self, like: Array) -> SteeringCommand:
-        """Return the command for standing still, wheels straight."""
+        """Return the command for standing still, wheels straight; ``like``: any array (n,), for the shape."""
         zero = jnp.zeros_like(like)
         return SteeringCommand(zero, zero)
 
     def load(self, state: RoverState) -> Load:
-        """Return a load of NaN: no thrust, and no weight that thrust would carry."""
+        """Return a battery load of NaN: the vehicle has no thrust, and no weight that thrust would carry."""
         nothing = jnp.full_like(state.speed, jnp.nan)
         return Load(nothing, nothing)
 
     def pose(self, state: RoverState) -> Pose:
-        """Return position, attitude, velocity and body rates (n,)."""
+        """Return position, attitude, velocity and body rates (n,) of a state."""
         zero = jnp.zeros_like(state.speed)
         return Pose(
             state.position_ned,
@@ -126,7 +126,7 @@ class Rover(Vehicle):
         dt: float,
         around: Around | None = None,
     ) -> tuple[RoverState, Vec3]:
-        """Return the state one step later and the mean specific force; without ``around`` level ground at 0 m."""
+        """Return the state dt [s] later, and the mean specific force (n,); without ``around`` level ground at 0 m."""
         turned = tilt_of(state.attitude)
         after, force = rk4(lambda motion: self._slope(motion, command, turned), _motion_of(state), dt)
         plane, before = after.plane, state.position_ned
@@ -149,17 +149,17 @@ class Rover(Vehicle):
         return self._slope(_motion_of(state), held, tilt_of(state.attitude))[1]
 
     def stopped(self, state: RoverState) -> RoverState:
-        """Return the state with all motion set to zero."""
+        """Return the state with all motion set to zero, as for vehicles that have been stopped."""
         zero = jnp.zeros_like(state.speed)
         return replace(state, speed=zero, slip_speed=zero, yaw_rate=zero)
 
     def stood(self, state: RoverState, ground: Ground) -> RoverState:
-        """Return the state put on the ground below it."""
+        """Return the state put on the ground below; ``ground``: from position to (down coordinate, normal)."""
         place, attitude = set_down(state.position_ned, state.attitude.yaw, ground)
         return replace(state, position_ned=place, attitude=attitude)
 
     def pushed(self, state: RoverState, change_body: Vec3) -> RoverState:
-        """Return the state after a change of velocity (n,) [m/s]; a push to the side makes the tyres slip."""
+        """Return the state after a velocity change (n,) [m/s], body axes; sideways, the tyres slip."""
         return replace(state, speed=state.speed + change_body.x, slip_speed=state.slip_speed + change_body.y)
 
     def outline(self) -> Outline:
@@ -167,7 +167,7 @@ class Rover(Vehicle):
         return Outline(kind="car", size=0.5)
 
     def _slope(self, motion: _Motion, command: SteeringCommand, turned: Rotation) -> tuple[_Motion, Vec3]:
-        """Return the time derivative of a motion, and the specific force (n,) [m/s^2] in body axes."""
+        """Return the time derivative of a motion for a command, and the specific force (n,) [m/s^2] in body axes."""
         v, vy, r, delta = motion.speed, motion.slip_speed, motion.yaw_rate, motion.steering
         wanted = jnp.clip(command.steering, -self.steering_max, self.steering_max)
         turning = jnp.clip((wanted - delta) / self.steering_lag, -self.steering_rate_max, self.steering_rate_max)
@@ -182,7 +182,7 @@ class Rover(Vehicle):
         return slope, felt(turned, self.gravity, ahead - r * vy, aside + v * r)
 
     def _cornering(self, v: Array, vy: Array, r: Array, delta: Array) -> tuple[Array, Array]:
-        """Return the derivatives (n,) of lateral velocity [m/s^2] and yaw rate [rad/s^2] by the tyres' side forces."""
+        """Return the rates of lateral velocity [m/s^2] and yaw rate [rad/s^2] (n,) by the tyres' side forces."""
         front, rear = self.front_arm, self.rear_arm
         tangent, cosine = jnp.tan(delta), jnp.cos(delta)
         forward = jnp.where(v < 0.0, -1.0, 1.0) * jnp.maximum(jnp.abs(v), SLOWEST)
@@ -200,6 +200,6 @@ class Rover(Vehicle):
 
 
 def _motion_of(state: RoverState) -> _Motion:
-    """Return the quantities of a state that the solver integrates; the displacement in the step begins at 0."""
+    """Return the parts of a state that the solver integrates, with the displacement in the step set to 0."""
     zero = jnp.zeros_like(state.speed)
     return _Motion(Plane(zero, zero, state.attitude.yaw), state.speed, state.slip_speed, state.yaw_rate, state.steering)

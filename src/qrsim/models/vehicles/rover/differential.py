@@ -71,22 +71,22 @@ class DifferentialRover(Vehicle):
     def initial_state(
         self, position_ned: Vec3, attitude: Euler, velocity_body: Vec3, rates_body: Vec3
     ) -> DifferentialRoverState:
-        """Return the state at a pose; only the forward part of the velocity is used."""
+        """Return the state at a pose; of the velocity only the forward part is used."""
         half = 0.5 * self.track / (1.0 - self.slip) * rates_body.z
         return DifferentialRoverState(position_ned, attitude, velocity_body.x + half, velocity_body.x - half)
 
     def idle_command(self, like: Array) -> WheelCommand:
-        """Return the command for standing still."""
+        """Return the command for standing still; ``like``: any array (n,), for the shape."""
         zero = jnp.zeros_like(like)
         return WheelCommand(zero, zero)
 
     def load(self, state: DifferentialRoverState) -> Load:
-        """Return a load of NaN: no thrust, and no weight that thrust would carry."""
+        """Return a battery load of NaN: the vehicle has no thrust, and no weight that thrust would carry."""
         nothing = jnp.full_like(state.left, jnp.nan)
         return Load(nothing, nothing)
 
     def pose(self, state: DifferentialRoverState) -> Pose:
-        """Return position, attitude, velocity and body rates (n,)."""
+        """Return position, attitude, velocity and body rates (n,) of a state."""
         speed, turn = self._turn(state.left, state.right)
         zero = jnp.zeros_like(speed)
         return Pose(state.position_ned, state.attitude, Vec3(speed, zero, zero), Vec3(zero, zero, turn))
@@ -100,7 +100,7 @@ class DifferentialRover(Vehicle):
         dt: float,
         around: Around | None = None,
     ) -> tuple[DifferentialRoverState, Vec3]:
-        """Return the state one step later and the mean specific force; without ``around`` level ground at 0 m."""
+        """Return the state dt [s] later, and the mean specific force (n,); without ``around`` level ground at 0 m."""
         turned = tilt_of(state.attitude)
         after, force = rk4(lambda motion: self._slope(motion, command, turned), _motion_of(state), dt)
         plane, before = after.plane, state.position_ned
@@ -117,22 +117,22 @@ class DifferentialRover(Vehicle):
         dt: float,
         around: Around | None = None,
     ) -> Vec3:
-        """Return the specific force (n,) [m/s^2] in body axes at an instant, at the present speeds."""
+        """Return the specific force (n,) [m/s^2] in body axes at an instant, at the present wheel speeds."""
         held = WheelCommand(state.left, state.right)
         return self._slope(_motion_of(state), held, tilt_of(state.attitude))[1]
 
     def stopped(self, state: DifferentialRoverState) -> DifferentialRoverState:
-        """Return the state with all motion set to zero."""
+        """Return the state with all motion set to zero, as for vehicles that have been stopped."""
         zero = jnp.zeros_like(state.left)
         return replace(state, left=zero, right=zero)
 
     def stood(self, state: DifferentialRoverState, ground: Ground) -> DifferentialRoverState:
-        """Return the state put on the ground below it."""
+        """Return the state put on the ground below; ``ground``: from position to (down coordinate, normal)."""
         place, attitude = set_down(state.position_ned, state.attitude.yaw, ground)
         return replace(state, position_ned=place, attitude=attitude)
 
     def pushed(self, state: DifferentialRoverState, change_body: Vec3) -> DifferentialRoverState:
-        """Return the state after a change of velocity (n,) [m/s] along its wheels, which do not slip to the side."""
+        """Return the state after a velocity change (n,) [m/s], forward only, as wheels do not slip sideways."""
         return replace(state, left=state.left + change_body.x, right=state.right + change_body.x)
 
     def outline(self) -> Outline:
@@ -140,18 +140,18 @@ class DifferentialRover(Vehicle):
         return Outline(kind="car", size=0.6)
 
     def _turn(self, left: Array, right: Array) -> tuple[Array, Array]:
-        """Return speed [m/s] and yaw rate [rad/s] (n,) for wheel speeds [m/s], clipped to the tyres' grip."""
+        """Return speed [m/s] and yaw rate [rad/s] (n,) for left and right wheel speeds [m/s], limited by tyre grip."""
         speed = 0.5 * (left + right)
         turn = (left - right) * ((1.0 - self.slip) / self.track)
         most = self.friction * self.gravity / jnp.maximum(jnp.abs(speed), 1e-3)
         return speed, jnp.clip(turn, -most, most)
 
     def _slope(self, motion: _Motion, command: WheelCommand, turned: Rotation) -> tuple[_Motion, Vec3]:
-        """Return the time derivative of a motion, and the specific force (n,) [m/s^2] in body axes."""
+        """Return the time derivative of a motion for a command, and the specific force (n,) [m/s^2] in body axes."""
         hardest = jnp.minimum(self.acceleration_max, self.friction * self.gravity)
 
         def spun(wanted: Array, wheel: Array) -> Array:
-            """Return the acceleration [m/s^2] of a wheel towards a wanted speed [m/s]."""
+            """Return a wheel's acceleration [m/s^2] towards a wanted speed [m/s]."""
             fast = jnp.clip(wanted, -self.speed_max, self.speed_max)
             return jnp.clip((fast - wheel) / self.speed_lag, -hardest, hardest)
 
@@ -163,6 +163,6 @@ class DifferentialRover(Vehicle):
 
 
 def _motion_of(state: DifferentialRoverState) -> _Motion:
-    """Return the quantities of a state that the solver integrates; the displacement in the step begins at 0."""
+    """Return the parts of a state that the solver integrates, with the displacement in the step set to 0."""
     zero = jnp.zeros_like(state.left)
     return _Motion(Plane(zero, zero, state.attitude.yaw), state.left, state.right)

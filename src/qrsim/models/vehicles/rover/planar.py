@@ -42,7 +42,7 @@ class Plane:
 
 
 def ground_of(around: Around | None, like: Array) -> Ground:
-    """Return the function of the ground; without surroundings, level ground at 0 m."""
+    """Return the ground as a function from position to (down coordinate, normal); level at 0 m without ``around``."""
     if around is not None:
         return around.ground
     zero = jnp.zeros_like(like)
@@ -50,7 +50,7 @@ def ground_of(around: Around | None, like: Array) -> Ground:
 
 
 def on_slope(heading: Array, normal: Vec3) -> Euler:
-    """Return the attitude (n,) of a vehicle at a heading [rad] on a plane with a unit normal (n,), upwards (D6)."""
+    """Return the attitude (n,) of a vehicle at a heading [rad] on a plane with an upward unit normal (n,) (eq. D6)."""
     sine, cosine = sincos(heading)
     pitch = arctan2(-(cosine * normal.x + sine * normal.y), -normal.z)
     # The right side is across the heading in the plane: its way down by its level part gives the roll.
@@ -59,7 +59,7 @@ def on_slope(heading: Array, normal: Vec3) -> Euler:
 
 
 def slope_rates(turned: Rotation, heading: tuple[Array, Array], forward: Array, right: Array) -> tuple[Array, Array]:
-    """Return the velocity (n,) [m/s] to north and east of body velocities (n,), for a heading's sine and cosine.
+    """Return the velocity (n,) [m/s] north and east of body velocities, for a tilt and a heading's (sine, cosine).
 
     Args:
         turned: the tilt, as of a vehicle that heads north.
@@ -73,17 +73,17 @@ def slope_rates(turned: Rotation, heading: tuple[Array, Array], forward: Array, 
 
 
 def tilt_of(attitude: Euler) -> Rotation:
-    """Return the rotation of an attitude with its yaw set to zero."""
+    """Return the rotation of an attitude with its yaw set to 0."""
     return AttitudeTrig.of(Euler(attitude.roll, attitude.pitch, jnp.zeros_like(attitude.yaw))).rotation()
 
 
 def felt(turned: Rotation, gravity: Array, ahead: Array, beside: Array) -> Vec3:
-    """Return the specific force (n,) [m/s^2] in body axes, from accelerations (n,) along forward and right."""
+    """Return the specific force (n,) [m/s^2] in body axes for accelerations (n,) forward and to the right."""
     weight = jnp.zeros_like(ahead) + gravity
     return Vec3(ahead - weight * turned.forward.z, beside - weight * turned.right.z, -weight * turned.down.z)
 
 
 def set_down(position_ned: Vec3, heading: Array, ground: Ground) -> tuple[Vec3, Euler]:
-    """Return position and attitude (n,) on the ground below a position."""
+    """Return position and attitude (n,) of a vehicle set on the ground below a position."""
     down, normal = ground(position_ned)
     return Vec3(position_ned.x, position_ned.y, down + jnp.zeros_like(position_ned.z)), on_slope(heading, normal)
