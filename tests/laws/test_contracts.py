@@ -43,7 +43,7 @@ CONTRACTS = {
 # A file that is read before the run; what it returns flies.
 READ_BEFORE = {"series", "dem", "grid", "profile"}
 # Check what a user handed in before it flies, which is to look for what is missing.
-CHECKERS = {"scenarios/class_attributes.py", "scenarios/conformity.py", "scenarios/returns.py", "scenarios/trial.py"}
+CHECKERS = {f"scenarios/{name}.py" for name in ("class_attributes", "conformity", "returns", "trial", "value_checks")}
 # What is asked of classes as they are made, of modules, the operating system, errors, JAX's own objects and what a user
 # handed in; never of a component. File -> how often.
 ALLOWED = {

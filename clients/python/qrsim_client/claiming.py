@@ -38,7 +38,8 @@ class SharedCalls(ABC):
         self._pushed: deque[pb.Readings] = deque(maxlen=MOST_PUSHED)
 
     def claim(self, *vehicles: str, on_silence: str | None = None, hold: float | None = None) -> Claim:
-        """Claim the exclusive command of vehicles, all or none; without names all that are free.
+        """Claim vehicles, so that only this client commands them: all of the named ones or none; without names, all
+        free ones.
 
         Args:
             vehicles: names.
@@ -63,11 +64,12 @@ class SharedCalls(ABC):
         )
 
     def release(self, *vehicles: str) -> None:
-        """Return claimed vehicles to their scenario's guidance; without names all of them."""
+        """Give claimed vehicles back to their scenario's guidance; without names, all of them."""
         self._call(Message(type=Message.RELEASE, release=pb.Release(vehicle=vehicles)), Message.ACK)
 
     def command(self, orders: Mapping[str, object], *, computed_from: int | None = None) -> int:
-        """Send orders, which vehicles fly until the next ones; return the tick at which they start (pace "free").
+        """Send orders, each flown until the vehicle's next one; return the tick at which they take effect (servers with
+        pace "free").
 
         Args:
             orders: vehicle -> (kind, numbers), as ``{"a": ("waypoint", [8.0, -6.0, -10.0, 0.0])}``; see ``KINDS``.
@@ -85,7 +87,8 @@ class SharedCalls(ABC):
         computed_from: int | None = None,
         truth: bool = False,
     ) -> Sensed:
-        """Send orders, wait until all clients reach a tick, and return the readings there (pace "barrier").
+        """Send orders, wait until all clients agree to advance to a tick, and return the readings there (servers with
+        pace "barrier").
 
         Args:
             orders: as in ``command``; those left out fly on by their last order.
@@ -106,7 +109,7 @@ class SharedCalls(ABC):
         return sensed_of(self._call(Message(type=Message.COMMAND, command=request), Message.READINGS).readings)
 
     def subscribe(self, *vehicles: str, rate: float | None = None, truth: bool = False, stop: bool = False) -> None:
-        """Start or stop the server's pushing of readings; ``sensed`` returns them.
+        """Start or stop (``stop``) the server's pushing of vehicles' sensor readings, which ``sensed`` returns.
 
         Args:
             vehicles: names; none: those that one has claimed, at any time.
@@ -120,7 +123,7 @@ class SharedCalls(ABC):
             self._pushed.clear()
 
     def sensed(self, timeout: float | None = None, *, newest: bool = True) -> Sensed:
-        """Return pushed readings; waits if all that arrived were returned before.
+        """Return the sensor readings that the server has pushed; waits up to ``timeout`` [s] if there are no new ones.
 
         Args:
             timeout: how long to wait [s]; default: for ever.
@@ -135,7 +138,8 @@ class SharedCalls(ABC):
         return sensed_of(found)
 
     def say(self, words: Mapping[str, object], *, to: str | None = None) -> None:
-        """Send messages by the radios of vehicles, in their next turns; all or none.
+        """Send messages, vehicle -> numbers, by the vehicles' radios, all or none; ``to``: the only receiver (default:
+        all).
 
         In a shared world of claimed vehicles only, and of several messages of one in a tick the last one counts.
 
@@ -149,7 +153,7 @@ class SharedCalls(ABC):
         self._call(Message(type=Message.SAY, say=request), Message.ACK)
 
     def inbox(self) -> dict[str, tuple[Heard, ...]]:
-        """Return vehicle -> the newest radio message received from each sender, the newest first."""
+        """Return, for each vehicle, the newest radio message received from each sender, the newest first."""
         found = self._call(Message(type=Message.GET_READINGS, get_readings=pb.GetReadings()), Message.READINGS).readings
         return {vehicle.name: heard_of(vehicle.heard) for vehicle in found.vehicle}
 
@@ -162,7 +166,8 @@ class SharedCalls(ABC):
         duration: float | None = None,
         **numbers: Any,
     ) -> str:
-        """Inject a fault or a change of the weather from the next tick on; return the server's note about it.
+        """Inject a fault of a part (``target``), or a change of weather, now or ``at`` a time [s]; return the server's
+        note on it.
 
         Args:
             target: name of a sensor, ``rotor N``, ``battery``, ``radio`` or ``body`` that is injectable; ``link``; or
@@ -193,7 +198,7 @@ class SharedCalls(ABC):
         return str(self._call(Message(type=Message.INJECT, inject=request), Message.ACK).ack.msg)
 
     def clear(self, target: str | None = None, vehicles: object = None) -> str:
-        """End the injected faults of a target, None: of all targets; return the server's note about it.
+        """End the injected faults of a target (None: of all targets) of vehicles; return the server's note on it.
 
         Args:
             target: as in ``inject``.
@@ -203,14 +208,14 @@ class SharedCalls(ABC):
         return str(self._call(Message(type=Message.CLEAR, clear=request), Message.ACK).ack.msg)
 
     def set_wind(self, speed: float, from_deg: float) -> str:
-        """Change the mean wind: speed [m/s] at 20 ft, and bearing it comes from [degrees].
+        """Change the mean wind: speed [m/s] at 20 ft and bearing it comes from [deg]; return the server's note on it.
 
         In a shared world the server has to allow it (``--allow-inject``).
         """
         return self.inject("world", "wind", speed_20ft=speed, wind_from_deg=from_deg)
 
     def status(self) -> Status:
-        """Return each vehicle's controller, the age of its order, and the pace statistics."""
+        """Return who controls each vehicle, the age of its last order, and the statistics of the pace."""
         found = self._call(Message(type=Message.GET_STATUS, get_status=pb.GetStatus()), Message.STATUS).status
         vehicles = {
             each.name: VehicleStatus(
@@ -228,7 +233,8 @@ class SharedCalls(ABC):
         return Status(found.pace, found.tick, found.t, pacing, vehicles)
 
     def describe(self) -> dict[str, Any]:
-        """Return a description of the world: area, obstacles, ground, wind, fleets with sensors and commands."""
+        """Return a description of the world as a dict: area, obstacles, ground, wind, and fleets with sensors and
+        commands."""
         found = self._call(Message(type=Message.DESCRIBE, describe=pb.Describe()), Message.WORLD).world
         parts = {name: _part(getattr(found, name)) for name in ("area", "ground", "wind", "turbulence", "gust")}
         parts.update({"radio": _part(found.radio)} if found.HasField("radio") else {})
@@ -246,30 +252,31 @@ class SharedCalls(ABC):
 
     @abstractmethod
     def _call(self, request: Message, expected: Message.Type) -> Message:
-        """Send a request and return its reply."""
+        """Send a request and return the server's reply of the expected type; raises Refused if the server declines."""
 
     @abstractmethod
     def _receive(self, timeout: float | None) -> Message:
-        """Return the next message of the server, waiting at most a timeout [s]."""
+        """Return the server's next message, waiting at most ``timeout`` [s] (None: for ever)."""
 
     @abstractmethod
     def _checked_reply(self, reply: Message, expected: Message.Type) -> Message:
-        """Return ``reply`` if it has the expected type; raise Refused if the server declined, else ConnectionFailed."""
+        """Return ``reply`` if it has the expected type; raises Refused if the server declined, else
+        ConnectionFailed."""
 
     @abstractmethod
     def _decode_pushed(self) -> None:
-        """Queue the pushed readings that have arrived, without waiting."""
+        """Queue the pushed readings that have already arrived, without waiting."""
 
 
 def sensed_of(found: pb.Readings) -> Sensed:
-    """Convert a message of stamped readings to a ``Sensed``."""
+    """Convert a protobuf message of sensor readings to a ``Sensed`` record."""
     return Sensed(
         found.tick, found.t, found.sent, found.missed, {each.name: _sensed_vehicle(each) for each in found.vehicle}
     )
 
 
 def _sensed_vehicle(found: pb.Readings.Vehicle) -> SensedVehicle:
-    """Convert the stamped readings of one vehicle from their message."""
+    """Convert one vehicle's sensor readings from protobuf to a ``SensedVehicle`` record."""
     sensors = {
         sensor.name: {
             **{f.name: f.value[0] if len(f.value) == 1 else np.array(f.value) for f in sensor.field},
@@ -284,17 +291,18 @@ def _sensed_vehicle(found: pb.Readings.Vehicle) -> SensedVehicle:
 
 
 def _vehicle_list(vehicles: Any) -> list[str]:
-    """Return vehicle names as a list; None gives [], and a string one name."""
+    """Return vehicle names as a list: [] for None, one name for a string."""
     return [] if vehicles is None else [vehicles] if isinstance(vehicles, str) else list(vehicles)
 
 
 def _optional_field(found: Any, name: str) -> Any:
-    """Return a field of a message, None where it is not set."""
+    """Return a field of a protobuf message, None where it is not set."""
     return getattr(found, name) if found.HasField(name) else None
 
 
 def numbers_of(vehicle: str, said: object) -> list[float]:
-    """Convert a message for a vehicle's radio to a list of floats; raises UsageError unless it is one-dimensional."""
+    """Convert a radio message's payload to a list of floats; raises UsageError, naming the vehicle, unless it is
+    one-dimensional."""
     try:
         values = np.asarray(said, np.float64)
     except (TypeError, ValueError):
@@ -306,7 +314,7 @@ def numbers_of(vehicle: str, said: object) -> list[float]:
 
 
 def _order_messages(orders: Mapping[str, Any]) -> list[pb.Order]:
-    """Convert {vehicle: (kind, numbers)} to protobuf orders; raises UsageError for other forms."""
+    """Convert {vehicle: (kind, numbers)} to protobuf orders; raises UsageError for anything else."""
     messages = []
     for vehicle, order in orders.items():
         try:
@@ -321,14 +329,14 @@ def _order_messages(orders: Mapping[str, Any]) -> list[pb.Order]:
 
 
 def kind_of(name: str) -> Step.Type:
-    """Return the number of a kind of order; raises UsageError for an unknown one."""
+    """Return the protocol's number for a kind of order, such as "waypoint"; raises UsageError for an unknown name."""
     if name not in KINDS:
         raise UsageError(f"no order is of kind {name!r:.60}; there are {', '.join(KINDS)}")
     return KINDS[name]
 
 
 def _part(found: pb.World.Part) -> dict[str, Any]:
-    """Return the description of a component as a dict of its type, its parameters and their "units"."""
+    """Convert the protobuf description of a component to a dict: "type", its parameters, and their "units"."""
     values: dict[str, Any] = {"type": found.type}
     for each in found.quantity:
         numbers = list(each.value)
@@ -338,7 +346,7 @@ def _part(found: pb.World.Part) -> dict[str, Any]:
 
 
 def _fleet_description(found: pb.World.Fleet) -> dict[str, object]:
-    """Convert the description of a fleet from its message to a dict."""
+    """Convert the protobuf description of a fleet to a dict."""
     return {
         "vehicles": list(found.vehicle),
         "model": _part(found.model),

@@ -89,27 +89,29 @@ class Client(SharedCalls):
     # ---- the reference client's calls ----
 
     def init(self, task: str, *, realtime: bool = False) -> State:
-        """Start a task by its name and return the state at the start; see also ``open``."""
+        """Start the task with this name, and return the state at its start; ``open`` has more options."""
         request = Message(type=Message.INIT, init=pb.Init(task=task, realTime=realtime))
         state = state_of(self._call(request, Message.STATE).state)
         self._set_info(self._checked_reply(self._receive(self._timeout), Message.TASKINFO).taskInfo)
         return state
 
     def reset(self) -> None:
-        """Start the next episode of the task and return nothing; ``restart`` returns its seed and state."""
+        """Start the next episode of the task, without returning its state; ``restart`` does return it."""
         self._call(Message(type=Message.RESET, reset=pb.Reset(value=True)), Message.ACK)
 
     def set_state(self, state: object) -> None:
-        """Set the vehicles' states, rows of 13, 12, 6 or 3 numbers; see ``Simulation.set_state``."""
+        """Set the states of all vehicles, each a row of 13, 12, 6 or 3 numbers as for ``Simulation.set_state``."""
         rows = pb.SetState(X=_vectors("state", state, (3, 6, 12, 13)))
         self._call(Message(type=Message.SETSTATE, setsState=rows), Message.ACK)
 
     def step_waypoint(self, dt: float, waypoints: object) -> State:
-        """Fly to waypoints (n, 4), x, y, z NED [m] and yaw [rad], for ``dt`` [s] of simulated time."""
+        """Fly to waypoints (n, 4), x, y, z NED [m] and yaw [rad], for ``dt`` [s] of simulated time; return the
+        state."""
         return self._step(dt, Step.WP, waypoints, 4)
 
     def step_control(self, dt: float, commands: Any) -> State:
-        """Fly commands, one row for each vehicle, for ``dt`` [s] of simulated time.
+        """Fly control commands (n, 4 or 5), such as tilts and throttle, for ``dt`` [s] of simulated time; return the
+        state.
 
         A quadrotor's row (5,) is pitch, roll [rad], throttle, yaw rate [rad/s], battery [V]; other vehicles have the
         fields of their own command, and one that takes none an empty row.
@@ -122,45 +124,46 @@ class Client(SharedCalls):
         return self._send_step(Step(dt=dt, type=Step.CTRL, cmd=vectors))
 
     def step_velocity(self, dt: float, velocities: object) -> State:
-        """Fly at velocities NED (n, 3) [m/s], heading north, for ``dt`` [s] of simulated time."""
+        """Fly at velocities NED (n, 3) [m/s], heading north, for ``dt`` [s] of simulated time; return the state."""
         return self._step(dt, Step.VEL, velocities, 3)
 
     def step_setpoint(self, dt: float, kind: str, setpoints: object) -> State:
-        """Fly set-points of a kind in ``claiming.KINDS``, one row a vehicle, for ``dt`` [s] of simulated time."""
+        """Fly set-points of a kind in ``claiming.KINDS``, a row for each vehicle, for ``dt`` [s]; return the state."""
         return self._send_step(Step(dt=dt, type=kind_of(kind), cmd=_vectors("set-point", setpoints)))
 
     def disconnect(self) -> None:
-        """End the session and the connection."""
+        """End the session on the server, and close the connection."""
         self._send_disconnect(quit_server=False)
 
     def quit(self) -> str:
-        """End the session and ask the server to stop; return "" or the reason why it does not."""
+        """End the session and ask the server to stop; return "", or the reason why it keeps running."""
         return self._send_disconnect(quit_server=True)
 
     def _send_disconnect(self, quit_server: bool) -> str:
+        """End the session, and the server if asked, and close the connection; return the server's note."""
         request = Message(type=Message.DISCONNECT, disconnect=pb.Disconnect(quit=quit_server))
         said = self._call(request, Message.ACK).ack.msg
         self.close()
         return said
 
     def _step(self, dt: float, kind: Step.Type, rows: object, width: int) -> State:
+        """Fly rows of ``width`` numbers, one for each vehicle, for ``dt`` [s]; return the state."""
         return self._send_step(Step(dt=dt, type=kind, cmd=_vectors("command", rows, (width,))))
 
     def _send_step(self, step: Step) -> State:
+        """Send a STEP message, and return the state that the server replies."""
         return state_of(self._call(Message(type=Message.STEP, step=step), Message.STATE).state)
 
     # ---- extensions ----
 
     def hello(self) -> dict[str, Any]:
-        """Return the server's version, capabilities, tasks and sessions; from then on it explains invalid vehicles."""
+        """Return the server's version, capabilities, tasks and sessions; from then on, states explain invalid
+        vehicles."""
         found = self._call(Message(type=Message.HELLO, hello=pb.Hello()), Message.SERVER).server
         return {
-            "version": found.version,
-            "capabilities": list(found.capability),
-            "tasks": list(found.task),
-            "sessions": list(found.session),
-            "largest_request": found.largest_request,
-        }
+            "version": found.version, "capabilities": list(found.capability), "tasks": list(found.task),
+            "sessions": list(found.session), "largest_request": found.largest_request,
+        }  # fmt: skip
 
     def open(
         self,
@@ -171,7 +174,7 @@ class Client(SharedCalls):
         realtime: float | None = None,
         events: bool = False,
     ) -> Session:
-        """Start a session of a task or of an uploaded scenario.
+        """Start a session of a task or of an uploaded scenario (YAML text), and return its description and first state.
 
         Args:
             task: name; or
@@ -184,10 +187,11 @@ class Client(SharedCalls):
         return self._open_session(Message(type=Message.OPEN, open=request))
 
     def restart(self, seed: int | None = None) -> Session:
-        """Start the next episode of the task, or an episode with a given seed."""
+        """Start the next episode of the task, or that of a given seed; return its description and first state."""
         return self._open_session(Message(type=Message.RESTART, restart=pb.Restart(seed=_checked_seed(seed))))
 
     def _open_session(self, request: Message) -> Session:
+        """Send a request that starts a session or episode, and return its description and first state."""
         found = self._call(request, Message.SESSION).session
         self._set_info(found.info)
         return Session(
@@ -195,7 +199,7 @@ class Client(SharedCalls):
         )
 
     def readings(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """Return vehicle -> sensor -> field -> value, a number or an array; "reason" says why a reading is missing."""
+        """Return {vehicle: {sensor: {field: number or array}}}; a field "reason" explains a missing reading."""
         found = self._call(Message(type=Message.GET_READINGS, get_readings=pb.GetReadings()), Message.READINGS).readings
         return {
             vehicle.name: {
@@ -209,28 +213,24 @@ class Client(SharedCalls):
         }
 
     def events(self) -> list[dict[str, Any]]:
-        """Return the events since the last call, in a session opened with events."""
+        """Return the events (crashes, reached waypoints and so on) since the last call; needs ``open(events=True)``."""
         found = self._call(Message(type=Message.GET_EVENTS, get_events=pb.GetEvents()), Message.EVENTS).events
         return [
             {
-                "time": event.t,
-                "kind": event.kind,
-                "vehicle": event.vehicle or None,
-                "field": event.field or None,
-                "value": event.value if event.HasField("value") else None,
-                "message": event.message,
+                "time": event.t, "kind": event.kind, "vehicle": event.vehicle or None, "field": event.field or None,
+                "value": event.value if event.HasField("value") else None, "message": event.message,
             }
             for event in found.event
-        ]
+        ]  # fmt: skip
 
     def pace(self, factor: float | None = None) -> dict[str, float]:
-        """Return the pace statistics of the session, and set a new pace (0: lock-step) if one is given."""
+        """Return the pace statistics of the session; ``factor`` sets a new pace (0: lock-step)."""
         request = Message(type=Message.PACE, pace=pb.Pace(factor=factor))
         found = self._call(request, Message.PACING).pacing
         return {field.name: value for field, value in found.ListFields()}
 
     def play(self, task: str | None = None, *, scenario: str | None = None, seed: int | None = None) -> Episode:
-        """Start an episode of a scenario's task, or the next episode of the present task.
+        """Start an episode of a task to play by ``act``, or the next episode of the present one.
 
         Args:
             task: name; or
@@ -247,7 +247,7 @@ class Client(SharedCalls):
         )  # fmt: skip
 
     def act(self, action: object, answer: object = None, say: Any = None) -> Outcome:
-        """Advance the episode by a step; return its observation, reward, end flags and info.
+        """Advance the episode by one step with the agents' actions; return observation, reward, end flags and info.
 
         Args:
             action: (n, A) numbers in [-1, 1].
@@ -258,19 +258,14 @@ class Client(SharedCalls):
         request = pb.Act(action=_vectors("action", action), answer=_answers(answer), say=words)
         found = self._call(Message(type=Message.ACT, act=request), Message.OUTCOME).outcome
         return Outcome(
-            step=found.step,
-            time=found.t,
-            observation=seen_of(found.observation),
-            reward=np.array(found.reward),
-            terminated=found.terminated,
-            truncated=found.truncated,
-            info=arrays_of(found.info),
-        )
+            step=found.step, time=found.t, observation=seen_of(found.observation), reward=np.array(found.reward),
+            terminated=found.terminated, truncated=found.truncated, info=arrays_of(found.info),
+        )  # fmt: skip
 
     def watch(
         self, session: int | None = None, *, period: float = 0.0, timeout: float | None = None
     ) -> Iterator[State]:
-        """Yield the states of a session that another client controls, as they arrive.
+        """Yield the states of a session (None: the only one) that another client controls, as they arrive.
 
         Args:
             session: its number; may be left out where the server has one session at a time.
@@ -282,13 +277,14 @@ class Client(SharedCalls):
         return self._watched(timeout)
 
     def _watched(self, timeout: float | None) -> Iterator[State]:
+        """Yield the states that the server sends, waiting at most ``timeout`` [s] for each."""
         while True:
             yield state_of(self._checked_reply(self._receive(timeout), Message.STATE).state)
 
     # ---- the connection ----
 
     def close(self) -> None:
-        """Close the connection; the server ends the session."""
+        """Close the connection, which ends the session on the server."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -302,10 +298,11 @@ class Client(SharedCalls):
         self.close()
 
     def _set_info(self, info: pb.TaskInfo) -> None:
+        """Store the session's time step and number of vehicles."""
         self.time_step, self.size = info.timestep, info.numUAVs
 
     def _call(self, request: Message, expected: Message.Type) -> Message:
-        """Send a request and return the reply; if sending fails, raise the server's last message, which says more."""
+        """Send a request and return the reply; if sending fails, raise the error that the server sent last."""
         try:
             self._open_socket().sendall(frame(request.SerializeToString()))
         except OSError as error:
@@ -318,7 +315,7 @@ class Client(SharedCalls):
         return self._checked_reply(reply, expected)
 
     def _checked_reply(self, reply: Message, expected: Message.Type) -> Message:
-        """Return a reply of the expected type; raises Refused, InvalidState or ConnectionFailed otherwise."""
+        """Return ``reply`` if it has the expected type; raises Refused, InvalidState or ConnectionFailed otherwise."""
         if reply.type == expected and not (expected == Message.ACK and reply.ack.error):
             return reply
         if reply.type == Message.ACK:
@@ -326,6 +323,7 @@ class Client(SharedCalls):
         raise self._close_with(f"expected {Message.Type.Name(expected)}, found {Message.Type.Name(reply.type)}")
 
     def _receive(self, timeout: float | None) -> Message:
+        """Return the server's next message, waiting at most ``timeout`` [s] (None: for ever)."""
         connection = self._open_socket()
         deadline = None if timeout is None else time.monotonic() + timeout
         try:
@@ -344,7 +342,8 @@ class Client(SharedCalls):
             raise self._close_with(f"this is no qrsim server: {error}") from None
 
     def _decode_pushed(self) -> None:
-        """Decode the messages that have arrived, without waiting; the next to receive reports a closed connection."""
+        """Queue the messages that have arrived, without waiting; the next receiving call reports a closed
+        connection."""
         connection = self._open_socket()
         connection.settimeout(0.0)
         try:
@@ -361,7 +360,7 @@ class Client(SharedCalls):
             raise self._close_with(f"this is no qrsim server: {error}") from None
 
     def _open_socket(self) -> socket.socket:
-        """Return the socket; raises ConnectionFailed if this client is closed."""
+        """Return the open socket; raises ConnectionFailed if this client is closed."""
         if self._socket is None:
             raise ConnectionFailed(f"{self._where}: this client is closed")
         return self._socket
@@ -373,13 +372,14 @@ class Client(SharedCalls):
 
 
 def _checked_seed(seed: int | None) -> int | None:
+    """Return a valid seed, or None, unchanged; raises UsageError for others."""
     if seed is not None and not 0 <= seed < 2**63:
         raise UsageError(f"seed: {seed!r} is not an integer from 0 to 2**63 - 1")
     return seed
 
 
 def _vectors(what: str, rows: object, widths: tuple[int, ...] = ()) -> list[pb.Arrayd]:
-    """Convert rows to one message vector for each vehicle; raises UsageError for other widths (none: any)."""
+    """Convert rows to a protobuf vector for each vehicle; raises UsageError unless their width is in ``widths``."""
     try:
         array = np.atleast_2d(np.asarray(rows, np.float64))
     except (TypeError, ValueError):
@@ -391,7 +391,7 @@ def _vectors(what: str, rows: object, widths: tuple[int, ...] = ()) -> list[pb.A
 
 
 def _answers(answer: object) -> list[pb.Act.Answer]:
-    """Return the messages of agents' answers (agents, ...), [] for None."""
+    """Convert the agents' answers (n, ...) to protobuf messages; [] for None."""
     try:
         array = np.zeros((0, 1)) if answer is None else np.asarray(answer, np.float32)
     except (TypeError, ValueError):

@@ -17,7 +17,7 @@ LARGEST_FOR_REFERENCE_CLIENT = 10_000
 
 
 def frame(payload: bytes) -> bytes:
-    """Frame a payload: its length message and itself, for one write."""
+    """Return the payload with its length message in front, as the protocol sends it, in one piece."""
     return _HEAD.pack(TAG, len(payload)) + payload
 
 
@@ -37,12 +37,13 @@ class Deframer:
 
     @property
     def waiting(self) -> int:
-        """Number of bytes received but not returned yet."""
+        """Number of received bytes that have not been returned as payloads yet."""
         return len(self._buffer)
 
     @property
     def ready(self) -> bool:
-        """Whether ``next`` would return a payload or raise: a whole payload or an invalid length has arrived."""
+        """Whether ``next`` would return a payload or raise an error: a complete payload or an invalid length has
+        arrived."""
         buffer = self._buffer
         if len(buffer) < HEAD_SIZE:
             return bool(buffer) and buffer[0] != TAG
@@ -50,11 +51,11 @@ class Deframer:
         return tag != TAG or size > self.largest or len(buffer) >= HEAD_SIZE + size
 
     def feed(self, data: bytes) -> None:
-        """Append received bytes."""
+        """Append received bytes to the stream."""
         self._buffer += data
 
     def next(self) -> bytes | None:
-        """Return the next payload, None if it is incomplete.
+        """Return the next complete payload, None while it is incomplete.
 
         Raises:
             UsageError: this is no length message, or the length is beyond the largest; what follows makes no sense.

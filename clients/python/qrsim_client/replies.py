@@ -257,7 +257,7 @@ class Status:
 
 
 def state_of(found: Any) -> State:
-    """Convert a STATE message to a ``State``."""
+    """Convert a protobuf STATE to a ``State`` record."""
     return State(
         found.t,
         np.array([row.value for row in found.X]).reshape(len(found.X), -1),
@@ -267,16 +267,16 @@ def state_of(found: Any) -> State:
 
 
 def heard_of(found: Iterable[Any]) -> tuple[Heard, ...]:
-    """Convert the radio messages that a vehicle has received to ``Heard`` records."""
+    """Convert the radio messages that a vehicle has received from protobuf to ``Heard`` records."""
     return tuple(Heard(each.sender, each.sent, each.received, each.rssi, np.array(each.value)) for each in found)
 
 
 def arrays_of(found: Iterable[Any]) -> dict[str, Array]:
-    """Return name -> array of a Values message."""
+    """Convert protobuf arrays to a dict: name -> array."""
     return {part.name: np.array(part.value, np.float32).reshape(part.shape) for part in found}
 
 
 def seen_of(found: Iterable[object]) -> Array | dict[str, Array]:
-    """Return the observation of agents: an array, or several by name."""
+    """Return the agents' observation from protobuf: one array, or several by name."""
     arrays = arrays_of(found)
     return arrays[""] if list(arrays) == [""] else arrays

@@ -8,109 +8,25 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from qrsim.core.tree import field_info
-from qrsim.core.vectors import Euler, Vec3
+from qrsim.core.vectors import Vec3
 from qrsim.errors import did_you_mean
 from qrsim.models.scene.area import REASONS
 from qrsim.models.vehicles.contracts import Load, Pose
+from qrsim.scenarios.value_checks import (
+    array_problems,
+    number_problems,
+    pair_problems,
+    pose_problems,
+    record_problems,
+    unchanged,
+    value_text,
+    vector_problems,
+)
 from qrsim.tasks.agents import Axis
 from qrsim.world.state import Piloted, Saying, Some, Start, World
-
-
-def _shape_text(value: Any) -> str:
-    try:
-        return f"shape {tuple(np.shape(value))}"
-    except (TypeError, ValueError):
-        return f"{type(value).__name__}"
-
-
-def _array(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
-    """Yield an error unless a value is a floating-point array of the given shape; ``what`` names it in the error."""
-    if value is None or isinstance(value, str | bytes | type):
-        yield f"{what} is {value!r:.60}; expected an array of shape {shape}"
-        return
-    try:
-        found, kind = tuple(np.shape(value)), jnp.result_type(value)
-    except (TypeError, ValueError):
-        yield f"{what} is {type(value).__name__}; expected an array of shape {shape}"
-        return
-    if found != shape:
-        yield f"{what} has shape {found}; expected {shape}, one number for each vehicle"
-    elif not jnp.issubdtype(kind, jnp.floating):
-        yield f"{what} has numbers of type {kind}; expected floating-point ones"
-
-
-def _number(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
-    """Yield an error unless a value is an array of the given shape, or one number for all vehicles."""
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return
-    try:
-        one = value is not None and not isinstance(value, str) and np.shape(value) == ()
-    except (TypeError, ValueError):
-        one = False
-    yield from _array(what, value, () if one else shape)
-
-
-def _vector(what: str, value: object, shape: tuple[int, ...]) -> Iterator[str]:
-    """Yield the errors of a value that should be a ``Vec3`` of three arrays of the given shape."""
-    if not isinstance(value, Vec3):
-        yield f"{what} is {_shown(value)}; expected a qrsim.Vec3 of arrays of shape {shape}"
-        return
-    for axis in "xyz":
-        yield from _array(f"{what}.{axis}", getattr(value, axis), shape)
-
-
-def _shown(value: object) -> str:
-    """Return the type of a value in words, with the shape of an array and the length of a tuple."""
-    if isinstance(value, tuple):
-        return f"a tuple of {len(value)}"
-    return f"an array of {_shape_text(value)}" if hasattr(value, "shape") else type(value).__name__
-
-
-def _pair(value: object, what: str) -> Iterator[str]:
-    """Yield an error unless a method's result is a tuple of two; ``what`` says which two."""
-    if not isinstance(value, tuple) or len(value) != 2:
-        yield f"it returned {_shown(value)}; expected a pair, {what}"
-
-
-def _each(what: str, value: object, shape: tuple[int, ...]) -> Iterator[str]:
-    """Yield the errors of a value that should be a record with arrays of the given shape only."""
-    if not dataclasses.is_dataclass(value) or isinstance(value, type) or jax.tree_util.all_leaves([value]):
-        yield f"{what} is {_shown(value)}; expected a record (@qrsim.record) of arrays of shape {shape}"
-        return
-    # A None would be no leaf; what is logged has no place for it.
-    for path, leaf in jax.tree_util.tree_flatten_with_path(value, is_leaf=lambda leaf: leaf is None)[0]:
-        yield from _array(f"{what}{jax.tree_util.keystr(path)}", leaf, shape)
-
-
-def _posed(what: str, value: Any, shape: tuple[int, ...]) -> Iterator[str]:
-    """Yield the errors of a value that should be a ``Pose`` or a ``Start`` with arrays of the given shape."""
-    for name in ("position_ned", "velocity_body", "rates_body"):
-        yield from _vector(f"{what}.{name}", getattr(value, name), shape)
-    if not isinstance(value.attitude, Euler):
-        yield f"{what}.attitude is {_shown(value.attitude)}; expected a qrsim.Euler of arrays of shape {shape}"
-    yield from _each(what, value, shape)
-
-
-def unchanged(what: str, before: object, after: object) -> Iterator[str]:
-    """Yield the differences in structure, type and shape of a component's state before and after a step."""
-    old: Any = jax.tree.structure(before)
-    new: Any = jax.tree.structure(after)
-    if old != new:
-        yield f"{what} was {_tree_shown(before)} and is now {_tree_shown(after)}; expected the same structure"
-        return
-    for (path, one), other in zip(jax.tree_util.tree_flatten_with_path(before)[0], jax.tree.leaves(after), strict=True):
-        was, now = (f"{jnp.result_type(leaf)} of shape {tuple(np.shape(leaf))}" for leaf in (one, other))
-        if was != now:
-            yield f"{what}{jax.tree_util.keystr(path)} was {was} and is now {now}; expected no change"
-
-
-def _tree_shown(value: object) -> str:
-    return "nothing" if value is None else _shown(value)
-
 
 RETURNED = "it returned"
 # Takes the component, the arguments and the result of a method.
@@ -130,8 +46,8 @@ def _own(self: Any) -> tuple[int, ...]:
 
 def _check_reading(self: Any, args: object, result: Any) -> Iterator[str]:
     """Yield errors of a sensor's ``init``, which returns (state, reading), a reading a record with units."""
-    yield from _pair(result, "the new state and the reading")
-    yield from _each("the reading", result[1], _own(self))
+    yield from pair_problems(result, "the new state and the reading")
+    yield from record_problems("the reading", result[1], _own(self))
     for field in dataclasses.fields(result[1]):
         if not field_info(field).unit:
             name = f"{type(result[1]).__name__}.{field.name}"
@@ -148,6 +64,7 @@ def _same_shape_as(check: Callable[[str, Any, tuple[int, ...]], Iterator[str]], 
     """Return a check that a method's result has the shape of its argument number ``position``."""
 
     def checked(self: object, args: Any, result: object) -> Iterator[str]:
+        """Yield the errors of ``check`` for the shape (n,) of that argument."""
         shape = _shape_in(args[position : position + 1])
         if shape is not None:
             yield from check("the result", result, shape)
@@ -156,13 +73,14 @@ def _same_shape_as(check: Callable[[str, Any, tuple[int, ...]], Iterator[str]], 
 
 
 def _check_state(self: object, args: Any, result: Any) -> Iterator[str]:
+    """Yield errors of a result that replaces the state, the method's first argument."""
     yield from unchanged("the state", args[0], result)
 
 
 def _check_command(self: Any, args: object, result: Any) -> Iterator[str]:
     """Yield errors of a controller's ``step``, which returns (state, command)."""
     yield from _check_state_and(self, "the command", args, result)
-    yield from _each("the command", result[1], _own(self))
+    yield from record_problems("the command", result[1], _own(self))
 
 
 def _check_setpoint(self: object, args: object, result: object) -> Iterator[str]:
@@ -172,68 +90,71 @@ def _check_setpoint(self: object, args: object, result: object) -> Iterator[str]
 
 def _check_state_and(self: Any, what: str, args: Any, result: Any) -> Iterator[str]:
     """Yield errors of a result (state, ``what``), and of a second part not of the type that the class gives."""
-    yield from _pair(result, f"the new state and {what}")
+    yield from pair_problems(result, f"the new state and {what}")
     yield from unchanged("the state", args[0], result[0])
     gives = getattr(type(self), "gives", None)
     if gives is not None and not isinstance(result[1], gives):
-        yield f"{what} is {_shown(result[1])}; expected {gives.__name__}, which '{type(self).__name__}.gives' names"
+        yield f"{what} is {value_text(result[1])}; expected {gives.__name__}, which '{type(self).__name__}.gives' names"
 
 
 def _check_idle_command(self: object, args: object, result: object) -> Iterator[str]:
     """Yield errors of an idle command that is not of the component's type of command."""
     own = getattr(type(self), "command_type", object)
     if not isinstance(result, own):
-        yield f"the command is {_shown(result)}; expected {own.__name__}, the command_type of {type(self).__name__}"
-    yield from _each("the command", result, _own(self))
+        yield f"the command is {value_text(result)}; expected {own.__name__}, the command_type of {type(self).__name__}"
+    yield from record_problems("the command", result, _own(self))
 
 
 def _check_vehicle_step(self: Any, args: Any, result: Any) -> Iterator[str]:
     """Yield errors of a vehicle's ``step``, which returns (state, specific force)."""
-    yield from _pair(result, "the new state and the specific force")
+    yield from pair_problems(result, "the new state and the specific force")
     yield from unchanged("the state", args[0], result[0])
-    yield from _vector("the specific force", result[1], _own(self))
+    yield from vector_problems("the specific force", result[1], _own(self))
 
 
 def _check_vehicle_state(self: object, args: object, result: object) -> Iterator[str]:
     """Yield errors of a vehicle's initial state, a record with a position."""
     if isinstance(result, Pose):
-        yield from _posed("the state", result, _own(self))
-    yield from _each("the state", result, _own(self))
+        yield from pose_problems("the state", result, _own(self))
+    yield from record_problems("the state", result, _own(self))
     if not isinstance(getattr(result, "position_ned", None), Vec3):
         yield "the state has no position_ned, a qrsim.Vec3"
 
 
 def _check_pose(self: object, args: object, result: object) -> Iterator[str]:
+    """Yield errors of a vehicle's pose, a ``Pose`` of arrays (n,)."""
     if not isinstance(result, Pose):
-        yield f"it returned {_shown(result)}; expected a Pose (qrsim.models.vehicles.contracts)"
-    yield from _posed("the pose", result, _own(self))
+        yield f"it returned {value_text(result)}; expected a Pose (qrsim.models.vehicles.contracts)"
+    yield from pose_problems("the pose", result, _own(self))
 
 
 def _check_load(self: Any, args: object, result: Any) -> Iterator[str]:
+    """Yield errors of a vehicle's load: thrust, weight and power, each (n,) or one number."""
     if not isinstance(result, Load):
-        yield f"it returned {_shown(result)}; expected a Load (qrsim.models.vehicles.contracts)"
-    yield from _number("the load.thrust", result.thrust, _own(self))
-    yield from _number("the load.weight", result.weight, _own(self))
+        yield f"it returned {value_text(result)}; expected a Load (qrsim.models.vehicles.contracts)"
+    yield from number_problems("the load.thrust", result.thrust, _own(self))
+    yield from number_problems("the load.weight", result.weight, _own(self))
     if result.power is not None:
-        yield from _number("the load.power", result.power, _own(self))
+        yield from number_problems("the load.power", result.power, _own(self))
 
 
 def _check_specific_force(self: object, args: object, result: object) -> Iterator[str]:
-    yield from _vector("the specific force", result, _own(self))
+    """Yield errors of a vehicle's specific force, a ``Vec3`` of arrays (n,)."""
+    yield from vector_problems("the specific force", result, _own(self))
 
 
 def _check_battery_state(self: Any, args: object, result: Any) -> Iterator[str]:
     """Yield errors of the initial state of a battery, which has a charge if it drains."""
     if self.drains and not hasattr(result, "charge"):
-        yield f"the state is {_shown(result)}; expected a record with the field charge, since drains is True"
+        yield f"the state is {value_text(result)}; expected a record with the field charge, since drains is True"
     elif self.drains:
-        yield from _array("the state.charge", result.charge, _own(self))
+        yield from array_problems("the state.charge", result.charge, _own(self))
 
 
 def _check_voltage(self: object, args: Any, result: object) -> Iterator[str]:
     """Yield errors of a battery's voltage; None is allowed only if the battery has a state."""
     if result is not None:
-        yield from _array("the voltage", result, _own(self))
+        yield from array_problems("the voltage", result, _own(self))
     elif args[0] is None:
         yield (
             f"it returned None, and so did init; expected a voltage, an array of shape {_own(self)}, or a state (a "
@@ -246,35 +167,37 @@ def _check_area_checks(self: object, args: Any, result: object) -> Iterator[str]
     shape = _shape_in(args[:1])
     assert shape is not None
     if not isinstance(result, list | tuple):
-        yield f"it returned {_shown(result)}; expected a list of (code, value, broken)"
+        yield f"it returned {value_text(result)}; expected a list of (code, value, broken)"
         return
     for number, check in enumerate(result):
         if not isinstance(check, tuple) or len(check) != 3:
-            yield f"check {number} is {_shown(check)}; expected (code, value, broken)"
+            yield f"check {number} is {value_text(check)}; expected (code, value, broken)"
             return
         code, value, broken = check
         if not isinstance(code, int) or not 0 < code < len(REASONS):
             yield f"the code of check {number} is {code!r:.60}; expected reason_code(...) of qrsim.models.scene.area"
-        yield from _array(f"the value of check {number}", value, shape)
+        yield from array_problems(f"the value of check {number}", value, shape)
         if getattr(broken, "shape", None) != shape or broken.dtype != bool:
-            yield f"broken of check {number} is {_shown(broken)}; expected an array of bool of shape {shape}"
+            yield f"broken of check {number} is {value_text(broken)}; expected an array of bool of shape {shape}"
 
 
 def _check_placement(self: Any, args: object, result: Any) -> Iterator[str]:
     """Yield errors of a placement's result: the vehicles' start, and whether places were found."""
-    yield from _pair(result, "the start and whether a place was found")
+    yield from pair_problems(result, "the start and whether a place was found")
     if not isinstance(result[0], Start):
-        yield f"the start is {_shown(result[0])}; expected the Start that it was handed, by qrsim.core.tree.replace"
-    yield from _posed("the start", result[0], _own(self))
+        yield f"the start is {value_text(result[0])}; expected the Start that it was handed, by qrsim.core.tree.replace"
+    yield from pose_problems("the start", result[0], _own(self))
     if getattr(result[1], "shape", None) != () or result[1].dtype != bool:
-        yield f"whether a place was found is {_shown(result[1])}; expected one bool"
+        yield f"whether a place was found is {value_text(result[1])}; expected one bool"
 
 
 def _check_reward(self: Any, args: Any, result: Any) -> Iterator[str]:
     """Yield errors of a task's ``judge``, which returns (memory, reward (n,))."""
-    yield from _pair(result, "the new memory and the reward")
+    yield from pair_problems(result, "the new memory and the reward")
     yield from unchanged("the memory", args[0], result[0])
-    yield from _for_each_fleet(self, args[1], "the reward", result[1], lambda what, n, part: _array(what, part, (n,)))
+    yield from _for_each_fleet(
+        self, args[1], "the reward", result[1], lambda what, n, part: array_problems(what, part, (n,))
+    )
 
 
 def _for_each_fleet(
@@ -290,7 +213,9 @@ def _for_each_fleet(
         yield from check(what, sizes[task.fleet], result)
         return
     if not isinstance(result, dict) or set(result) != set(task.fleets):
-        found = f"a dict of {', '.join(map(str, result)) or 'nothing'}" if isinstance(result, dict) else _shown(result)
+        found = (
+            f"a dict of {', '.join(map(str, result)) or 'nothing'}" if isinstance(result, dict) else value_text(result)
+        )
         yield f"{what} is {found}; expected a dict with one for each fleet of agents: {', '.join(task.fleets)}"
         return
     for fleet in task.fleets:
@@ -304,12 +229,14 @@ def _check_observation(whole: str, n: int, result: object) -> Iterator[str]:
         what = f"{whole}{f' {name!r}' if name else ''}"
         found = tuple(np.shape(part)) if hasattr(part, "shape") else None
         if found is None:
-            yield f"{what} is {_shown(part)}; expected an array whose first axis has {n} entries, one for each vehicle"
+            is_now = value_text(part)
+            yield f"{what} is {is_now}; expected an array whose first axis has {n} entries, one for each vehicle"
         elif found[:1] != (n,) or (not name and len(found) != 2):
             yield f"{what} has shape {found}; expected ({n}, O), a row for each vehicle"
 
 
 def _check_axis_names(self: Any, args: Any, result: Any) -> Iterator[str]:
+    """Yield errors of a task's ``sees``: an ``Axis`` for each observed number, of each fleet of agents."""
     yield from _for_each_fleet(self, args[0], RETURNED, result, _check_axes)
 
 
@@ -318,13 +245,15 @@ def _check_axes(what: str, n: int, result: object) -> Iterator[str]:
     verb = "" if what == RETURNED else " is"
     for axes in result.values() if isinstance(result, dict) else (result,):
         if not isinstance(axes, tuple | list) or not all(isinstance(axis, Axis) for axis in axes):
-            yield f"{what}{verb} {_shown(axes)}; expected a tuple of Axis (qrsim.tasks.agents), one for each number"
+            yield f"{what}{verb} {value_text(axes)}; expected a tuple of Axis (qrsim.tasks.agents), one for each number"
 
 
 def _check_observation_names(self: Any, args: Any, result: Any) -> Iterator[str]:
+    """Yield errors of a task's ``observe``: arrays with a row per agent, and as many numbers as ``sees`` names."""
     names = self.sees(args[1])
 
     def agreed(what: str, n: int, part: Any) -> Iterator[str]:
+        """Yield the errors of one fleet's observation, compared with the names for that fleet."""
         fleet = next((name for name in self.fleets if part is result.get(name)), "") if len(self.fleets) > 1 else ""
         yield from _check_observation(what, n, part)
         yield from _check_names_match(self, what, part, names[fleet] if fleet else names)
@@ -335,7 +264,7 @@ def _check_observation_names(self: Any, args: Any, result: Any) -> Iterator[str]
 def _check_names_match(self: Any, whole: str, result: Any, names: Any) -> Iterator[str]:
     """Yield the differences between an observation and the names that the task's ``sees`` gives."""
     if isinstance(names, dict) != isinstance(result, dict):
-        yield f"{whole} is {_shown(result)}, but {type(self).__name__}.sees returns {_shown(names)}"
+        yield f"{whole} is {value_text(result)}, but {type(self).__name__}.sees returns {value_text(names)}"
     for name, axes in names.items() if isinstance(result, dict) else (("", names),):
         what = f"{whole}{f' {name!r}' if name else ''}"
         if name and name not in result:
@@ -347,9 +276,10 @@ def _check_names_match(self: Any, whole: str, result: Any, names: Any) -> Iterat
 
 
 def _check_actions(self: object, args: Any, result: object) -> Iterator[str]:
+    """Yield errors of a task's ``commands``, a tuple with an action or None for each fleet."""
     fleets = args[1].fleets
     if not isinstance(result, tuple) or len(result) != len(fleets):
-        yield f"it returned {_shown(result)}; expected a tuple of {len(fleets)}, one action or None for each fleet"
+        yield f"it returned {value_text(result)}; expected a tuple of {len(fleets)}, one action or None for each fleet"
         return
     for fleet, action in zip(fleets, result, strict=True):
         for part in _commands_in(action):
@@ -371,7 +301,7 @@ def _check_action(fleet: Any, action: Any) -> Iterator[str]:
     taken = (*getattr(type(fleet.controller), "setpoints", ()), *fleet.vehicle.actions)
     if not isinstance(action, taken):
         names = ", ".join(dict.fromkeys(each.__name__ for each in taken))
-        yield f"{what} is {_shown(action)}; expected a kind that its controller and vehicles take: {names}; or None"
+        yield f"{what} is {value_text(action)}; expected a kind that its controller and vehicles take: {names}; or None"
         return
     for path, leaf in jax.tree_util.tree_leaves_with_path(action):
         name = f"{type(action).__name__}{jax.tree_util.keystr(path)}"
@@ -380,21 +310,36 @@ def _check_action(fleet: Any, action: Any) -> Iterator[str]:
 
 
 CHECKS: dict[tuple[str, str], Check] = {
-    ("sensor", "init"): _check_reading, ("sensor", "step"): _check_next_reading,
-    ("wind", "velocity_ned"): _same_shape_as(_vector, 0), ("gust", "velocity_ned"): _same_shape_as(_vector, 0),
-    ("updraft", "velocity_ned"): _same_shape_as(_vector, 0), ("turbulence", "step"): _check_state,
-    ("turbulence", "gust_ned"): _same_shape_as(_vector, 1),
-    ("turbulence", "gust_rates_ned"): _same_shape_as(_vector, 1), ("vehicle", "initial_state"): _check_vehicle_state,
-    ("vehicle", "pose"): _check_pose, ("vehicle", "idle_command"): _check_idle_command,
-    ("vehicle", "load"): _check_load, ("vehicle", "specific_force"): _check_specific_force,
-    ("vehicle", "step"): _check_vehicle_step, ("vehicle", "stopped"): _check_state,
-    ("battery", "init"): _check_battery_state, ("battery", "step"): _check_state,
-    ("battery", "voltage"): _check_voltage, ("controller", "idle_command"): _check_idle_command,
-    ("controller", "step"): _check_command, ("guidance", "step"): _check_setpoint,
-    ("area", "check"): _check_area_checks, ("area", "margin"): _same_shape_as(_array, 0),
-    ("area", "height_agl"): _same_shape_as(_array, 0), ("ground", "down"): _same_shape_as(_array, 0),
-    ("ground", "normal"): _same_shape_as(_vector, 0), ("sky", "step"): _check_state,
-    ("placement", "place"): _check_placement, ("task", "judge"): _check_reward,
-    ("task", "observe"): _check_observation_names, ("task", "sees"): _check_axis_names,
+    ("sensor", "init"): _check_reading,
+    ("sensor", "step"): _check_next_reading,
+    ("wind", "velocity_ned"): _same_shape_as(vector_problems, 0),
+    ("gust", "velocity_ned"): _same_shape_as(vector_problems, 0),
+    ("updraft", "velocity_ned"): _same_shape_as(vector_problems, 0),
+    ("turbulence", "step"): _check_state,
+    ("turbulence", "gust_ned"): _same_shape_as(vector_problems, 1),
+    ("turbulence", "gust_rates_ned"): _same_shape_as(vector_problems, 1),
+    ("vehicle", "initial_state"): _check_vehicle_state,
+    ("vehicle", "pose"): _check_pose,
+    ("vehicle", "idle_command"): _check_idle_command,
+    ("vehicle", "load"): _check_load,
+    ("vehicle", "specific_force"): _check_specific_force,
+    ("vehicle", "step"): _check_vehicle_step,
+    ("vehicle", "stopped"): _check_state,
+    ("battery", "init"): _check_battery_state,
+    ("battery", "step"): _check_state,
+    ("battery", "voltage"): _check_voltage,
+    ("controller", "idle_command"): _check_idle_command,
+    ("controller", "step"): _check_command,
+    ("guidance", "step"): _check_setpoint,
+    ("area", "check"): _check_area_checks,
+    ("area", "margin"): _same_shape_as(array_problems, 0),
+    ("area", "height_agl"): _same_shape_as(array_problems, 0),
+    ("ground", "down"): _same_shape_as(array_problems, 0),
+    ("ground", "normal"): _same_shape_as(vector_problems, 0),
+    ("sky", "step"): _check_state,
+    ("placement", "place"): _check_placement,
+    ("task", "judge"): _check_reward,
+    ("task", "observe"): _check_observation_names,
+    ("task", "sees"): _check_axis_names,
     ("task", "commands"): _check_actions,
-}  # fmt: skip
+}

@@ -25,8 +25,9 @@ from qrsim.files.code import in_one_line, where_raised
 from qrsim.scenarios import build, catalogue, registry
 from qrsim.scenarios.conformity import CONTRACTS, PLAIN, file_of_class
 from qrsim.scenarios.providing import places
-from qrsim.scenarios.returns import CHECKS, unchanged
+from qrsim.scenarios.returns import CHECKS
 from qrsim.scenarios.schema import ScenarioSpec
+from qrsim.scenarios.value_checks import unchanged
 from qrsim.tasks import Play
 from qrsim.world import tick as ticks
 from qrsim.world.state import World
