@@ -26,11 +26,11 @@ class LabelStates(Layer):
     of_chosen = always = True
 
     def begin(self) -> None:
-        """Start without lines in the labels."""
+        """Start with labels that have no lines about a vehicle's state."""
         self.tell: Callable[[dict[int, list[str]]], None] = lambda lines: None
 
     def draw(self, frame: Frame) -> None:
-        """Send the overlay the lines of the vehicles that have labels."""
+        """Send browsers the state lines of the vehicles that have labels."""
         size = self.stage.cast.size
         every = self.root.visible and size <= MOST_LABELS
         shown = range(size) if every else sorted(self.stage.chosen)
@@ -41,13 +41,13 @@ class LabelStates(Layer):
         self.tell(lines)
 
     def _lines(self, frame: Frame, found: Details, vehicle: int) -> list[str]:
-        """Return the lines of a vehicle."""
+        """Return the lines of text about one vehicle's state."""
         routes = self.stage.cast.routes
         return lines_of(frame, found, vehicle, max(0, len(routes[vehicle]) - 1) if routes else 0)
 
 
 def lines_of(frame: Frame, found: Details, vehicle: int, waypoints: int) -> list[str]:
-    """Return the lines of a vehicle with a number of waypoints; unknown quantities are left out."""
+    """Return the lines of a vehicle's label, such as speed; ``waypoints``: number of its waypoints."""
     speed, height = float(np.linalg.norm(found.velocity_ned[vehicle])), -float(frame.position_ned[vehicle, 2])
     lines = [f"{speed:.1f} m/s, {height:z.1f} m high"] if np.isfinite(speed + height) else []
     mode, charge, leg = found.modes.get(vehicle), float(found.charge[vehicle]), float(found.waypoint[vehicle])
