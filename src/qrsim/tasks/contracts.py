@@ -23,7 +23,7 @@ class Answering(Protocol):
     """Policy that hands something in at the end of its episode."""
 
     def answer(self) -> Floats:
-        """Return the agents' answers (n, ...) at the end of an episode."""
+        """Return the agents' answers (n, ...), such as a plume's map, at the end of an episode."""
         ...
 
 
@@ -65,43 +65,43 @@ class Task(Protocol):
         return (self.fleet,)
 
     def asks(self, fleet: str) -> type | None:
-        """Return the set-point type that a fleet's controller must take; None for commands; see ``asks_for``."""
+        """Return the type of set-points with which agents steer a fleet's controller; None: agents give commands."""
         return self.asks_for
 
     def acts(self, world: World) -> tuple[Axis, ...] | dict[str, tuple[Axis, ...]]:
-        """Describe the numbers of an action, with unit and range; an agent gives each in [-1, 1]."""
+        """Describe the numbers of an action by name, unit and range (by fleet if several); agents use [-1, 1]."""
         return self.axes
 
     @abstractmethod
     def init(self, world: World, state: State, draw: Draw) -> Any:
-        """Return the task's memory at the start of an episode; ``draw`` gives its own random numbers."""
+        """Return the task's memory (its own state) at the start of an episode; ``draw`` gives random numbers."""
 
     @abstractmethod
     def commands(self, memory: Any, world: World, action: Any) -> tuple[Action, ...]:
-        """Convert actions (n, A), in physical units, to one action per fleet."""
+        """Convert actions (n, A), in physical units, to one command or set-point per fleet."""
 
     def each_tick(self, memory: Any, world: World, state: State) -> object:
-        """Return the task's memory after a tick."""
+        """Return the task's memory (its own state) after a tick of the world."""
         return memory
 
     @abstractmethod
     def judge(self, memory: Any, world: World, state: State, step: Array, steps: int) -> tuple[object, object]:
-        """Return the memory after step ``step`` () of ``steps``, from 1, and the reward (n,) while all vehicles fly."""
+        """Return the memory after step number ``step`` of ``steps``, and the reward (n,) while all vehicles fly."""
 
     def crashed(self, memory: Any, world: World, state: State, steps: int) -> Array:
-        """Return the reward () of the step in which a vehicle stops."""
+        """Return the team's reward () in the step in which a vehicle stops, such as after a crash."""
         return jnp.asarray(self.penalty)
 
     @abstractmethod
     def observe(self, memory: Any, world: World, state: State) -> Any:
-        """Return each agent's observation, (n, O) or a dict of arrays (n, ...); never the truth."""
+        """Return the agents' observations, (n, O) or a dict of arrays (n, ...), from sensors and never the truth."""
 
     @abstractmethod
     def sees(self, world: World) -> Any:
-        """Describe the O values of an observation by name, unit and range; for a dict, its described parts."""
+        """Describe the O values of an observation by name, unit and range; for a dict, each of its parts."""
 
     def later(self, world: World) -> dict[str, tuple[int, ...]]:
-        """Return name -> shape (n, ...) of the large parts of an observation that ``look`` computes on demand.
+        """Return name -> shape (n, ...) of large parts of an observation, such as pictures, that ``look`` computes.
 
         The observation is then a dict of one fleet, and ``observe_early`` returns the others.
         """
@@ -112,11 +112,11 @@ class Task(Protocol):
         raise NotImplementedError
 
     def shot(self, world: World, state: State) -> Any:
-        """Return the per-agent part of the state, leaves (n, ...), that ``look`` needs."""
+        """Return what ``look`` needs of each agent's state, leaves (n, ...), such as its last camera reading."""
         raise NotImplementedError
 
     def look(self, world: World, state: State, shot: Any, to: dict[str, Array]) -> dict[str, Array]:
-        """Return the parts of an observation that ``later`` names.
+        """Compute the large parts of an observation, such as pictures; ``to``: zeros of their names and shapes.
 
         Args:
             world: where.
@@ -131,5 +131,5 @@ class Task(Protocol):
         return ()
 
     def score(self, memory: Any, world: World, state: State, answer: Array) -> Array:
-        """Return the score (n,) of answers (n, *answer_shape)."""
+        """Return the score (n,) of the agents' answers (n, *answer_shape) at the end of an episode."""
         return jnp.zeros(answer.shape[0], answer.dtype)

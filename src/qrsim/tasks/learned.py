@@ -69,11 +69,11 @@ class View:
 
     @property
     def inputs(self) -> int:
-        """Size of an input (F)."""
+        """Number of inputs of the network (F)."""
         return len(self.kept) + len(self.flown)
 
     def features(self, seen: Any, last: Any) -> Any:
-        """Return the inputs (N, F) of observations (N, O) and last outputs (N, len(flown)); NumPy or JAX."""
+        """Return the network's inputs (N, F) for observations (N, O) and its last outputs (N, K); NumPy or JAX."""
         lib = library(seen)
         columns = [lib.asarray(seen[:, number], np.float32) for number in range(len(self.observed))]
         turn = self._turn(columns)
@@ -85,7 +85,7 @@ class View:
         return lib.stack([*(columns[number] for number in self.kept), *last.T], axis=-1)
 
     def action(self, output: Any, seen: Any = None) -> Any:
-        """Return the actions (N, A) in [-1, 1] of outputs (N, len(flown)) of the network; NumPy or JAX.
+        """Convert the network's outputs (N, K) to actions (N, A) in [-1, 1]; NumPy or JAX.
 
         Args:
             output: of the network.
@@ -102,7 +102,7 @@ class View:
         return lib.stack(columns, axis=-1).clip(-1.0, 1.0)
 
     def _turn(self, columns: Any) -> Any:
-        """Return cosine and sine (N,) of the heading by which inputs are rotated; None if the view rotates nothing."""
+        """Return cosine and sine (N,) of the heading by which inputs are rotated; None if they are not rotated."""
         if self.ahead is not None:
             lib = library(columns[0])
             north, east = (columns[number] for number in self.ahead)
@@ -114,7 +114,7 @@ class View:
         return None
 
     def _turned_back(self, output: Any, columns: Any) -> Any:
-        """Return the outputs (N, len(flown)) with the pair ``turned`` rotated to north and east."""
+        """Return the network's outputs (N, K) with the pair ``turned`` rotated from the heading to north and east."""
         cos, sin = self._turn(columns)
         parts: list[Any] = list(output.T)
         first, second = self.turned or (0, 0)
@@ -131,7 +131,7 @@ class Scaling:
     deviation: Floats
 
     def scaled(self, features: Any) -> Any:
-        """Return inputs (N, F) with mean 0 and standard deviation 1, limited to ``LIMIT``; NumPy or JAX."""
+        """Normalise the network's inputs (N, F) to mean 0 and deviation 1, limited to +-``LIMIT``; NumPy or JAX."""
         return ((features - self.mean[None]) / self.deviation[None]).clip(-LIMIT, LIMIT)
 
 
@@ -139,7 +139,7 @@ Layers = Sequence[tuple[Floats, Floats]]
 
 
 def forward(layers: Layers, inputs: Any) -> Any:
-    """Return the outputs (N, K) of a network with tanh between its layers, for inputs (N, F); NumPy or JAX."""
+    """Return the outputs (N, K) of a network of layers with tanh between them, for inputs (N, F); NumPy or JAX."""
     lib = library(inputs)
     for weights, offset in layers[:-1]:
         inputs = lib.tanh(inputs @ weights + offset[None])
@@ -166,7 +166,7 @@ class PolicyFile:
     name: str = "policy"
 
     def content(self) -> bytes:
-        """Return the policy file's bytes."""
+        """Return the content of the policy's file as bytes."""
         meta = json.dumps({"format": FORMAT, "view": asdict(self.view), "facts": self.facts}, sort_keys=True)
         arrays: dict[str, Any] = {META: np.frombuffer(meta.encode(), np.uint8)}
         arrays |= {"mean": self.scaling.mean, "deviation": self.scaling.deviation}
@@ -177,7 +177,7 @@ class PolicyFile:
         return file.getvalue()
 
     def maker(self, play: Play, name: str, version: int) -> Any:
-        """Return a function of (play, seed) that builds this policy for an episode; raises UsageError.
+        """Return a function (play, seed) -> policy for an episode; raise UsageError if the policy is of another task.
 
         Args:
             play: the task and its world.
@@ -202,7 +202,7 @@ class PolicyFile:
         return lambda play, seed=0: self.pilot(len(play.agents), play.task.period)
 
     def pilot(self, agents: int, period: float) -> LearnedPolicy:
-        """Return the policy for ``agents`` agents, at the start of their episodes.
+        """Return this policy as an object that acts for ``agents`` agents, with ``period`` [s] between actions.
 
         Args:
             agents: how many (n).
@@ -226,7 +226,7 @@ class LearnedPolicy:
         self._action: Any = None
 
     def act(self, seen: Floats) -> Floats:
-        """Return the actions (n, A) for observations (n, O)."""
+        """Return the actions (n, A) in [-1, 1] for the observations (n, O) of one step."""
         file = self._file
         if self._steps % self._hold == 0:
             inputs = file.scaling.scaled(file.view.features(np.asarray(seen), self._last))
@@ -237,7 +237,7 @@ class LearnedPolicy:
 
 
 def is_policy_file(source: object) -> bool:
-    """Return whether a source is a text that names a policy file."""
+    """Return whether ``source`` is text that names a file of a learned policy."""
     return isinstance(source, str | Path) and str(source).endswith(SUFFIX)
 
 
@@ -255,7 +255,7 @@ def read_policy(path: str | Path) -> PolicyFile:
 
 
 def policy_of(arrays: dict[str, Any], name: str) -> PolicyFile:
-    """Return the policy in the arrays of a policy file.
+    """Return the learned policy in the arrays of a policy file; ``name``: of the file, for messages.
 
     Raises:
         UsageError: they are no policy, or do not fit each other.
@@ -280,7 +280,7 @@ def policy_of(arrays: dict[str, Any], name: str) -> PolicyFile:
 
 
 def observed_names(play: Play) -> tuple[str, ...]:
-    """Return the names of the numbers of an observation.
+    """Return the names of the values in a task's observation, in order.
 
     Raises:
         UsageError: the task observes a dict, or has agents of several fleets.
@@ -292,7 +292,7 @@ def observed_names(play: Play) -> tuple[str, ...]:
 
 
 def _check_shapes(view: View, scaling: Scaling, layers: Layers) -> None:
-    """Raise a ValueError where parts of a policy do not fit each other."""
+    """Raise ValueError if the sizes of a policy's inputs, scaling and network layers differ."""
     sizes = [view.inputs, *(weights.shape[1] for weights, _ in layers)]
     fits = [scaling.mean.shape == scaling.deviation.shape == (view.inputs,), bool(layers), sizes[-1] == len(view.flown)]
     for size, (weights, offset) in zip(sizes, layers, strict=False):
@@ -313,10 +313,10 @@ def _check_shapes(view: View, scaling: Scaling, layers: Layers) -> None:
 
 
 def _frozen(value: Any) -> Any:
-    """Return parsed JSON with lists replaced by tuples."""
+    """Return parsed JSON with tuples in place of lists."""
     return tuple(map(_frozen, value)) if isinstance(value, list) else value
 
 
 def _shown(names: tuple[str, ...]) -> str:
-    """Return names as text for a message."""
+    """Return names as one text for an error message, shortened if there are many."""
     return ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")

@@ -41,7 +41,7 @@ class Chasing:
         self._drift = np.zeros(2)
 
     def act(self, seen: NumpyArray) -> NumpyArray:
-        """Return the actions (n, 2) of the cats for observations."""
+        """Return the actions (n, 2), scaled velocities north and east, of cats that drive the mouse together."""
         seen = np.asarray(seen, np.float64)
         place, velocity = seen[:, :2], seen[:, 2:4]
         mouse = np.mean(place + seen[:, 4:6], axis=0)
@@ -61,7 +61,7 @@ class Chasing:
         return np.clip(wanted / self._limit, -1.0, 1.0)
 
     def _way(self, mouse: NumpyArray) -> float:
-        """Return the heading [rad] in which the cats should drive the mouse."""
+        """Return the heading [rad] in which to drive the mouse at (2,) [m], so that it stays near the area's middle."""
         offset = mouse - self._middle
         distance = float(np.linalg.norm(offset))
         outward = float(np.arctan2(offset[1], offset[0]))
@@ -69,7 +69,7 @@ class Chasing:
 
     @staticmethod
     def _fan(offset: NumpyArray, heading: float) -> NumpyArray:
-        """Return the directions (n, 2) from the mouse to each cat's goal, a fan behind it in their present order."""
+        """Return unit vectors (n, 2) from the mouse to the cats' goals, a fan behind it as it runs at ``heading``."""
         count = len(offset)
         side = _wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - heading)
         rank = np.argsort(np.argsort(side))
@@ -78,5 +78,5 @@ class Chasing:
 
 
 def _wrap_angle(angle: Any) -> Any:
-    """Return an angle [rad] in the interval from -pi to pi."""
+    """Return an angle [rad] wrapped to the interval from -pi to pi."""
     return (angle + np.pi) % (2.0 * np.pi) - np.pi

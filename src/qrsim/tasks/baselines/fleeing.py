@@ -25,7 +25,7 @@ class Fleeing:
         self._cats, self._limit = len(cats.names), float(mice.axes[0].high)
 
     def act(self, seen: Any) -> NumpyArray:
-        """Return the mice's actions (m, 2) for their observations (m, O)."""
+        """Return the mice's actions (m, 2), scaled velocities away from the cats, for their observations (m, O)."""
         offsets = np.asarray(seen, np.float64)[:, 4 : 4 + 2 * self._cats].reshape(len(seen), self._cats, 2)
         square = np.sum(offsets**2, axis=2, keepdims=True)
         away = -np.sum(np.where(square > 0.0, offsets / np.where(square > 0.0, square, 1.0), 0.0), axis=1)
@@ -42,5 +42,5 @@ class Pursuing:
         self._each: dict[str, Chasing | Fleeing] = {cats.fleet: Chasing(play, seed), mice.fleet: Fleeing(play, seed)}
 
     def act(self, seen: Any) -> dict[str, NumpyArray]:
-        """Return fleet -> actions (n_f, 2), for cats and mice."""
+        """Return fleet -> actions (n_f, 2), scaled horizontal velocities, for both cats and mice."""
         return {fleet: policy.act(seen[fleet]) for fleet, policy in self._each.items()}

@@ -8,7 +8,7 @@ from qrsim.core.arrays import NumpyArray
 
 
 def apart(place: NumpyArray, distance: float) -> NumpyArray:
-    """Return velocities (n, K) [m/s] that push vehicles at (n, K) [m] away from others nearer than ``distance`` [m]."""
+    """Return velocities (n, K) [m/s] that push apart those vehicles at (n, K) [m] closer than ``distance`` [m]."""
     offset = place[:, None] - place[None]
     found = np.linalg.norm(offset, axis=-1) + 1e9 * np.eye(len(place))
     strength = np.maximum(distance - found, 0.0) / found
