@@ -73,7 +73,7 @@ class Program(Protocol):
 
     @property
     def part(self) -> int | None:
-        """Number of worlds whose first state one call of ``start`` computes; None: any number."""
+        """Number of worlds that one call of ``start`` starts; None: any number."""
 
     @property
     def slot(self) -> NumpyArray | None:

@@ -85,11 +85,11 @@ class Packer:
         return numpy.concatenate(floats), numpy.concatenate(integers)
 
     def unpack(self, buffers: Buffers) -> Any:
-        """Return the tree whose leaves are packed along the last axis of two buffers; NumPy buffers give views."""
+        """Return the tree of leaves that are packed along the last axis of two buffers; NumPy buffers give views."""
         return jax.tree.unflatten(self.structure, [self.leaf(buffers, i) for i in range(len(self.slices))])
 
     def leaf(self, buffers: Buffers, number: int) -> Any:
-        """Return leaf ``number`` of a tree whose leaves are packed along the last axis of two buffers."""
+        """Return leaf ``number`` of a tree of leaves that are packed along the last axis of two buffers."""
         flat = buffers[0 if self.is_float[number] else 1][..., self.slices[number]]
         leaf = flat.reshape((*flat.shape[:-1], *self.shapes[number]))
         if self.dtypes[number] == np.uint32:

@@ -68,12 +68,12 @@ __all__ = [
 
 
 def gymnasium_id(scenario: str) -> str:
-    """Return the Gymnasium id of a scenario."""
+    """Return the Gymnasium id of a built-in scenario's environment, such as "qrsim/keep_spot-v0"."""
     return f"qrsim/{scenario.replace('/', '_')}-v{VERSION}"
 
 
 def learner_id(scenario: str) -> str:
-    """Return the Gymnasium id of a scenario in the form for learners, such as "qrsim/keep_spot-learner-v0"."""
+    """Return the Gymnasium id of a scenario's environment with the learner's inputs and reward, "...-learner-v0"."""
     return f"qrsim/{scenario.replace('/', '_')}-learner-v{VERSION}"
 
 
@@ -113,7 +113,7 @@ def parallel_env(scenario: Any, **options: Any) -> ParallelTask:
 
 @checked_arguments
 def vector_parallel_env(scenario: Any, num_envs: int = 1, **options: Any) -> VectorParallelTask:
-    """Return many PettingZoo environments of a scenario side by side; see ``VectorParallelTask``.
+    """Return B PettingZoo environments of a scenario that run in one batch; see ``VectorParallelTask``.
 
     Raises:
         MissingExtraError: Gymnasium is not installed.

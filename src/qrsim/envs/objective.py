@@ -55,20 +55,20 @@ class Objective(Protocol):
     """Reward of the learner."""
 
     def begin(self, batch: Batch, ended: Floats | None = None) -> None:
-        """Store the batch's values at the start of episodes, in rows ``ended`` (N,) or, for None, in all."""
+        """Note the state at the start of episodes, of the agents ``ended`` (N,) bool or, for None, of all."""
 
     def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
-        """Return the learner's rewards (N,) for a step with the task's rewards (B, n) and ends (B,)."""
+        """Return the learner's rewards (N,) for a step; ``reward`` (B, n) is the task's, ``outputs`` the network's."""
 
     def state(self) -> dict[str, Floats]:
-        """Return the reward statistics as arrays, for a checkpoint."""
+        """Return what the reward has learned (statistics) as arrays, for a checkpoint."""
 
     def restore(self, state: dict[str, object]) -> None:
-        """Set the state that ``state`` returned."""
+        """Restore what ``state`` returned, from a checkpoint."""
 
 
 def objective_of(batch: Batch, discount: float) -> Objective:
-    """Return the learner's reward for a task."""
+    """Return the reward on which a policy of this task is trained; ``discount``: per decision."""
     task = batch.functional.play.task
     if isinstance(task, Land):
         return Landed(batch, discount)
@@ -97,11 +97,11 @@ class Reached:
         self._potential = np.zeros(0)
 
     def begin(self, batch: Batch, ended: Floats | None = None) -> None:
-        """Store the agents' potentials at the start of episodes."""
+        """Note the agents' potentials at the start of episodes, for the shaping of rewards."""
         self._potential = self.potential(batch, self.errors(batch))
 
     def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
-        """Return the rewards (N,) of a step."""
+        """Return the learner's rewards (N,) for a step: gain of potential, less costs of error, effort and crash."""
         before, error = self._potential, self.errors(batch)
         now = self._potential = self.potential(batch, error)
         crashed = np.repeat(terminated, reward.shape[1])
@@ -112,29 +112,29 @@ class Reached:
         return self.shared(found, reward.shape[1])
 
     def potential(self, batch: Batch, error: Floats) -> Floats:
-        """Return minus the potentials (N,) for errors (N,)."""
+        """Return the cost-to-go (N,) of errors (N,), the fall of which a step is rewarded for."""
         found: Floats = POTENTIAL * error
         return found
 
     def crowding(self, batch: Batch) -> Floats | float:
-        """Return the cost of each agent's lack of room per second, (N,) or 0."""
+        """Return the cost per second of being too near to other agents, (N,) or 0; 0 here."""
         return 0.0
 
     def shared(self, reward: Floats, agents: int) -> Floats:
-        """Return the rewards (N,) unchanged: each agent's own."""
+        """Share rewards (N,) within teams of ``agents``; here each agent keeps its own."""
         return reward
 
     def errors(self, batch: Batch) -> Floats:
-        """Return the agents' true distances (N,) from their goals [m]."""
+        """Return the true distance (N,) [m] of each agent from its goal."""
         goal = batch.seen[..., 9:12] + batch.seen[..., 0:3]
         return _length(goal - batch.truth["position_ned"])
 
     def state(self) -> dict[str, Floats]:
-        """Return {}: nothing is learned."""
+        """Return {}, because this reward learns nothing."""
         return {}
 
     def restore(self, state: dict[str, object]) -> None:
-        """Do nothing: there is no state."""
+        """Do nothing, because this reward learns nothing."""
 
 
 class Steady(Reached):
@@ -145,17 +145,17 @@ class Steady(Reached):
         self._drift = np.zeros((batch.size * len(batch.functional.agents), 3))
 
     def begin(self, batch: Batch, ended: Floats | None = None) -> None:
-        """Store the agents' errors, and set the drift of new episodes to zero."""
+        """Note the agents' velocity errors, and set the drift of new episodes to zero."""
         self._drift[slice(None) if ended is None else ended] = 0.0
         super().begin(batch, ended)
 
     def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
-        """Return the rewards (N,), after the drift of this step."""
+        """Add the present velocity error to the drift, and return the learner's rewards (N,)."""
         self._drift += batch.functional.play.task.period * _lacking(batch)
         return super().reward(batch, reward, terminated, outputs)
 
     def errors(self, batch: Batch) -> Floats:
-        """Return the agents' true errors (N,) of velocity, and ``DRIFT`` of the integral of each [m/s]."""
+        """Return the agents' true velocity errors (N,) [m/s], plus ``DRIFT`` times the integral of each."""
         found: Floats = _length(_lacking(batch)) + DRIFT * _length(self._drift)
         return found
 
@@ -166,7 +166,7 @@ class Landed(Reached):
     crash = CRASH_IN_LANDING
 
     def errors(self, batch: Batch) -> Floats:
-        """Return the true distances (N,) from the pad [m], ``OFF_GROUND`` more for a vehicle that moves."""
+        """Return the true distances (N,) [m] from the pad, increased by ``OFF_GROUND`` for a vehicle that moves."""
         moves = _length(batch.truth["velocity_body"]) > 0.0
         found: Floats = Reached.errors(self, batch) + OFF_GROUND * moves
         return found
@@ -190,19 +190,19 @@ class Caught(Reached):
             self._middle, self._inner = 0.5 * (low + high), INNER * 0.5 * float((high - low).min())
 
     def errors(self, batch: Batch) -> Floats:
-        """Return the observed distances (N,) [m] to the nearest mouse less that of a catch, at least 0."""
+        """Return the observed distance (N,) [m] of each cat to the nearest mouse beyond that of a catch, at least 0."""
         found: Floats = np.maximum(self._distances(batch)[:, : self._mice].min(axis=1) - self._catch, 0.0)
         return found
 
     def potential(self, batch: Batch, error: Floats) -> Floats:
-        """Return minus the potentials (N,) for errors (N,), and the mouse's places."""
+        """Return the cost-to-go (N,) of errors (N,), larger with the mouse far from the area's middle."""
         mouse = batch.seen[..., 0:2] + batch.seen[..., 4:6] - self._middle
         outside = np.maximum(np.sqrt(np.square(mouse).sum(axis=-1)).ravel() - self._inner, 0.0)
         found: Floats = super().potential(batch, error) + OUTWARD * outside
         return found
 
     def crowding(self, batch: Batch) -> Floats:
-        """Return the cost (N,) of each cat's lack of room per second."""
+        """Return the cost per second (N,) of cats nearer than ``ROOM`` to a mouse or another cat."""
         lacking = np.maximum(ROOM - self._distances(batch).min(axis=1), 0.0)
         found: Floats = CROWDED * lacking * lacking
         return found
@@ -214,14 +214,14 @@ class Caught(Reached):
         return found
 
     def shared(self, reward: Floats, agents: int) -> Floats:
-        """Return the rewards (N,) half as given and half averaged over each team of ``agents``."""
+        """Average rewards (N,) with each team of ``agents``: half a cat's own, half the team's mean."""
         teams = reward.reshape(-1, agents)
         found: Floats = (0.5 * teams + 0.5 * teams.mean(axis=1, keepdims=True)).ravel()
         return found
 
 
 def _lacking(batch: Batch) -> Floats:
-    """Return the wanted velocities minus the true ones, (N, 3) NED [m/s]."""
+    """Return the wanted velocity minus the true one of each agent, (N, 3) NED [m/s]."""
     wanted = batch.seen[..., 9:12] + batch.seen[..., 3:6]
     found: Floats = (wanted - _velocity_ned(batch.truth)).reshape(-1, 3)
     return found
@@ -234,7 +234,7 @@ def _length(vectors: Floats) -> Floats:
 
 
 def _velocity_ned(truth: dict[str, Floats]) -> Floats:
-    """Rotate the true body velocities to NED, (B, n, 3)."""
+    """Return the true velocities (B, n, 3) NED [m/s] from attitude and body velocity."""
     roll, pitch, yaw = np.moveaxis(truth["attitude"], -1, 0)
     x, y, z = np.moveaxis(truth["velocity_body"], -1, 0)
     right, below = np.cos(roll) * y - np.sin(roll) * z, np.sin(roll) * y + np.cos(roll) * z
@@ -254,13 +254,13 @@ class Scaled:
         self._count, self._mean, self._squares = 1e-4, 0.0, 1e-4
 
     def begin(self, batch: Batch, ended: Floats | None = None) -> None:
-        """Allocate the running returns, on the first call."""
+        """Allocate the discounted sums of rewards at the first call; later calls do nothing."""
         size = batch.size * len(batch.functional.agents)
         if len(self._sum) != size:
             self._sum = np.zeros(size)
 
     def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
-        """Return the task's rewards (N,), scaled by the standard deviation of discounted returns."""
+        """Return the task's rewards (N,), divided by the running standard deviation of discounted returns."""
         given = reward.astype(np.float64).ravel()
         self._sum = self._discount * self._sum + given
         count = len(given)
@@ -274,9 +274,9 @@ class Scaled:
         return found
 
     def state(self) -> dict[str, Floats]:
-        """Return the moments of the returns."""
+        """Return count, mean and squared deviation of the discounted returns, for a checkpoint."""
         return {"reward_moments": np.array([self._count, self._mean, self._squares])}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Set the moments of the returns."""
+        """Restore count, mean and squared deviation of the discounted returns from a checkpoint."""
         self._count, self._mean, self._squares = map(float, state["reward_moments"])

@@ -25,7 +25,7 @@ SEEING = (Looking, Scan, IdealScan, Rangefinder, IdealRangefinder)
 
 
 def senses() -> tuple[str, ...]:
-    """Declare a record's field: the names of the sensors whose readings are part of the agents' observations."""
+    """Declare a record's field: the names of the sensors with readings in the agents' observations."""
     return setting(
         default=(), doc="names of the agents' sensors of type neighbours, scan and rangefinder in their observations"
     )

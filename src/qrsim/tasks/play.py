@@ -137,7 +137,7 @@ class Play:
         return jnp.zeros(len(self.agents), bool) if self.task.leave else None
 
     def begun(self, keys: EpisodeKeys, state: State) -> object:
-        """Return the task's memory (its own state) at the start of an episode whose world is in ``state``."""
+        """Return the task's memory (its own state) at the start of an episode with the world in ``state``."""
         like = jnp.zeros((), self.world.fleets[0].start.position_ned.x.dtype)
         ids = jnp.arange(self.task.ids, dtype=jnp.uint32)
         return self.task.init(self.world, state, Draw(keys.task.stream(0, ids), jnp.int32(0), like))

@@ -96,7 +96,7 @@ class Pursuit(Task):
         return memory, {self.fleet: of_cats, self.prey: jnp.broadcast_to(-reward, mice.vehicle.position_ned.x.shape)}
 
     def observe(self, memory: PursuitMemory, world: World, state: State) -> Any:
-        """Return each cat's measured position, velocity, and offsets to mice and other cats; for agent mice likewise.
+        """Return each cat's measured position, velocity, and offsets to mice and other cats; mice that are agents too.
 
         North and east of each: position, velocity, offsets to the m mice, offsets to the n - 1 other cats in the order
         of the fleet, beginning behind the cat itself. With ``senses``, what these sensors say in place of all offsets.

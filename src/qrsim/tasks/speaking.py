@@ -41,7 +41,7 @@ def spoken(world: World, name: str, actions: tuple[Action, ...], words: Array) -
 
 
 def at_first_period(world: World, actions: tuple[Action, ...], tick: Array, number: Array) -> tuple[Action, ...]:
-    """Return actions whose radio messages are sent only in the first radio period of a step, not again.
+    """Return actions that send their radio messages only in the first radio period of a step, not again.
 
     That is the first tick of a step at which a period of the radio begins: so every message is sent once, and of steps
     within one period those that cannot be sent do not crowd the queue.

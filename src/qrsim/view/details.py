@@ -54,7 +54,7 @@ def details_of_state(state: State, world: World) -> Details:
 
 
 def _of_fleet(fleet: Any, state: FleetState) -> dict[str, Floats]:
-    """Return the values by name, as (n, 3) or (n,), that the page shows about a fleet's vehicles in a state."""
+    """Return name -> values (n, 3) or (n,) of what the page shows about a fleet's vehicles in a state."""
     size = fleet.size
 
     def axes(value: object) -> Floats:

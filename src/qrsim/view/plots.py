@@ -249,7 +249,7 @@ def _upper(pairs: Floats) -> Floats:
 
 
 def _is_fix(name: str, ending: str) -> bool:
-    """Return whether a quantity is a sensor reading whose name has this ending, such as ``position_ned.x``."""
+    """Return whether a quantity is a sensor reading with a name that ends so, such as ``position_ned.x``."""
     return name.startswith("measurements.") and name.endswith(f".{ending}")
 
 

@@ -156,7 +156,7 @@ class Scene:
         layer.draw(self.frame)
 
     def _strained(self) -> float:
-        """Return by what factor slow browsers lower the drawing rate of layers other than vehicles, at least 1."""
+        """Return the factor, at least 1, by which slow browsers lower the drawing rate of layers except vehicles."""
         self._strain = min(MOST_STRAIN, max(1.0, self.lag_s() / LAG_S, STRAIN_LEFT * self._strain))
         return self._strain
 

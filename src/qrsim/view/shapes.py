@@ -182,7 +182,7 @@ def funnel(narrow: float) -> Mesh:
 
 
 def pin() -> Mesh:
-    """Return the mesh of a cone of height 1 whose tip points down, at the origin."""
+    """Return the mesh of a cone of height 1 with its tip at the origin, pointing down."""
     corners, faces = cone(-1.0, 0.0, 0.25, 12)
     return corners[:, [1, 2, 0]], faces
 

@@ -24,7 +24,7 @@ class Indexing(Nodes):
     alone: bool
 
     def dynamic_slice(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Trace dynamic_slice: a slice whose start is computed at run time, clipped into range."""
+        """Trace dynamic_slice: a slice with a start that is computed at run time, clipped into range."""
         operand, shape = inputs[0], tuple(out.shape)
         # Where the whole extent is taken, JAX brings any start to zero.
         starts = {axis: inputs[1 + axis] for axis, extent in enumerate(operand.shape) if extent != shape[axis]}

@@ -289,7 +289,7 @@ class Operations:
         return self.emit(f"select {vector('i1', lanes)} {values[0]}, {result} {values[2]}, {result} {values[1]}")
 
     def _rsqrt(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Emit 1 / sqrt, not the processor's estimate, whose rounding depends on the processor."""
+        """Emit 1 / sqrt, not the processor's estimate, which rounds differently on each processor."""
         one = splat(literal(1.0, node.dtype), scalar_type(node.dtype), lanes)
         return self._arithmetic("div", "f", of, node.dtype, [one, self._sqrt(node, of, values, lanes)], lanes)
 

@@ -69,7 +69,7 @@ class Grouping:
         return len(self.extents)
 
     def late(self, moves: list[Move], body: Sequence[Step], places: Mapping[int, Place]) -> list[Late]:
-        """Return the copies to the state at the tick's end, with the group in whose strips they run (0: none)."""
+        """Return the copies to the state at the tick's end, with the group of strips that they run in (0: none)."""
         if not self.strip:
             return [Late(0, moves)]
         sets: dict[int, list[Move]] = {}
@@ -207,7 +207,7 @@ class _Order:
         self.ready = [i for i, missing in enumerate(self._missing) if not missing]
 
     def first(self) -> Step:
-        """Return the first step whose inputs have all been computed."""
+        """Return the first step of which all inputs have been computed."""
         return self.steps[self.ready[0]]
 
     def take(self, which: int) -> Step:

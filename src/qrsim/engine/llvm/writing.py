@@ -246,7 +246,7 @@ class Writer:
         return self._gathered(node, place, index, across), self.lanes
 
     def vectors_ahead(self, node: Node, place: Place) -> int:
-        """Return how many vectors ahead of its use an array is prefetched; 0: not at all."""
+        """Return how many vectors ahead of its use an array is prefetched; 0: it is not."""
         return 2 if self.far and len(node.shape) > 1 and not place.short else 0
 
     def fetch(self, address: str, distance: int, written: bool = False) -> None:
@@ -381,7 +381,7 @@ class Writer:
         self.store(dtype, address, value, wanted, mask)
 
     def inside(self, counter: str, extent: int) -> str:
-        """Emit the mask of the lanes whose index is below ``extent``, and return its name."""
+        """Emit the mask of the lanes with an index below ``extent``, and return its name."""
         if counter == "0":
             return "<" + ", ".join(f"i1 {'true' if lane < extent else 'false'}" for lane in range(self.lanes)) + ">"
         ramp = "<" + ", ".join(f"i64 {lane}" for lane in range(self.lanes)) + ">"

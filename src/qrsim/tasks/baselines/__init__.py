@@ -142,7 +142,7 @@ class BaselinePolicy:
 
     @property
     def _like(self) -> NumpyArray:
-        """Return a zero whose dtype is the world's floating-point type."""
+        """Return a zero of the world's floating-point type."""
         return np.zeros((), np.asarray(self.play.world.fleets[0].start.position_ned.x).dtype)
 
     def _initial_memory(self, state: State) -> object:
