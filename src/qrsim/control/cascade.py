@@ -231,7 +231,7 @@ class CascadeController(Controller):
         return Vec3(level[0], level[1], self.climb_gain * error.z + state.integral.z)
 
     def _specific_thrust(self, asked: Vec3, known: Handling) -> tuple[Vec3, Array]:
-        """Return thrust over mass (n,) [m/s^2] NED for a wanted acceleration, and its largest horizontal part (C12)."""
+        """Return the limited thrust over mass (n,) [m/s^2] NED, and its largest horizontal part (eq. C12)."""
         most = known.thrust_max / known.mass
         z = jnp.clip(asked.z - known.gravity, -self.thrust_fraction * most, -self.least_lift * known.gravity)
         sine, cosine = sincos(jnp.asarray(self.tilt_limit))

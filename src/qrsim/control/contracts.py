@@ -93,7 +93,7 @@ class Guidance(Protocol):
 
     @abstractmethod
     def setpoint(self, state: Any, route: Any) -> object:
-        """Return the set-point (n,) at which vehicles fly for a state of the guidance, without advancing the state."""
+        """Return the set-point (n,) to fly to in a state of the guidance, without advancing the state."""
 
 
 @record
@@ -167,5 +167,5 @@ class Estimator(Protocol):
         return None
 
     def innovations(self, state: Any) -> object | None:
-        """Return the innovations (measured minus predicted) of the last readings as a record of (n,); None without."""
+        """Return the innovations of the last readings, in standard deviations, as a record of (n,); None without."""
         return None

@@ -109,7 +109,7 @@ class WaypointController(HeightController):
     setpoints: ClassVar[tuple[type, ...]] = (WaypointSetpoint,)
 
     def init(self, estimate: Estimate) -> HeightState:
-        """Return the controller's initial state: that of its height loop at the estimated height."""
+        """Return the controller's initial state (n,), that of its height loop."""
         return self.height.init(estimate.position_ned.z)
 
     def step(
@@ -210,7 +210,7 @@ class VelocityHeightController(HeightController):
     setpoints: ClassVar[tuple[type, ...]] = (VelocityHeightSetpoint,)
 
     def init(self, estimate: Estimate) -> VelocityHeightState:
-        """Return the initial states of the controller's loops for vehicles (n,), at the estimated height."""
+        """Return the initial states of the controller's loops for vehicles (n,)."""
         z = estimate.position_ned.z
         return VelocityHeightState(self.velocity.init(z), self.height.init(z))
 
@@ -246,7 +246,7 @@ class AttitudeHeightController(HeightController):
     setpoints: ClassVar[tuple[type, ...]] = (AttitudeHeightSetpoint,)
 
     def init(self, estimate: Estimate) -> HeightState:
-        """Return the controller's initial state: that of its height loop at the estimated height."""
+        """Return the controller's initial state (n,), that of its height loop."""
         return self.height.init(estimate.position_ned.z)
 
     def step(
@@ -327,7 +327,7 @@ class OffboardController(HeightController):
     )
 
     def init(self, estimate: Estimate) -> OffboardState:
-        """Return the initial states of the controller's loops for vehicles (n,), at the estimated height."""
+        """Return the initial states of the controller's loops for vehicles (n,)."""
         z = estimate.position_ned.z
         return OffboardState(self.height.init(z), self.velocity.init(z), jnp.zeros_like(z))
 

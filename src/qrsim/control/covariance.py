@@ -43,13 +43,13 @@ class Measured(NamedTuple):
 
 
 def variances(covariance: Covariance) -> list[Array]:
-    """Return the variance (..., n) of each of m errors, the diagonal of a half-stored covariance."""
+    """Return the variance (..., n) of each of m errors, the diagonal of a half-stored covariance; NumPy for NumPy."""
     size = size_of(covariance.shape[-2])
     return [covariance[..., place_of(i, i, size), :] for i in range(size)]
 
 
 def matrix(covariance: Covariance) -> Array:
-    """Return a half-stored covariance (half, n) as full symmetric matrices (..., m, m, n)."""
+    """Return a half-stored covariance as full symmetric matrices (..., m, m, n)."""
     size = size_of(covariance.shape[-2])
     rows, zero = [], jnp.zeros_like(covariance[..., :size, :])
     for i in range(size):

@@ -234,7 +234,7 @@ class ErrorStateKalmanFilter(KalmanParameters):
         return level, level, down
 
     def _predicted(self, state: KalmanState, readings: Mapping[str, object], dt: float) -> KalmanState:
-        """Return the state predicted dt [s] ahead from body rates and specific force, with its covariance (eq. F1)."""
+        """Return the state dt [s] later by body rates and mean specific force, with its covariance (eq. F1)."""
         zero = jnp.zeros_like(state.since_fix)
         rates, force = field_of(readings, "rates_body"), field_of(readings, "specific_force")
         rates = state.rates_body if rates is None else known(rates, state.rates_body)
@@ -371,7 +371,7 @@ def _worst(known: list[Array], errors: Array, scalars: list[Measured]) -> Array:
 
 
 def _with_accuracy(covariance: Covariance, slow: Vec3, stated: list[Array], where: Array) -> tuple[Covariance, Vec3]:
-    """Return covariance and slow-error variances [m^2] set to a fix's reported variances, where ``where`` (n,) is True.
+    """Return covariance and slow variances [m^2] updated to a fix's reported variances, where ``where`` (n,) is True.
 
     Accuracies that change are those of another slow error, of which a part of the position is not known.
     """

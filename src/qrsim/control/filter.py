@@ -174,7 +174,7 @@ class ComplementaryFilter(Estimator):
         return turning.compass_error(field, declination), fresh[source_of(readings, FIELD)] & (nothing != 0.0)
 
     def _predicted(self, state: FilterState, force: Vec3 | None, dt: float) -> FilterState:
-        """Return the state predicted dt [s] ahead by the specific force (n,) [m/s^2], body axes (eq. C16)."""
+        """Return the state dt [s] later by the tick's mean specific force (n,) [m/s^2], body axes (eq. C16)."""
         change = Vec3(*(jnp.zeros_like(state.since_fix),) * 3)
         if force is not None:
             felt = rotation(state.attitude).to_ned(force)

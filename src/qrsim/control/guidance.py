@@ -61,7 +61,7 @@ class RouteGuidance(Guidance):
 
 
 def after_arrival(state: RouteState, route: Route, arrived: Array, repeat: bool) -> RouteState:
-    """Return the state with vehicles that ``arrived`` (n,) at the next waypoint; ``repeat``: from last to first."""
+    """Return the state with ``arrived`` vehicles (n,) sent to the next waypoint; ``repeat``: from last to first."""
     following = state.index + 1
     last = jnp.zeros_like(following) if repeat else route.count - 1
     following = jnp.where(following >= route.count, last, following)

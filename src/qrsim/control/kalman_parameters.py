@@ -155,7 +155,7 @@ class KalmanParameters(Estimator):
 
 
 def _std_of_each_error(inner: Inner, stds: tuple[Array, ...]) -> list[Array]:
-    """Return the matching std of ``stds`` for each error state in ``inner``, in the covariance's order."""
+    """Return the std of ``stds`` for each error state in ``inner``, in the covariance's order; 0 for unused ones."""
     *first, wind, height = stds
     own = first[:2] if inner.earth_field_ned is None else first
     found = [std for std in own for _ in range(3)]

@@ -148,7 +148,7 @@ def moves(felt: Vec3, turned: Rotation, dt: float) -> Moves:
 
 
 def swung(force: Vec3) -> tuple[dict[int, Array], ...]:
-    """Return the derivatives of a specific force (n,) NED by small rotations, {error index: (n,)} for each axis."""
+    """Return the derivatives of a specific force (n,) NED by small rotations, {NED axis: (n,)} for each of its axes."""
     return tuple({k: sign * force.axes[axis] for k, (sign, axis) in row.items()} for row in _SWUNG)
 
 

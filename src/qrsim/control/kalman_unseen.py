@@ -39,7 +39,7 @@ def leaned(lean: Vec3, turned: Rotation, dt: float) -> tuple[Vec3, Array]:
 
 
 def unseen(state: KalmanState, scale: Array, sensitivity: Array, gravity: Array) -> list[Unseen]:
-    """Return the errors that no sensor observes, with variance and effect on each error state.
+    """Return the errors that no sensor observes: variance and effect on each error state; NumPy for a NumPy state.
 
     Args:
         state: of the filter.

@@ -40,7 +40,7 @@ class HeightLoop:
     )
 
     def init(self, z: Array) -> HeightState:
-        """Return the loop's initial state for vehicles at a down coordinate z (n,) [m]."""
+        """Return the loop's initial state; z: any array (n,), which gives shape and dtype."""
         return HeightState(jnp.zeros_like(z), jnp.zeros_like(z), jnp.full_like(z, NEVER))
 
     def step(
@@ -73,7 +73,7 @@ class ClimbLoop:
     windup: Windup = setting(default="held", doc="integral while the throttle saturates, as for velocity")
 
     def step(self, integral: Array, error: Array, dt: float) -> tuple[Array, Array]:
-        """Return the new integral [m] and the throttle [0, 1] for a velocity error (n,) [m/s], down positive."""
+        """Return the new integral [m] and the throttle [0, 1] for a down velocity error (n,) [m/s], wanted - actual."""
         unclipped = self.hover_throttle - self.kp * error - self.ki * integral
         throttle = jnp.clip(unclipped, *limits_of(Command)["throttle"])
         return _integrate(self.windup, integral, error * dt, (unclipped - throttle) * -error), throttle

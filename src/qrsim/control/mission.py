@@ -105,7 +105,7 @@ class MissionState:
 
 
 def _ramp(first: Array, last: Array, seconds: Array, time: Array) -> tuple[Array, Array, Array]:
-    """Return distance [m], speed and acceleration at ``time`` [s] of a smooth ramp from speed ``first`` to ``last``."""
+    """Return distance [m], speed and acceleration at ``time`` [s] of a ramp between two speeds, constant outside it."""
     whole = jnp.maximum(seconds, 1e-6)
     x = jnp.clip(time / whole, 0.0, 1.0)
     change = last - first
@@ -298,7 +298,7 @@ def _slowed_setpoint(due: PathSetpoint, rate: Array, grounded: tuple[Array, Arra
 
 
 def _ahead(state: MissionState, leg: Mission, ends: Array, near: Array, by: Array) -> tuple[Array, Array]:
-    """Return the leg's time (n,) [s] after ``by`` [s] more, as (sum, remainder); held at stops and corners."""
+    """Return the leg's time (n,) [s] ``by`` later, as (sum, remainder); held at stops, and at corners until near."""
     # At a waypoint without a stop the path waits in the middle of the corner until the vehicle is near.
     corner = jnp.where(near, jnp.inf, ends - 0.5 * leg.turn_s)
     most = jnp.where(leg.stops, jnp.where(leg.lands, jnp.inf, ends), corner)

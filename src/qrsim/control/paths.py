@@ -136,7 +136,7 @@ def corner_speed(cut: float, turned: float, limits: Limits) -> float:
 
 
 def circle_speed(radius: float, most: float, limits: Limits) -> float:
-    """Return the largest speed [m/s], up to ``most``, on a circle of a radius [m] within the limits."""
+    """Return the largest speed [m/s], up to ``most``, on a circle of a radius [m], limited by v^2/r and v^3/r^2."""
     return min(most, math.sqrt(limits.acceleration * radius), math.cbrt(limits.jerk * radius * radius))
 
 
@@ -197,7 +197,7 @@ def _cut_corners(parts: list[_Part], following: list[int | None], limits: Limits
 
 
 def _flown_through(part: _Part, after: _Part) -> bool:
-    """Return whether the path passes from one leg to the next without a stop."""
+    """Return whether the path passes from one straight line to the next without a stop."""
     lines = part.leg.kind == after.leg.kind == "line" and min(part.length, after.length) > SHORTEST
     return lines and not part.leg.stop and part.leg.hold == 0.0
 
@@ -229,7 +229,7 @@ def _within(low: float, length: float, limits: Limits) -> Callable[[float], bool
 
 
 def _highest(low: float, high: float, fits: Callable[[float], bool]) -> float:
-    """Return the highest speed between ``low`` and ``high`` for which ``fits`` is true, by bisection."""
+    """Return the highest speed between ``low`` and ``high`` that ``fits``, by bisection; lower speeds must fit."""
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if fits(middle) else (low, middle)

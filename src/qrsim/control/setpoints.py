@@ -61,7 +61,7 @@ class Estimate:
 
     @staticmethod
     def of(position_ned: object, velocity_ned: object, attitude: object) -> Estimate:
-        """Return an estimate from arrays (n, 3): position [m], velocity [m/s], and roll, pitch, yaw [rad]."""
+        """Return an estimate from arrays (n, 3), NumPy or JAX: position [m], velocity [m/s], roll, pitch, yaw [rad]."""
         angles = axes(attitude)
         return Estimate(axes(position_ned), axes(velocity_ned), Euler(angles.x, angles.y, angles.z))
 
@@ -75,7 +75,7 @@ class WaypointSetpoint:
 
     @staticmethod
     def of(position_ned: object, yaw_rad: object = 0.0) -> WaypointSetpoint:
-        """Return a set-point from positions (n, 3) [m] and headings (n,), or one for all, [rad]."""
+        """Return a set-point from positions (n, 3) [m] and headings (n,), or one for all, [rad]; NumPy or JAX."""
         position = axes(position_ned)
         return WaypointSetpoint(position, like(position.x, yaw_rad))
 
@@ -131,13 +131,13 @@ class TrackSetpoint:
 
     @staticmethod
     def line(begin_ned: object, end_ned: object, speed: object = 0.0, stops: object = 0.0) -> TrackSetpoint:
-        """Return a set-point of lines between positions (n, 3) [m] at speeds [m/s]; ``stops`` 1: stop at the end."""
+        """Return a set-point of lines between positions (n, 3) [m] at speeds [m/s]; ``stops`` 1: stop; NumPy or JAX."""
         begin, end = axes(begin_ned), axes(end_ned)
         return TrackSetpoint(begin, end, like(end.x, 0.0), like(end.x, speed), like(end.x, stops))
 
     @staticmethod
     def orbit(centre_ned: object, radius: object, speed: object = 0.0) -> TrackSetpoint:
-        """Return a set-point of circles: centres (n, 3) [m], radii (n,) [m] clockwise positive, speeds [m/s]."""
+        """Return a set-point of circles: centres (n, 3) [m], radii, clockwise positive, speeds [m/s]; NumPy or JAX."""
         centre = axes(centre_ned)
         return TrackSetpoint(centre, centre, like(centre.x, radius), like(centre.x, speed), like(centre.x, 0.0))
 
@@ -151,7 +151,7 @@ class VelocitySetpoint:
 
     @staticmethod
     def of(velocity_ned: object, yaw_rad: object = 0.0) -> VelocitySetpoint:
-        """Return a set-point from velocities (n, 3) [m/s] and headings (n,), or one for all, [rad]."""
+        """Return a set-point from velocities (n, 3) [m/s] and headings (n,), or one for all, [rad]; NumPy or JAX."""
         velocity = axes(velocity_ned)
         return VelocitySetpoint(velocity, like(velocity.x, yaw_rad))
 
@@ -167,7 +167,7 @@ class VelocityHeightSetpoint:
 
     @staticmethod
     def of(velocity_north_east: object, z: object, yaw_rad: object = 0.0) -> VelocityHeightSetpoint:
-        """Return a set-point from north and east velocities (n, 2) [m/s], down coordinates [m] and headings [rad]."""
+        """Return a set-point from north and east velocities (n, 2) [m/s], down [m] and heading [rad], (n,) or one."""
         north, east = axes(velocity_north_east, 2)
         return VelocityHeightSetpoint(north, east, like(north, z), like(north, yaw_rad))
 

@@ -31,7 +31,7 @@ def line_of(state: RouteState, route: Route) -> tuple[Vec3, Vec3]:
 
 
 def left_of(begin: Vec3, end: Vec3, position_ned: Vec3) -> tuple[Array, Array]:
-    """Return the horizontal distance (n,) [m] to a line's end, and that distance's part along the line."""
+    """Return the horizontal distance (n,) [m] to a line's end, and its part along the line, 0 without a line."""
     north, east = end.x - position_ned.x, end.y - position_ned.y
     way_north, way_east = end.x - begin.x, end.y - begin.y
     length = root(way_north * way_north + way_east * way_east)

@@ -48,7 +48,7 @@ def overlapping_allan_deviation(
 
 
 def exponential_allan_variance(window: npt.ArrayLike, time_constant: npt.ArrayLike) -> Float64:
-    """Return the Allan variance (...) at windows [s] of a unit-variance process with autocovariance exp(-|t|/constant).
+    """Return the Allan variance (...) of a unit-variance process with autocovariance exp(-|t| / time_constant).
 
     With x = window / time_constant it is (2 x - 3 + 4 exp(-x) - exp(-2 x)) / x^2: half the expected square of the
     difference of two neighbouring averages is the variance of one average minus the covariance of both. A process

@@ -66,7 +66,7 @@ def on_host(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def evaluate(closed: jex.ClosedJaxpr, arguments: Sequence[object]) -> list[NumpyArray]:
-    """Return the results of a closed jaxpr (a traced JAX function) for NumPy arrays, computed by NumPy."""
+    """Return the results of a closed jaxpr for NumPy arrays, by NumPy, each broadcast to its declared shape."""
     with np.errstate(all="ignore"):
         found = _run(closed.jaxpr, closed.consts, arguments)
     return [np.broadcast_to(array, aval.shape) for array, aval in zip(found, closed.out_avals, strict=True)]

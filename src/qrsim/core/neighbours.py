@@ -98,7 +98,7 @@ def _nearest_of(number: Array, squared: Array, reach: Array, count: int, overful
 
 
 def _in_cells(x: Array, y: Array, z: Array, reach: Array, room: int) -> tuple[Array, Array]:
-    """Return the indices (3 room, n) int32 of points in the cells around each point, and overflow flags (n,) bool.
+    """Return indices (3 room, n) int32 of points in the nine columns around each, and overflow flags (n,) bool.
 
     Empty places have -1. A point is overfull if some of the points around it found no room.
     """
@@ -146,7 +146,7 @@ def _in_cells(x: Array, y: Array, z: Array, reach: Array, room: int) -> tuple[Ar
 
 
 def _ranks(column: Array, columns: int) -> Array:
-    """Return each point's rank (n,) in its column of grid cells, in order of index; -1 without a column or place."""
+    """Return each point's rank (n,) in its column, by index; -1 without a column or beyond the deepest place."""
     n = column.shape[0]
     number = jnp.arange(n, dtype=jnp.int32)
     somewhere = column < columns

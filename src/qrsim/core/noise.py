@@ -342,7 +342,7 @@ def ou_decay(dt: float | Array, time_constant: Array) -> tuple[Array, Array]:
 
 
 def ou_step(value: Array, normal: Array, dt: float | Array, std: Array, time_constant: Array) -> Array:
-    """Return an Ornstein-Uhlenbeck process one exact step dt [s] later, driven by a standard normal.
+    """Return an Ornstein-Uhlenbeck process one exact step dt [s] later (Symington 2014, eq. 10).
 
     Args:
         value: the process now, any shape.

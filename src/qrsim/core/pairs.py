@@ -33,7 +33,7 @@ def added(high: Vec3, change: Vec3) -> tuple[Vec3, Vec3]:
 
 
 def parts_of(values: Floats, dtype: npt.DTypeLike) -> tuple[Floats, Floats]:
-    """Return a float64 array as two arrays of a shorter ``dtype``, rounded values and remainders, which sum to it."""
+    """Return a float64 array as two arrays of a shorter ``dtype``: rounded values and remainders."""
     with np.errstate(invalid="ignore", over="ignore"):
         high = np.asarray(values, dtype)
         return high, np.asarray(values - high.astype(np.float64), dtype)

@@ -19,7 +19,7 @@ def presets_of(cls: type) -> Mapping[str, Mapping[str, object]] | None:
 
 
 def with_presets(cls: Any) -> Any:
-    """Return a dataclass with a constructor that takes missing arguments from the preset named by ``preset``.
+    """Return a dataclass, its constructor taking missing arguments from the preset ``preset`` if it has presets.
 
     Such a class has ``presets``, parameters by the preset's name, and a field ``preset``, which names one of them.
 

@@ -16,7 +16,7 @@ def split_seconds(times: Any) -> tuple[Any, Any]:
 
 
 def interval_at(rows: Array, parts: Array, seconds: Array, fraction: Array) -> tuple[Array, Array, Array]:
-    """Return the row of a time series at or before a time, the time since it, and the time between it and the next.
+    """Return the row at or before a time, the time since it, and that from it to the next row; the ends extend.
 
     Args:
         rows, parts: (K,) increasing times of a series, K at least 2: int32 whole seconds, and the rest.

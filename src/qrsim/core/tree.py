@@ -151,7 +151,7 @@ def _register(cls: Any, data: list[str], static: list[str]) -> None:
     by_place = [field.name for field in dataclasses.fields(cls) if field.init and not field.kw_only] == data + static
 
     def unflatten(settings: tuple[object, ...], parts: Any) -> object:
-        """Return a record from the values of its static fields and data fields, without calling its constructor."""
+        """Return a record from the values of its static fields (settings) and data fields (parts)."""
         if by_place:
             return cls(*parts, *settings)
         return cls(**dict(zip(data, parts, strict=True)), **dict(zip(static, settings, strict=True)))

@@ -19,7 +19,7 @@ class Course:
     after: Array = quantity(doc="(K,) value at its end and after it")
 
     def at(self, tick: Array) -> Array:
-        """Return the number's value () at a tick, between its changes interpolated linearly."""
+        """Return the number's value () at a tick: linear during a change, constant otherwise."""
         value = self.after[0]
         for leg in range(self.start_tick.shape[0]):
             since, ticks = tick - self.start_tick[leg], self.ticks[leg]

@@ -130,7 +130,7 @@ def by_kind(commands: Sequence[tuple[Array | None, object, Array]], function: Ca
 
 
 def _mates(world: World, whole: State, fleet: Fleet, state: FleetState, estimate: Estimate, tick: Array) -> Mates:
-    """Return each vehicle's neighbour list (n,) in its own fleet, by radio beacons or direct knowledge."""
+    """Return the neighbour lists of a fleet's vehicles (n,), heard or known; stopped vehicles send nothing new."""
     guidance = cast(TeamGuidance, fleet.guidance)
     if guidance.knows == "heard":
         assert world.radio is not None

@@ -26,7 +26,7 @@ from qrsim.world.state import (
 
 
 def keys_of(world: World, key: Key) -> WorldKeys:
-    """Return the keys of all random streams of a world, derived from its key ``key``."""
+    """Return the keys of all random streams of a world, derived from ``key``; NumPy arrays for a NumPy key."""
     fleets = [_stream_names(fleet, suffix) for suffix in ("", "/start") for fleet in world.fleets]
     episode, plume, radio = episode_streams(world), world.contents.plume.changes, world.radio is not None
     sky, start, *rest = key.families(

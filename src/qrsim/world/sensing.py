@@ -89,7 +89,7 @@ def sense(
 def with_traffic(
     world: World, view: Surroundings, vehicles: Sequence[VehicleState], flies: Sequence[Array | None]
 ) -> Surroundings:
-    """Return the surroundings with all vehicles' positions added, if a sensor measures other vehicles.
+    """Return the surroundings with all vehicles' positions and velocities, if a sensor measures other vehicles.
 
     Args:
         world: its parameters.

@@ -47,7 +47,7 @@ def ground_argument(fleet: Fleet, standing: Array | None) -> dict[str, Array]:
 def started(
     world: World, fleet: Fleet, vehicle: VehicleState, low: Vec3 | None
 ) -> tuple[VehicleState, Vec3 | None, Array | None]:
-    """Return state and position remainder of vehicles (n,) at the start, and (n,) bool: parked on the ground.
+    """Return vehicles (n,) at the start; those that start on the ground are put on it, at rest, rotors still.
 
     Returns:
         The state, the remainder of the position, and which vehicles are parked (n,), None in a fleet that cannot be.
@@ -67,7 +67,7 @@ def started(
 def settled(
     world: World, fleet: Fleet, before: FleetState, command: object, moved: VehicleState, low: Vec3 | None, force: Vec3
 ) -> tuple[VehicleState, Vec3 | None, Vec3, Array]:
-    """Return (state, position remainder, specific force, (n,) bool: parked) after a step with the ground's effect.
+    """Return vehicles (n,) after a step, held on the ground if they are parked or touch down softly.
 
     Args:
         world, fleet: parameters.

@@ -36,7 +36,7 @@ def start_fleet(
     before: FleetState | None = None,
     low: Vec3 | None = None,
 ) -> FleetState:
-    """Return a fleet's complete state at its start: vehicles, air, controllers, and first sensor readings.
+    """Return a fleet's state at its start: vehicles, air, controllers, stationary noise and first sensor readings.
 
     Args:
         world, fleet: parameters.
@@ -115,7 +115,7 @@ def _sensed(
     tick: Array,
     before: FleetState | None,
 ) -> FleetState:
-    """Return a fleet's start state with the first readings of its sensors and its estimator's first estimate."""
+    """Return a fleet's start state with first sensor readings, faults applied, and its estimator's first estimate."""
     like, firsts = state.vehicle.position_ned.x, []
     for i, (name, sensor) in enumerate(zip(fleet.sensor_names, fleet.sensors, strict=True)):
         inputs = inputs_of(sensor, fleet.fitting(i), scene, None, world.time_step)

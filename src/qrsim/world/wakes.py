@@ -271,7 +271,7 @@ def _jets_of(world: World, fleet: Fleet, state: FleetState) -> Jets | None:
 
 
 def _others(jets: Jets, fleet: Fleet, same: bool) -> Array:
-    """Return (m, n) bool: vehicle m has a wake, and is another than vehicle n."""
+    """Return (m, n) bool: the upper vehicle has a wake and is not the lower one."""
     lower = jnp.arange(fleet.size)[None, :]
     return (jets.thrust > 0.0) & ((lower != lower.T) if same else (lower >= 0))
 
@@ -284,7 +284,7 @@ def _cylindrical(jets: Jets, position_ned: Vec3) -> tuple[Array, Array]:
 
 
 def _reached(jets: Jets, position_ned: Vec3, extent: Array) -> Array:
-    """Return (m, n) bool: wake m reaches vehicle n, with points up to ``extent`` [m] from the vehicle's centre."""
+    """Return (m, n) bool: the wake reaches the vehicle, with points up to ``extent`` [m] from its centre."""
     along, beside_squared = _cylindrical(jets, position_ned)
     reach = edge(jets.wake, jets.thrust, along) + extent
     return (along > -extent) & (reach > 0.0) & (beside_squared < reach * reach)

@@ -117,7 +117,7 @@ def nearest_velocity(planes: HalfPlanes, north: Array, east: Array, speed: Array
 
 
 def _candidates(planes: HalfPlanes, north: Array, east: Array, speed: Array) -> tuple[Array, Array]:
-    """Return T candidate velocities (T, n) [m/s], the allowed one nearest to the given among them; NaN if none."""
+    """Return T candidate velocities (T, n) [m/s], the nearest allowed one included; NaN, inf for missing crossings."""
     length = length_of(north, east)
     shrink = jnp.where(length > speed, speed * _safe(length), 1.0)
     normal_north, normal_east = planes.normal_north, planes.normal_east

@@ -69,7 +69,7 @@ _THIRD_SERIES_BELOW = {4: (1.0, 2.0), 8: (0.25, 0.25)}
 
 
 def severity_sigma(height_agl: Array, severity: int) -> Array:
-    """Return the gust standard deviation (n,) [m/s] at heights (n,) [m] for a severity, MIL-F-8785C figure 7.
+    """Return the gust std (n,) [m/s] of MIL-F-8785C figure 7 at heights (n,) [m], linear between the table's heights.
 
     Args:
         height_agl: (n,) [m]; beyond the table's ends its end values hold.
@@ -311,7 +311,7 @@ class Dryden(Turbulence):
     def step(
         self, state: DrydenState, draw: Noise, height_agl: Array, velocity_ned: Vec3, mean_wind_ned: Vec3, dt: float
     ) -> DrydenState:
-        """Return the filters' state dt [s] later, for heights (n,) [m] and ground velocities (n,) [m/s]."""
+        """Return the filters' state dt [s] later; heights [m] and ground velocities [m/s] (n,) are held in the step."""
         u, v1, v2, w1, w2, p, v3, w3 = draw.normals(8)
         lengths, _ = self._scales(height_agl)
         way = dt * carrying_speed(self.airspeed, velocity_ned, mean_wind_ned)

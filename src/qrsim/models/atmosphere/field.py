@@ -139,7 +139,7 @@ class DrydenField(Turbulence):
         return SEGMENTS * self.chains
 
     def convection_velocity_ned(self, wind: Wind) -> Vec3:
-        """Return the horizontal velocity () [m/s] NED at which the mean wind carries the gust field."""
+        """Return the horizontal velocity () [m/s] NED that carries the gust field: as given, or the mean wind's."""
         if self.convection_ned is not None:
             return Vec3(self.convection_ned[0], self.convection_ned[1], jnp.zeros_like(self.convection_ned[0]))
         return horizontal_mean(wind, jnp.asarray(self.convection_height))
@@ -166,7 +166,7 @@ class DrydenField(Turbulence):
         return FieldWaves(words, whole_turns(frequency), frequency, turned, handedness, dilation, ages)
 
     def init(self, draw: Noise) -> StillState | ResidualState:
-        """Return the initial state of the residual, each vehicle's own gusts beyond the field; empty without any."""
+        """Return the random initial residual in the steady state: vehicles' own gusts beyond the field; else empty."""
         return ResidualState(Vec3(*draw.normals(3))) if self.residual == "filter" else StillState()
 
     def step(
@@ -178,7 +178,7 @@ class DrydenField(Turbulence):
         mean_wind_ned: Vec3,
         dt: float,
     ) -> StillState | ResidualState:
-        """Return the residual gusts (n,) dt [s] later, correlated along each vehicle's path through the air."""
+        """Return the residual gusts (n,) dt [s] later, correlated along the level path through the air and across."""
         if isinstance(state, StillState):
             return state
         normals = Vec3(*draw.normals(3))
@@ -305,7 +305,7 @@ class DrydenField(Turbulence):
 
 
 def _group_values(of: Modes, own: Floats, turns: Array, amplitude: Array | None, place: Vec3) -> Iterator[Vec3]:
-    """Yield, for each octave of wavenumber, the velocity sums (B, n) of B groups of waves, in the waves' axes.
+    """Yield, for each octave, velocity sums (B, n) of B groups of waves, in the waves' axes, weighted by ``own`` only.
 
     Args:
         of: the set of waves, B groups of C chains.
@@ -339,7 +339,7 @@ def _numbers(table: Floats, like: Array) -> Array:
 
 
 def _rotation(normals: Array, word: Array) -> tuple[tuple[Vec3, Vec3, Vec3], Array]:
-    """Return the rows of a random rotation from four normals, and its determinant, -1 if bit 31 of ``word`` is set."""
+    """Return the rows of a random rotation, negated if bit 31 of ``word`` is set, and its determinant, 1 or -1."""
     w, x, y, z = normals
     sign = jnp.where(word >> 31 == 1, -1.0, 1.0).astype(normals.dtype)
 

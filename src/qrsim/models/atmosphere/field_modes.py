@@ -60,7 +60,7 @@ class Modes:
 
 @cache
 def modes(chains: int, octaves: int) -> Modes:
-    """Return the gust field's fixed waves: ``chains`` chains per segment of wavenumbers, ``octaves`` octaves in all."""
+    """Return the gust field's fixed waves: ``chains`` (a multiple of 2 GROUPS) per segment, ``octaves`` in all."""
     numbers = _Numbers(_SEED)
     most = (octaves + 1) // SEGMENTS
     each = chains // GROUPS
@@ -141,7 +141,7 @@ def _directions(numbers: _Numbers, chains: int) -> Floats:
 
 
 def _anisotropy(directions: Floats) -> float:
-    """Return how far stretches of a ring of unit vectors (C, 3) are from isotropic, by their second moments."""
+    """Return how far windows of a ring of directions (C, 3) are from isotropy: squared distance of moments from I/3."""
     count = len(directions)
     ring = np.concatenate([directions, directions])
     sums = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(ring[:, :, None] * ring[:, None, :], axis=0)])

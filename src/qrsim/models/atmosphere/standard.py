@@ -85,5 +85,5 @@ class SiteAir:
 
     @property
     def _share(self) -> Array:
-        """Return the air density at the site over that at sea level; exactly 1 for a site at sea level."""
+        """Air density at the site over that at sea level; exactly 1 for a site at sea level."""
         return (self.pressure / PRESSURE) * (TEMPERATURE / self.temperature)

@@ -73,7 +73,7 @@ class Thermals(Updraft):
         return 0 if np.size(self.places_ned) else self.number
 
     def built(self, bounds: Bounds | None, solids: Sequence[Footprint]) -> Thermals:
-        """Return the thermals fitted to an area: their number follows from its size.
+        """Return the thermals fitted to an area; their number follows from its size unless it, or places, are given.
 
         Raises:
             UsageError: the area has no bounds, holds no thermal, or is too small for them.

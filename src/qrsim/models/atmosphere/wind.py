@@ -24,12 +24,12 @@ REFERENCE_FT = 20.0
 
 
 def wind_to_ned(along: Array, across: Array, down: Array, wind_from_rad: Array) -> Vec3:
-    """Return a vector given along, across and down the wind as NED, for the bearing from which the wind comes."""
+    """Return a vector along, across and down the wind as NED, by the bearing it comes from (MIL-F-8785C, 3.7.1)."""
     return turned_to_ned(along, across, down, *sincos(jnp.asarray(wind_from_rad)))
 
 
 def turned_to_ned(along: Array, across: Array, down: Array, sine: Array, cosine: Array) -> Vec3:
-    """Return a vector given along, across and down the wind as NED, by sine and cosine of the wind's bearing."""
+    """Return a vector along, across and down the wind as NED, by sine and cosine of the bearing it comes from."""
     return Vec3(sine * across - cosine * along, -sine * along - cosine * across, down)
 
 
@@ -65,7 +65,7 @@ class LogShear(Wind):
     )
 
     def velocity_ned(self, height_agl: Array, seconds: Array | None = None, fraction: Array | None = None) -> Vec3:
-        """Return the mean wind (n,) [m/s] NED at heights (n,) [m] above ground by the logarithmic law.
+        """Return the mean wind (n,) [m/s] NED at heights (n,) [m] by the log law; zero up to the roughness height.
 
         The same at any time (``seconds`` and ``fraction``, which other winds need).
         |w(h)| = u20 ln(h/z0)/ln(20/z0), h in feet, by default z0 = 0.15 ft (MIL-F-8785C, section 3.7.3.2).

@@ -84,7 +84,7 @@ class WindGrid(Wind):
         return replace(self, mean_ned=means)
 
     def within(self, bounds: Bounds | None, top: float | None) -> WindGrid:
-        """Return the grid cut to the part that an area and the height ``top`` [m] need.
+        """Return the grid cut to the rows and columns that an area needs; all levels stay.
 
         Raises:
             UsageError: the grid lies entirely outside the area, or is too large there.
@@ -124,7 +124,7 @@ class WindGrid(Wind):
         return np.interp(height, np.asarray(self.levels), speed.max(axis=(0, 2, 3)))
 
     def _needed(self, axis: int, limits: tuple[float, float] | None) -> slice:
-        """Return the slice of rows (axis 0) or columns (1) that covers an area's limits [m]; raise UsageError."""
+        """Return the slice of rows (axis 0) or columns (1) that covers an area; raise UsageError if none does."""
         count = self.air_ned.x.shape[2 + axis]
         if limits is None:
             return slice(0, count)

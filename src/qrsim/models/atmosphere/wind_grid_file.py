@@ -176,7 +176,7 @@ def _check_units(file: str, name: str, attributes: Mapping[str, object], allowed
 
 
 def _axes(file: str, variable: xarray.DataArray, content: xarray.Dataset) -> dict[str, str]:
-    """Return the variable's dimension name for each axis "x", "y", "z" and perhaps "t"; raise UsageError."""
+    """Return the variable's dimension by axis, "x", "y", "z", perhaps "t"; raise UsageError for others or too few."""
     found: dict[str, str] = {}
     for dimension in map(str, variable.dims):
         attributes = content[dimension].attrs if dimension in content.coords else {}
@@ -209,7 +209,7 @@ def _coordinate(file: str, content: xarray.Dataset, name: str, axis: str) -> Flo
 
 
 def _times(file: str, content: xarray.Dataset, name: str) -> Floats:
-    """Return the file's times [s] since the first one; raise UsageError for unknown units or decreasing times."""
+    """Return the file's times [s] since the first; raise UsageError for unknown units or times that do not increase."""
     values = _numbers(file, content, name, least=1)
     units = content[name].attrs.get("units")
     expected = "'s' or 'seconds since ...', or the same with minutes, hours or days"

@@ -144,7 +144,7 @@ class VeeringShear(Wind):
     )
 
     def velocity_ned(self, height_agl: Array, seconds: Array, fraction: Array) -> Vec3:
-        """Return the wind velocity (n,) [m/s] NED at heights (n,) [m]; its direction turns with height.
+        """Return the wind velocity (n,) [m/s] NED at heights (n,) [m]: it turns with height and is constant in time.
 
         Logarithmic: u20 ln(h/z0)/ln(20/z0), h in feet, z0 = 0.15 ft, zero below z0 (MIL-F-8785C, section 3.7.3.2).
         Power law: u20 (h/20 ft)^exponent, zero at and below the ground.

@@ -116,7 +116,7 @@ class NominalConstellations(Ephemeris):
 
     @property
     def satellite_ids(self) -> npt.NDArray[np.uint32]:
-        """Number (S,) of each satellite, whichever systems are simulated; its lower byte is 0, as it has no PRN."""
+        """Number (S,) of each satellite, the same whichever systems are simulated; the lower byte, of PRNs, is 0."""
         numbers = np.arange(24, dtype=np.uint32) * np.uint32(256)
         return np.concatenate([numbers + np.uint32(ord(letter) << 16) for letter in self._letters])
 
@@ -177,7 +177,7 @@ class NominalConstellations(Ephemeris):
 
 
 def _angles(pattern: Walker, gps_seconds: Float64) -> tuple[Float64, Float64, tuple[float, float, float]]:
-    """Return argument of latitude and node's longitude [rad], and (both rates [rad/s], inclination [rad]).
+    """Return argument of latitude and Earth-fixed node longitude [rad], and (both rates [rad/s], inclination [rad]).
 
     Times (..., 1) give angles (..., 24). Secular rates of a circular orbit: Brouwer 1959, first order.
     """

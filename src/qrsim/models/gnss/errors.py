@@ -131,7 +131,7 @@ class GaussMarkov2(RangeErrors):
         return self.std * state.error
 
     def discretise(self, dt: float | Array) -> GaussMarkov2Step:
-        """Return the exact transition, and the Cholesky factor of the noise covariance, of a step of dt [s].
+        """Return the exact transition, and the Cholesky factor of the noise covariance, of a step of any length dt [s].
 
         With rates a = 1/tau_1 and b = 1/tau_2, unit variances need k' = sqrt(a (a + b)) and noise of intensity 2 b.
         An impulse on y is worth exp(-b s) in y and k' (exp(-a s) - exp(-b s))/(b - a) in x after s, and the covariances
@@ -191,7 +191,7 @@ class GaussMarkov2(RangeErrors):
 
 
 def _lag(a: Array, b: Array, s: Array) -> Array:
-    """Return (exp(-a s) - exp(-b s))/(b - a) for rates and times, without cancellation, also for a = b."""
+    """Return (exp(-a s) - exp(-b s))/(b - a) for rates () and times (...), without cancellation, also for a = b."""
     z = jnp.abs(b - a) * s
     small = z < 1e-3
     ratio = jnp.where(small, 1.0 - z * (0.5 - z * (1.0 / 6.0 - z / 24.0)), -jnp.expm1(-z) / jnp.where(small, 1.0, z))

@@ -114,7 +114,7 @@ class Geometry:
         return shared if self.own is None else self.own.of(shared, self.own.half * both)
 
     def common(self, part: Array) -> Vec3:
-        """Return the position error [m] by errors that all receivers share, ``part`` 0 to 1 between two updates."""
+        """Return the position error (m,) [m] by errors that all receivers share, at ``part`` 0 to 1 between updates."""
         return self.before + (self.after - self.before) * part
 
 
@@ -154,7 +154,7 @@ def passed(receiver: ReceiverParameters, rate: Array | float, smoothing_time: Ar
 
 
 def sights(receiver: ReceiverParameters, slots: Slots, position_ned: Vec3 | None, ground: Ground | None) -> Array:
-    """Return (K, m) bool: a receiver uses the system of slot K's satellite, and sees it above mask and terrain."""
+    """Return (K, m) bool: the receiver uses the system of the slot's satellite, and sees it above mask and terrain."""
     numbers = [LETTERS.index(letter) for letter in receiver.systems]
     heard = slots.ids != jnp.uint32(NOBODY)
     if len(numbers) < len(LETTERS):
@@ -189,14 +189,14 @@ def clear_weakness(receiver: ReceiverParameters) -> Array:
 
 
 def tracked(receiver: ReceiverParameters, slots: Slots, seen: Array, age: Array, jam: Array) -> Array:
-    """Return (K, n) bool: jammed receivers track the satellite; ``age`` (K, n) [s]: tracked so far, below 0 if not."""
+    """Return (K, n) bool: jammed receivers track the satellite; ``age`` (K, n) [s]: tracked so far, see ``aged``."""
     weaker = weakness(receiver, slots, jam)
     strong = weaker < jnp.where(age > 0.5 * AWAY, LOST, FOUND)
     return seen & (strong | ~(jam > 0.0)[None, :])
 
 
 def aged(receiver: ReceiverParameters, seen: Array, same: Array, age: Array) -> Array:
-    """Return tracking times (K, n) [s] one period later; negative, counted from ``AWAY``, while not in view."""
+    """Return tracking times (K, n) [s] one period later; while not in view they fall from ``AWAY``, a negative time."""
     period = receiver.period
     long = AWAY - age > _COLD_S
     found = across(receiver.acquisition) - jnp.where(

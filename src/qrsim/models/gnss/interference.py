@@ -227,7 +227,7 @@ def jammed(
     ground: Ground | None,
     skyline: Skyline | None = None,
 ) -> Array:
-    """Return the rise of 1/(C/N0) of receivers (n,) by all jammers, in units of 1/(45 dB-Hz).
+    """Return the rise of 1/(C/N0) of receivers (n,) by jammers, discs and jamming spoofers, in 1/(45 dB-Hz).
 
     Args:
         now: the interference.

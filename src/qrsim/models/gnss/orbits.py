@@ -82,7 +82,7 @@ class Ephemeris(Protocol):
 
     @abstractmethod
     def at(self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike, duration_s: float = math.inf) -> Orbits:
-        """Return the satellites' orbits as seen from a site, for a run that starts at a time [GPS s]."""
+        """Return the satellites' orbits as seen from a site, for a run from a start [GPS s] on, with a duration [s]."""
         ...
 
 
@@ -101,7 +101,7 @@ class Phase:
 
     @staticmethod
     def of(angle: NumpyArray, rate: NumpyArray) -> Phase:
-        """Return angles (S,) [rad] that grow at rates (S,) [rad/s] as exact phases; |rate| < pi."""
+        """Return the phases, in float64, of angles (S,) [rad] that grow at rates (S,) [rad/s]; |rate| < pi."""
         units, units_per_s = np.rint(angle * _UNITS_PER_RAD), np.rint(rate * _UNITS_PER_RAD)
         return record_of(
             Phase,
@@ -250,7 +250,10 @@ class NominalConstellation(Ephemeris):
         return -math.inf, math.inf
 
     def positions_ecef(self, gps_seconds: npt.ArrayLike) -> Float64:
-        """Return the 24 satellites' Earth-fixed positions (..., 24, 3) [m] at times (...) [GPS s]."""
+        """Return the 24 satellites' Earth-fixed positions (..., 24, 3) [m] at times (...) [GPS s].
+
+        Rounding is below 0.01 m until 2100.
+        """
         argument, node = self._angles(np.asarray(gps_seconds, np.float64)[..., None])
         return circular_positions(argument, node, _SEMI_MAJOR_AXIS, _INCLINATION)
 
@@ -280,7 +283,7 @@ class NominalConstellation(Ephemeris):
 
     @staticmethod
     def _angles(gps_seconds: Float64) -> tuple[Float64, Float64]:
-        """Return argument of latitude and longitude of the node (..., 24) [rad] at times (..., 1) [GPS s]."""
+        """Return argument of latitude and Earth-fixed node longitude (..., 24) [rad] at times (..., 1) [GPS s]."""
         age = gps_seconds - _EPOCH_GPS_SECONDS
         slots = np.radians([angle for _, angles in _PLANES.values() for angle in angles])
         planes = np.radians([ascension for ascension, angles in _PLANES.values() for _ in angles])

@@ -164,7 +164,7 @@ def solve_position(line_of_sight: Vec3, range_residual: Array, used: Array) -> F
 
 
 def _inverse_symmetric(a: Array, b: Array, c: Array, d: Array, e: Array, f: Array) -> tuple[Array, ...]:
-    """Return the inverse of the symmetric matrices [[a, b, c], [b, d, e], [c, e, f]], as the same six entries."""
+    """Return the inverse of symmetric [[a, b, c], [b, d, e], [c, e, f]] by cofactors, as the same six entries."""
     co_a, co_b, co_c = d * f - e * e, c * e - b * f, b * e - c * d
     scale = 1.0 / (a * co_a + b * co_b + c * co_c)
     return (
@@ -336,7 +336,7 @@ class GnssReceiver(Sensor):
 
 
 def _solution(position_ned: Vec3, fix: Fix, position_low_ned: Vec3 | None) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
-    """Return a fix's position in the parts that a state stores: (rounded fix, true position, remainder), or None each.
+    """Return the parts of a fix that a state stores: rounded fix, true position or None, rounding remainder or None.
 
     From a position of two parts comes a solution of two parts, which need not be taken apart into truth and error.
     """

@@ -25,7 +25,7 @@ def lagged(
     fixes: Array,
     got: Received | None = None,
 ) -> tuple[Vec3, Vec3]:
-    """Return the position errors (n,) [m] after one and after both of the receiver's low-pass filters."""
+    """Return the position errors (n,) [m] after one and after both low-pass filters, shifted by ``moved_on`` [m]."""
     started = 1.0 / jnp.maximum(fixes, 1.0)
     gains = [
         jnp.maximum(started, -jnp.expm1(-receiver.period / jnp.asarray(time)))

@@ -43,13 +43,13 @@ class Skyline:
     )
 
     def sees(self, position_ned: Vec3, point_ned: Vec3) -> Array:
-        """Return (n,) bool: no obstacle blocks the line from a receiver to a point [m]."""
+        """Return (n,) bool: no obstacle blocks the line from a receiver to a point [m], by exact rays."""
         if self.solids is None:
             return jnp.ones(position_ned.x.shape, bool)
         return line_of_sight(self.solids, position_ned, point_ned)
 
     def look(self, position_ned: Vec3, sight: Sight) -> tuple[Array, Array]:
-        """Return (K, n) bool: obstacles hide satellite K from receiver n, and (K, n) its reflection's detour.
+        """Return (K, n) bool: obstacles hide the satellite from the receiver, and (K, n) its reflection's detour.
 
         The detour is the extra path [m] divided by the cosine of the elevation; 0 without a reflection.
         """

@@ -67,7 +67,7 @@ class Frame:
 
 
 def walls_of(solids: Sequence[tuple[Sequence[npt.ArrayLike], float, float]]) -> Walls:
-    """Return the walls of solids, each given by rings of corners (V, 2) [m], and top and bottom heights [m]."""
+    """Return the walls of solids, each given by rings of corners (V, 2), and top and bottom over z = 0 [m]."""
     ends = [edges_of(rings) for rings, _, _ in solids]
     count = [len(first) for first, _ in ends]
     return Walls(
@@ -106,7 +106,7 @@ def frame_of(
 
 
 def _levels(bottom: float, tallest: float) -> tuple[float, ...]:
-    """Return heights [m] of the table's levels, rising from ``bottom`` to the highest roof, ``tallest``."""
+    """Return heights over z = 0 [m] of the table's levels, rising from ``bottom`` to the highest roof, ``tallest``."""
     above, whole = list(LEVELS), tallest - bottom
     while above[-1] * GROWTH < whole:
         above.append(above[-1] * GROWTH)
@@ -114,7 +114,7 @@ def _levels(bottom: float, tallest: float) -> tuple[float, ...]:
 
 
 def make_table(walls: Walls, frame: Frame, lowest: float) -> Skyline:
-    """Return the table of horizons and reflections that walls cause, on a grid; ``lowest`` as in ``frame_of``."""
+    """Return the table of horizons, reflection detours and ceilings that walls cause; ``lowest`` as in ``frame_of``."""
     shape = (frame.rows * frame.columns, len(frame.levels), frame.azimuths)
     tables = [np.zeros(shape, np.uint8) for _ in range(3)]
     slope = math.tan(lowest)
@@ -213,7 +213,7 @@ def _block(
 
 
 def _quantized(tangent: Float64) -> NumpyArray:
-    """Return the tangents of elevations as bytes, in units of ANGLE."""
+    """Return elevations, given by their tangents, as bytes in units of ANGLE."""
     return np.round(np.arctan(tangent) * (1.0 / ANGLE)).astype(np.uint8)
 
 

@@ -212,7 +212,7 @@ class SlottedSky(Sky):
     def _from(
         self, errors: object, advanced: object, here: Vec3, later: Vec3, places: Array, knot: Array
     ) -> tuple[SlottedMemory, Slots, Array]:
-        """Return the state's memory, slots and range errors (S,) from update (knot) ``knot`` on, slots kept."""
+        """Return memory, slots and range errors (S,) from update (knot) ``knot`` on; satellites in view keep slots."""
         sights = [sight_of(where) for where in (here, later)]
         system = jnp.asarray(self.system)
         common = [self.errors.seen(e, s, system) for e, s in zip((errors, advanced), sights, strict=True)]
@@ -288,7 +288,7 @@ def assigned(in_view: Array, highest: Array, places: Array) -> tuple[Array, Arra
 
 
 def slots_needed(ephemeris: Ephemeris, site: Site, start: float, duration_s: float, lowest_sine: float) -> int:
-    """Return the number of slots for all satellites in view at once, during a run or at most a day."""
+    """Return the number of slots for all satellites in view at once: over a day, or a shorter run with a file."""
     first, last = ephemeris.span_gps_seconds
     begin = min(max(start, first), last)
     if math.isinf(last):

@@ -62,7 +62,7 @@ class Gains:
     inverse: Symmetric = quantity(unit="m^2", doc="(n,) of the normal matrix")
 
     def of(self, line_of_sight: Vec3, errors: Array) -> Vec3:
-        """Return the position error (n,) [m] for range errors (K, n) [m] of satellites in directions (K, 1)."""
+        """Return the position error (n,) [m] for range errors (K, 1) or (K, n) [m] in directions (K, 1)."""
         weighted = self.weight * errors
         total, *along = sums([weighted, *(weighted * axis for axis in line_of_sight.axes)])
         about = (part - mean * total for part, mean in zip(along, self.mean.axes, strict=True))
@@ -103,7 +103,7 @@ def solve(line_of_sight: Vec3, weight: Array, used: Array) -> Solution:
 
 
 def robust(solution: Solution, line_of_sight: Vec3, weight: Array, used: Array, errors: Array, std: Array) -> Solution:
-    """Return the solution reweighted twice: outlying ranges count less (Huber), and none beyond six sigma.
+    """Return the solution reweighted twice: outlying ranges count less (Huber), beyond six sigma almost nothing.
 
     Args:
         solution: with the weights as they are.
@@ -140,7 +140,7 @@ def _reweighted(weight: Array, errors: Array, axes: Sequence[Array], moved: Vec3
 
 
 def _inverted(entries: Sequence[Array], enough: Array) -> tuple[Symmetric, Array]:
-    """Return the inverses of symmetric 3 x 3 matrices (m,), and (m,) bool: the matrix is regular."""
+    """Return the inverses of symmetric 3 x 3 matrices (m,) by cofactors, and (m,) bool: the matrix is regular."""
     a, b, c, d, e, f = entries
     co_a, co_b, co_c = d * f - e * e, c * e - b * f, b * e - c * d
     determinant = a * co_a + b * co_b + c * co_c
@@ -151,7 +151,7 @@ def _inverted(entries: Sequence[Array], enough: Array) -> tuple[Symmetric, Array
 
 
 def factor(rows: Vec3, variance: Array) -> Symmetric:
-    """Return the Cholesky factor (m,) of a solution's covariance, for independent range variances (K, m) [m^2].
+    """Return the Cholesky factor (m,) of a solution's covariance, for independent errors of variances (K, m) [m^2].
 
     The entries are 11, 21, 22, 31, 32, 33 of the lower triangle, for north, east and down.
     """

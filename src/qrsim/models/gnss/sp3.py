@@ -129,7 +129,7 @@ class Sp3Ephemeris(Ephemeris):
         return self._interpolate(flat[:, None], self._interval_of(flat)).reshape(*since_first.shape, -1, 3)
 
     def received_ned(self, site: Site, gps_seconds: npt.ArrayLike) -> Float64:
-        """Return satellite positions (..., S, 3) [m] NED as received at a site at times (...) [GPS s].
+        """Return positions (..., S, 3) [m] NED as received at a site at times (...) [GPS s]; see ``Orbits``.
 
         Raises:
             UsageError: a time is outside the file's span.
@@ -173,7 +173,7 @@ class Sp3Ephemeris(Ephemeris):
         return tuple(found)
 
     def at(self, site: Site, start_gps_seconds: float, dtype: npt.DTypeLike, duration_s: float = math.inf) -> Sp3Orbits:
-        """Return the satellites' orbits as seen from a site, for a run; each of ``notes`` becomes a warning.
+        """Return the orbits as seen from a site, over the whole file, for a run; each of ``notes`` becomes a warning.
 
         Args:
             site: where the signals are received.
@@ -241,7 +241,7 @@ class Sp3Ephemeris(Ephemeris):
 
     @cached_property
     def _windows(self) -> npt.NDArray[np.intp]:
-        """First of the 12 epochs that interpolate each interval (E - 1, satellites of the file); -1: impossible."""
+        """Index of the first of 12 epochs that interpolate each interval (E - 1, satellites of the file); -1: none."""
         present = np.isfinite(self.data.positions_ecef[..., 0])
         joined = present[1:] & present[:-1] & ~self.data.manoeuvre[1:]
         windows = np.full(joined.shape, -1, np.intp)
@@ -257,7 +257,7 @@ class Sp3Ephemeris(Ephemeris):
         return np.clip(since_first // self.data.interval, 0, len(self.data.clocks) - 2).astype(np.intp)
 
     def _interpolate(self, since_first: Float64, intervals: npt.NDArray[np.intp]) -> Float64:
-        """Return positions (T, S, 3) [m] at times [s] after the first epoch, by the intervals' (T,) polynomials."""
+        """Return positions (T, S, 3) [m] at (T, 1) or (T, S) [s] after the first epoch, in the intervals (T,)."""
         window = self._windows[intervals][:, self._columns]
         basis = lagrange_basis(np.arange(DEGREE + 1), since_first / self.data.interval - window)
         total = np.zeros((*window.shape, 3))
@@ -266,7 +266,7 @@ class Sp3Ephemeris(Ephemeris):
         return np.where(window[..., None] < 0, np.nan, total)
 
     def _received(self, site: Site, since_first: Float64, intervals: npt.NDArray[np.intp]) -> Float64:
-        """Return satellite positions (T, S, 3) [m] NED as received at a site at times (T,) [s] of the file."""
+        """Return positions (T, S, 3) [m] NED as received at a site at times (T,) [s] after the first epoch."""
         origin, to_ned = site.origin_ecef(), site.ned_from_ecef_rotation()
         flight = _FIRST_FLIGHT_S
         # Each round shrinks the error of the travel time, 0.02 s at first, by 1e5.

@@ -217,7 +217,7 @@ def _epochs(lines: _Lines) -> tuple[list[_Epoch], bool]:
 
 
 def _header_satellites(lines: _Lines) -> set[str]:
-    """Return the names of the satellites that the header's '+' lines list."""
+    """Return the satellites in the header's '+' lines: 17 to a line, in columns of three from the tenth on."""
     found = set()
     for text in lines.text:
         if text.startswith("*"):
@@ -232,7 +232,7 @@ def _header_satellites(lines: _Lines) -> set[str]:
 
 
 def _time_system(lines: _Lines, line: int) -> str:
-    """Return the time system, such as GPS, that the header line number ``line`` names; raise UsageError for others."""
+    """Return the time system in columns 10 to 12 of header line ``line``, such as GPS; raise UsageError for others."""
     name = lines.text[line - 1][9:12].strip().upper() or "CCC"
     known = (*_GPS_MINUS, *_LEAPING)
     if name not in known:

@@ -108,7 +108,7 @@ class Network(Channel, Radio):
         )
 
     def heard(self, state: NetworkState, tick: Array, time_step: float) -> Heard:
-        """Return the newest received message of each sender as a table, without those older than ``inbox.forget``."""
+        """Return the newest received message of each sender, newest first, none older than ``inbox.forget``."""
         both = state.coming.joined(state.table)
         fresh = (tick - both.sent) <= round(self.inbox.forget / time_step)
         return newest(both, both.known(tick) & fresh, self.inbox.size)

@@ -86,11 +86,11 @@ class Ground(Protocol):
     flat: ClassVar[bool] = False
 
     def at(self, site: object, box: object) -> Ground:
-        """Return the ground for a site, and an area's bounds (south, north, west, east [m]) or None."""
+        """Return the ground for a site and for an area's bounds (south, north, west, east [m], or None)."""
         return self
 
     def horizon_sine(self, position_ned: Vec3, line_of_sight: Vec3) -> Array:
-        """Return the sine (S, n) of the terrain horizon's elevation in the directions of lines of sight (S, n)."""
+        """Return the sine (S, n) of the terrain horizon's elevation below lines of sight (S, n) from positions (n,)."""
         return jnp.full(line_of_sight.z.shape, -1.0, line_of_sight.z.dtype)
 
     def line_of_sight(self, position_ned: Vec3, point_ned: Vec3) -> Array:

@@ -137,7 +137,7 @@ def _cross(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> npt.NDArra
 
 
 def _crossing_edges(start: npt.NDArray[np.float64], end: npt.NDArray[np.float64]) -> list[tuple[int, int]]:
-    """Return index pairs of polygon edges, from ``start`` to ``end`` (V, 2), that meet other than at their corners."""
+    """Return index pairs of edges, from ``start`` to ``end`` (V, 2), that meet other than at a shared corner."""
     count, edge = len(start), end - start
     low, high = np.minimum(start, end), np.maximum(start, end)
     found = []

@@ -94,7 +94,7 @@ class GridGround(Ground):
         return seen
 
     def normal(self, position_ned: Vec3) -> Vec3:
-        """Return the upward unit normal of the ground below positions of any shape [m]."""
+        """Return the upward unit normal of the bilinear ground below positions of any shape [m]."""
         (a, b), ((sw, se), (nw, ne)) = self._cell(position_ned)
         north = ((nw - sw) + b * ((ne - se) - (nw - sw))) / self.spacing[0]
         east = ((se - sw) + a * ((ne - nw) - (se - sw))) / self.spacing[1]
@@ -115,7 +115,7 @@ class GridGround(Ground):
         return (parts[0], parts[1]), (south, north)
 
     def horizon_sine(self, position_ned: Vec3, line_of_sight: Vec3) -> Array:
-        """Return the sine (S, n) of the terrain horizon's elevation in the directions of lines of sight (S, n).
+        """Return the sine (S, n) of the terrain horizon's elevation below lines of sight (S, n) from positions (n,).
 
         It is that seen from above the middle of the area, at the same height as the vehicle.
         """

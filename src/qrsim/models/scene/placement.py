@@ -91,7 +91,7 @@ class RingPlaces(Placement):
         return _unplaced(size, self.apart, self.tries)
 
     def most_vehicles(self) -> int:
-        """Return the number of vehicles that fit on the ring's outer circle, the smallest distance apart."""
+        """Return the number of vehicles that fit on the ring's outer circle, an upper bound for random placement."""
         # At distances near zero any number fits, and the angle would be too small to divide by.
         if self.apart <= 1e-9 * self.farthest:
             return 10**9
@@ -100,7 +100,7 @@ class RingPlaces(Placement):
 
 
 def _unplaced(size: int, apart: Array, tries: int) -> str:
-    """Return the error message for vehicles that found no positions ``apart`` [m] from each other in ``tries``."""
+    """Return the error message for vehicles without positions at least ``apart`` [m] apart after ``tries``."""
     return (
         f"no place for {size} vehicles at least {float(apart):g} m apart in {tries} tries; take another seed, fewer "
         "vehicles, more tries or less distance"
@@ -110,7 +110,7 @@ def _unplaced(size: int, apart: Array, tries: int) -> str:
 def _first_apart(
     candidate: Callable[[Array], tuple[Array, Array]], apart: Array, tries: int
 ) -> tuple[Array, Array, Array]:
-    """Return north, east (n,) [m] of the first random placement with distances from ``apart`` [m], and bool: found.
+    """Return north, east (n,) [m] of the first random placement at least ``apart`` [m] apart, and bool: found.
 
     Args:
         candidate: from the number of a try to north and east (n,).

@@ -308,7 +308,7 @@ class PuffPlume(Plume):
         return jnp.ones((), state.age.dtype)
 
     def _in_box(self, source_ned: Vec3, flown: Array, wind: Wind, area: Any) -> Array:
-        """Return (S, K) bool: puff K of source S, after ``flown`` [m] of travel, still reaches into the area."""
+        """Return (S, K) bool: the puff of the source, after ``flown`` [m] of travel, still reaches into the area."""
         tail = flown - trail(self.spread_factor, self.spread_exponent, flown)
         north = source_ned.x[:, None] + wind.north * tail
         east = source_ned.y[:, None] + wind.east * tail

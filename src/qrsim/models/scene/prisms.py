@@ -109,7 +109,7 @@ class Pieces:
     number: Array = quantity(doc="number of the obstacle in the scenario")
 
     def square(self, x: Array, y: Array, z: Array) -> Array:
-        """Return the squared distance [m^2] of points NED [m] from trapezoidal solids, 0 inside them."""
+        """Return squared distances [m^2] of points (x, y, z) [m] from trapezoidal solids, 0 inside; all broadcast."""
         (w0, w1), (e0, e1) = self.west, self.east
         tall = self.north - self.south
         part = jnp.clip((x - self.south) / tall, 0.0, 1.0)

@@ -18,7 +18,7 @@ LOOKS = 64
 
 
 def obstacle_hit(obstacles: Obstacles, start_ned: Vec3, end_ned: Vec3, radius: Array) -> tuple[Array, Array]:
-    """Return the obstacle number (n,), nearest to each path's end or hit on the path, and (n,) bool: it is hit.
+    """Return the obstacle number (n,), nearest to the path's end or met on it, and (n,) bool: within ``radius``.
 
     Args:
         obstacles: of the world.

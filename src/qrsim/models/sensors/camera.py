@@ -324,7 +324,7 @@ class Camera(Sensor):
         return jnp.any(here & persons.missing(tick))
 
     def winners(self, view: View, persons: PersonsState, tick: Array, size: Array) -> tuple[Array, Array, Array]:
-        """Return the windows (Q,) near persons, as row and column, and (Q,) bool: the nearest person is not found yet.
+        """Return windows (Q,) of persons, as row and column, and (Q,) bool: the person nearest its centre is missing.
 
         A window is named for each of nine points of each person; the nearest of them counts.
         """
@@ -334,7 +334,7 @@ class Camera(Sensor):
         return row, column, jnp.isfinite(nearness) & (nearness == nearest) & missing
 
     def _points(self, view: View, persons: PersonsState, tick: Array, size: Array) -> tuple[Array, Array, Array, Array]:
-        """Return row, column, squared distance and bool: not found, each (Q,), for nine points of each person.
+        """Return row, column, squared distance to the window's centre, and missing (Q,), for nine points a person.
 
         Points that are in no window are infinitely far, in a row and a column beyond the last.
         """

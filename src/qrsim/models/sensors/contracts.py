@@ -86,7 +86,7 @@ class Sensor(Protocol):
         return self.init(draw, *args, **reads)
 
     def biases(self, state: Any) -> dict[str, Any]:
-        """Return the true slowly varying errors of the readings, {field: (n,)}; {} if unknown."""
+        """Return the true slowly varying errors (n,) of the reading, {field or vector: error}; {} if unknown."""
         return {}
 
     def white_noise(self) -> dict[str, Array]:

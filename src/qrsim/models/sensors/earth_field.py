@@ -31,7 +31,7 @@ def years() -> str:
 
 
 def covers(when: datetime) -> bool:
-    """Return whether a magnetic model covers a date."""
+    """Return whether a magnetic model covers a time (with time zone), by its year in UTC."""
     return FIRST_YEAR <= when.astimezone(UTC).year < END_YEAR
 
 
@@ -80,7 +80,7 @@ def inclination(field_ned: npt.ArrayLike) -> float:
 
 
 def compass_heading(field_body: Vec3, roll: object, pitch: object, declination: Array | float = 0.0) -> Array:
-    """Return the heading (n,) [rad] from a magnetometer reading and known roll and pitch [rad] (levelled compass).
+    """Return the heading (n,) [rad], -pi to pi, from a magnetometer and known roll and pitch: a levelled compass.
 
     With a declination it is against true north, else against magnetic north. An error of the tilt turns it by about the
     error times the tangent of the inclination.

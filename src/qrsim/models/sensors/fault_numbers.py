@@ -73,7 +73,7 @@ def number_problems(
     fields: Sequence[str],
     white: Mapping[str, object] | None = None,
 ) -> Iterator[tuple[str, str]]:
-    """Yield (name, problem as text) for the field and each number that a fault of a kind cannot have.
+    """Yield (name, problem as text) for the field and each number, given or missing, that does not suit a fault.
 
     ``white`` is the white noise of the sensor, see ``Sensor.white_noise``.
     """

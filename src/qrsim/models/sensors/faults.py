@@ -308,7 +308,7 @@ def _pick(condition: bool | Array, yes: Any, no: Any) -> Any:
 
 
 def _at_fields(item: Any, path: str, places: dict[str, int], change: Callable[[Array, int], Array]) -> Any:
-    """Return a record with ``change(values, index)`` applied to the fields in ``places`` {dotted name: index}."""
+    """Return a record with ``change(values, index)`` applied to fields in ``places``; a tuple's parts share a name."""
     if isinstance(item, tuple):
         return tuple(_at_fields(part, path, places, change) for part in item)
     if item is None:

@@ -303,7 +303,7 @@ class Imu(Sensor):
         return tuple(jnp.sqrt(a * a + b * b) for a, b in zip(white, shaken, strict=True))
 
     def _low_pass(self, dt: float) -> tuple[float, float, float]:
-        """Return the coefficients (b0, a1, a2) of the second-order low-pass filter, -3 dB at ``bandwidth_hz``."""
+        """Return b0, a1, a2 of the second-order low-pass filter (bilinear transform), -3 dB at ``bandwidth_hz``."""
         k = math.tan(math.pi * self.bandwidth_hz * dt)
         norm = 1.0 / (1.0 + math.sqrt(2.0) * k + k * k)
         return k * k * norm, 2.0 * (k * k - 1.0) * norm, (1.0 - math.sqrt(2.0) * k + k * k) * norm
@@ -352,7 +352,7 @@ class IdealImu(Sensor):
     def step(
         self, state: Vec3, draw: Noise, rates_body: Vec3, specific_force: Vec3, load: Load
     ) -> tuple[Vec3, ImuReading]:
-        """Return the true body rates as state, and the reading: means of linearly changing rates over the period."""
+        """Return the true body rates as state, and the true reading; its angle is that of linearly changing rates."""
         angle = (state + rates_body) * (0.5 * self.period)
         angle = angle + state.cross(rates_body) * (self.period * self.period / 12.0)
         return rates_body, ImuReading(rates_body, specific_force, angle, specific_force * self.period)

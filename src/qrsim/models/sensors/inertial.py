@@ -44,7 +44,7 @@ class Gyroscope(Memoryless):
     normals: ClassVar[int] = 3
 
     def biases(self, state: None) -> dict[str, float]:
-        """Return {}: this gyroscope has only white noise."""
+        """Return {"rates_body": 0.0}: this gyroscope has only white noise."""
         return {"rates_body": 0.0}
 
     def white_noise(self) -> dict[str, Array]:
@@ -82,7 +82,7 @@ class Accelerometer(Memoryless):
     normals: ClassVar[int] = 3
 
     def biases(self, state: None) -> dict[str, float]:
-        """Return {}: this accelerometer has only white noise."""
+        """Return {"specific_force": 0.0}: this accelerometer has only white noise."""
         return {"specific_force": 0.0}
 
     def white_noise(self) -> dict[str, Array]:

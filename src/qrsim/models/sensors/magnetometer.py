@@ -59,7 +59,7 @@ class Steel:
     radius: Array = quantity(unit="m", doc="(m,) radii")
 
     def field_ned(self, earth: Vec3, position_ned: Vec3) -> Vec3:
-        """Return the field (n,) NED that a steel object adds to Earth's at positions (n,) [m], in the unit of Earth's.
+        """Return the field (n,) NED that steel objects add to Earth's at positions (n,) [m], in the unit of Earth's.
 
         Outside of a sphere that conducts a magnetic field far better than air that is the field of a dipole,
         (a/r)^3 (3 (B r) r/r^2 - B) (Jackson, Classical Electrodynamics, 3rd ed., 5.11). Inside it is held.
@@ -225,7 +225,7 @@ class IdealMagnetometer(Memoryless):
 
 
 def true_field_body(earth: Vec3, steel: Steel | None, position_ned: Vec3, attitude: Euler) -> Vec3:
-    """Return the true magnetic field (n,) in body axes, Earth's plus the steel object's, in the unit of ``earth``."""
+    """Return the true magnetic field (n,) in body axes, Earth's plus that of steel, in the unit of ``earth``."""
     like = position_ned.x
     field = earth.map(lambda axis: jnp.broadcast_to(jnp.asarray(axis, like.dtype), like.shape))
     if steel is not None:

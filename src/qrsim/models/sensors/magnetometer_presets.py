@@ -18,7 +18,7 @@ _MILLIGAUSS = 0.1
 def _chip(
     rms: float, rate: float, step: float, largest: float, scale: float, cross_axis: float, drift: float
 ) -> dict[str, object]:
-    """Return a magnetometer chip's parameters, by name, from the numbers of its data sheet [uT].
+    """Return a magnetometer chip's parameters, by name, from the numbers of its data sheet.
 
     Args:
         rms, rate: noise of a sample [uT], and samples a second [Hz].

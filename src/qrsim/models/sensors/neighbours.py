@@ -303,7 +303,7 @@ def _in_view(
 
 
 def _deflected(unit: Vec3, first: Array, second: Array) -> Vec3:
-    """Return unit vectors rotated by two small angles [rad] about axes across them."""
+    """Return unit vectors rotated by two small angles [rad] about axes perpendicular to them."""
     # Any direction across: of forward, unless it is about along that, then of right.
     ahead = jnp.abs(unit.x) < 0.9
     zero = jnp.zeros_like(unit.x)
@@ -315,7 +315,7 @@ def _deflected(unit: Vec3, first: Array, second: Array) -> Vec3:
 
 
 def _random_places(chances: Array, field_of_view_rad: float, reach: Array) -> Vec3:
-    """Return random positions (n,) [m] in the sensor's axes, for false detections, within its cone and ``reach``."""
+    """Return random positions (n,) [m] for false detections: uniform direction in the cone, uniform distance."""
     lowest = math.cos(0.5 * field_of_view_rad)
     ahead = lowest + (1.0 - lowest) * chances[0]
     side = jnp.sqrt(jnp.maximum(1.0 - ahead * ahead, 1e-12))

@@ -217,7 +217,7 @@ def distance_along_z(obstacles: Obstacles, ground: Ground, position_ned: Vec3, a
 
 
 def flow_rates(distance: Array, velocity_body: Vec3, rates_body: Vec3) -> tuple[Array, Array]:
-    """Return optical flow rates (n,) [rad/s] about the sensor's x and y at the picture's centre; NaN without any."""
+    """Return optical flow (n,) [rad/s] about the sensor's x and y at the picture's centre; NaN without a distance."""
     seen = jnp.isfinite(distance) & (distance > 0.0)
     inverse = 1.0 / jnp.where(seen, distance, 1.0)
     about_x, about_y = rates_body.x - velocity_body.y * inverse, rates_body.y + velocity_body.x * inverse

@@ -145,7 +145,7 @@ class PressureAltimeter(Sensor):
         load: Load,
         ground: Ground,
     ) -> tuple[PressureState, PressureReading]:
-        """Return state and reading of the same altimeters after ``set_state`` has moved their vehicles."""
+        """Return state and reading after ``set_state`` has moved vehicles; each altimeter keeps drift and offset."""
         white, _, _ = draw.normals(3)
         flow = (position_ned, attitude, velocity_body, wind_ned, load, ground)
         height, pressure, warmth = self._measured(state, white, *flow)

@@ -14,7 +14,7 @@ FIRST_PAIR = 1 << 20
 
 
 def uniforms(draw: Draw, rows: int, first: int = 0) -> Array:
-    """Return uniform random numbers (rows, n) in (0, 1), from draw number ``first`` on; see ``Stream.normal_rows``."""
+    """Return uniform random numbers (rows, n) in (0, 1), from pair ``first`` on; see ``Stream.normal_rows``."""
     pairs = jnp.uint32(FIRST_PAIR + first) + jnp.arange((rows + 1) // 2, dtype=jnp.uint32)
     spread = jnp.concatenate(draw.uniform_pairs(pairs), axis=0)[:rows]
     return 0.5 + (0.5 / math.sqrt(3.0)) * spread

@@ -40,7 +40,7 @@ class Envelope:
 
 
 def envelope(vehicle: Vehicle, tilt_limit: npt.ArrayLike, thrust_limit: npt.ArrayLike | None = None) -> Envelope | None:
-    """Return the largest steady airspeed of vehicles (n,) at tilts up to ``tilt_limit`` [rad]; None without handling.
+    """Return the largest steady airspeed [m/s] of vehicles (n,) at tilts up to ``tilt_limit`` [rad], or None.
 
     Args:
         vehicle: with numbers, or arrays (n,).
@@ -109,11 +109,11 @@ class _Balance:
         return now
 
     def _north(self, airspeed: Floats, tilt: Floats, thrust: Floats) -> Floats:
-        """Return the net specific force (n,) [m/s^2] to the north at rest in a north wind; 0 in steady flight."""
+        """Return the specific force (n,) [m/s^2] to the north at rest in a north wind; 0 in steady flight."""
         return self._at(airspeed, tilt, thrust)[0]
 
     def _at(self, airspeed: Floats, tilt: Floats, thrust: Floats) -> tuple[Floats, Floats]:
-        """Return the net specific force (n,) [m/s^2], north and down, at rest in a north wind of ``airspeed`` [m/s]."""
+        """Return the specific force (n,) [m/s^2], north and down, at rest in a north wind of ``airspeed`` [m/s]."""
         if self._force is None:
             self._force = jax.jit(lambda *given: _specific_force(self.vehicle, *given))
         north, down = self._force(airspeed, tilt, thrust)

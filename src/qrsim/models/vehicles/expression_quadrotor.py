@@ -129,7 +129,7 @@ def _quadratic(law: str) -> tuple[Array, Array, Array] | None:
 
 
 def _settled(law: str, leaves: tuple[str, ...]) -> float | None:
-    """Return the steady-state gain from command to angle (or rate) of a user's law, None unless positive."""
+    """Return the steady gain from command to angle (or rate) of a user's law at rest, None unless positive."""
     slope, step = {}, 1e-4
     for leaf in ("command", leaves[1]):
         ends = [value_at(law, dict.fromkeys(leaves, 0.0) | {leaf: x}) for x in (-step, step)]

@@ -98,7 +98,7 @@ class Push:
 
 
 def failed_rotors(faults: tuple[RotorFault, ...], tick: Array) -> tuple[tuple[int, Array, Array], ...]:
-    """Return (rotor number, health (n,) 0 to 1, known (n,) bool) of each rotor that a fault can weaken."""
+    """Return (number, health (n,) 0 to 1, noticed (n,) bool) of each rotor that a fault can weaken."""
     found: dict[int, tuple[Array, Array]] = {}
     for fault in faults:
         lasts = fault.affected & (tick < fault.end_tick)

@@ -28,7 +28,7 @@ class Uncommanded(Vehicle):
         return NoCommand()
 
     def clip(self, command: NoCommand, powered: bool = False) -> tuple[NoCommand, Array]:
-        """Return the command unchanged, and (n,) False: a command without fields has no limits."""
+        """Return the command unchanged, and () False: a command without fields has no limits."""
         return command, jnp.zeros((), bool)
 
     def load(self, state: Any) -> Load:

@@ -155,7 +155,7 @@ class Quadrotor(Vehicle):
         )
 
     def tilt_command(self, pitch: Array, roll: Array, throttle: Array, yaw_rate: Array) -> Command:
-        """Return the command (n,) for tilt [rad], throttle [0, 1] and yaw rate [rad/s], at the highest voltage."""
+        """Return the command (n,) for tilt [rad], throttle and yaw rate [rad/s], at the highest identified voltage."""
         return Command(pitch, roll, throttle, yaw_rate, jnp.full_like(pitch, IDLE_BATTERY))
 
     def leaning(self, tilt: NumpyArray) -> tuple[npt.ArrayLike, npt.ArrayLike]:

@@ -78,7 +78,7 @@ class RecordedPath:
     turn_rate: Array = quantity(unit="rad/s", doc="(K,) its slope")
 
     def carried(self, position_ned: list[float]) -> Iterator[tuple[float, list[float], float]]:
-        """Yield time [s], position NED [m] and speed [m/s] of a point fixed to the path's carrier, at each row.
+        """Yield time, position and speed of a point fixed to the path's carrier, at each row from time 0 on.
 
         Args:
             position_ned: of the point at time 0 (3,) [m]; its offset from the path turns with the heading.

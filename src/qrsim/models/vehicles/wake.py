@@ -60,7 +60,7 @@ def jet_share(wake: Wake, thrust: Array, down_ned: Vec3, relative_wind_ned: Vec3
 
 
 def jet_speed(wake: Wake, thrust: Array, along: Array, beside_squared: Array) -> Array:
-    """Return a rotor wake's speed [m/s] at a distance along its axis [m], and one squared from the axis [m^2] (V32).
+    """Return a rotor wake's speed [m/s] (eq. V32); its momentum flow equals the thrust all along the axis.
 
     Args:
         wake: of the upper vehicle.

@@ -211,7 +211,7 @@ def _at_place(eccodes: ModuleType, file: str, handle: int, place: Place) -> floa
 
 
 def _grid_section(eccodes: ModuleType, handle: int) -> str:
-    """Return a text that is equal for GRIB messages on the same grid."""
+    """Return a text that identifies a GRIB message's grid: equal texts, equal grids."""
     names = (
         "gridType",
         "numberOfDataPoints",

@@ -176,7 +176,7 @@ def _heights(
 
 
 def _ground(found: dict[Key, float], heights: dict[float, float]) -> float | None:
-    """Return the height [m] of the weather model's ground above the sea, None if the file does not contain it."""
+    """Return the height [m] of the weather model's ground above the sea, as given or by its pressure, or None."""
     ground = found.get(Key("height", 0.0, "ground", 0.0))
     pressure = found.get(Key("pressure", 0.0, "ground", 0.0))
     if ground is not None or pressure is None or len(heights) < 2 or not pressure > 0.0:

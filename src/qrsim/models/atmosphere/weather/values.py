@@ -131,13 +131,13 @@ class Corners(NamedTuple):
     cell: float
 
     def weighted(self, values: Floats) -> Floats:
-        """Return values (...) interpolated bilinearly from those at four grid points (..., 2, 2)."""
+        """Return values (...) interpolated bilinearly from those at grid points (..., 2, 2), rows before columns."""
         rows = values[..., 0, :] * (1.0 - self.down) + values[..., 1, :] * self.down
         return rows[..., 0] * (1.0 - self.along) + rows[..., 1] * self.along
 
 
 def corners_of(file: str, latitudes: Floats, longitudes: Floats, latitude_deg: float, longitude_deg: float) -> Corners:
-    """Return the four grid points around a place [deg], with weights, on a grid of latitudes and longitudes [deg].
+    """Return the four grid points around a place, with weights; axes latitude (Y,), longitude (X,) in order [deg].
 
     Longitudes may begin anywhere; a grid round the Earth is closed.
 

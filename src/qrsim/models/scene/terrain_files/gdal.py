@@ -94,7 +94,7 @@ class Gdal:
         return self._ask(file, gdal_requests.crs, text, site, esri)
 
     def transform(self, file: str, source: str, target: str, x: Float64, y: Float64) -> tuple[Float64, Float64]:
-        """Return points x and y, any shape, converted from one reference system to another, by GDAL."""
+        """Return x and y, any shape, in another reference system; longitude and latitude [deg] if geographic."""
         found = self._ask(file, gdal_requests.transform, source, target, x.ravel(), y.ravel()).reshape(2, *x.shape)
         return found[0], found[1]
 

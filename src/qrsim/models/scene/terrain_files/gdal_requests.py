@@ -52,7 +52,7 @@ def describe(file: str, driver: str) -> dict[str, Any]:
 def read(
     file: str, driver: str, rows: range, columns: range, coarse: bool, metres: float, nodata: tuple[float, ...]
 ) -> npt.NDArray[Any]:
-    """Return a window's heights [m], NaN if missing: every n-th in float64, or if ``coarse`` n by n means, float32."""
+    """Return a window's heights [m], NaN if missing: every n-th, float64, or one per block if ``coarse``, float32."""
     import numpy as np
     from rasterio.windows import Window
 
@@ -118,7 +118,7 @@ def crs(text: str, site: tuple[float, float], esri: bool) -> dict[str, Any]:
 
 
 def accuracy(base: dict[str, object], latitude: float, longitude: float) -> float | None:
-    """Return the accuracy [m] of the best shift without grid files from a datum to WGS 84; None if unknown.
+    """Return the accuracy [m] of the best gridless shift from a datum to WGS 84, by PROJ's database; None if unknown.
 
     0: its coordinates are those of WGS 84 to 1 m or 2 (ETRS89 and NAD83 among them).
     """

@@ -46,7 +46,7 @@ class GeoTiff:
         return self._read(rows, columns, True)
 
     def _read(self, rows: range, columns: range, coarse: bool) -> Heights:
-        """Return the heights [m] at rows and columns, or means of blocks if ``coarse``, read by GDAL."""
+        """Return the heights [m] at rows and columns, or one per block of cells if ``coarse``, read by GDAL."""
         return self.gdal.read(
             self.file, self.driver, rows, columns, coarse=coarse, metres=self.metres, nodata=self.nodata
         )

@@ -72,6 +72,6 @@ def open_hgt(file: str) -> Hgt:
 
 
 def tile_name(latitude: float, longitude: float) -> str:
-    """Return the name of the SRTM tile that contains a place [deg], such as N51W001; None if there is no tile."""
+    """Return the name of the SRTM tile that contains a place [deg], such as N51W001."""
     south, west = int(np.floor(latitude)), int(np.floor(longitude))
     return f"{'N' if south >= 0 else 'S'}{abs(south):02d}{'E' if west >= 0 else 'W'}{abs(west):03d}"

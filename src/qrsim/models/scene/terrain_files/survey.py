@@ -305,7 +305,7 @@ def _spacing(found: Survey, box: Bounds, every: int) -> tuple[float, float]:
 
 
 def _read_far(found: Survey, box: Bounds, reach: float) -> Elevations | None:
-    """Return coarser heights up to ``reach`` [m] around a box's middle, for the horizon; None without any."""
+    """Return coarser heights up to ``reach`` [m] around a box's middle, None without any; may add a note."""
     middle = 0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3])
     whole = reach
     while True:

@@ -31,7 +31,7 @@ def wanted_surfaces(
     elevator: Array,
     dt: float,
 ) -> tuple[Stabiliser, Surfaces]:
-    """Return the autopilot's new memory, and the deflections (n,) [rad] of control surfaces for a command.
+    """Return the stabiliser's new memory, and the control surface deflections (n,) [rad] for a command.
 
     Args:
         model: numbers.
@@ -61,7 +61,7 @@ def wanted_surfaces(
 
 
 def moved(model: Aeroplane, surfaces: Surfaces, wanted: Surfaces, dt: float) -> Surfaces:
-    """Return the control surfaces (n,) [rad] after dt [s], following ``wanted`` with a lag and a limited rate."""
+    """Return the control surfaces (n,) [rad] dt [s] later: a first-order lag to ``wanted``, with a limited rate."""
     lag = jnp.asarray(model.surface_lag)
     share = jnp.where(lag > 0.0, 1.0 - exp(-dt / jnp.where(lag > 0.0, lag, 1.0)), 1.0)
     most = jnp.where(jnp.asarray(model.surface_rate_max) > 0.0, model.surface_rate_max * dt, 10.0)

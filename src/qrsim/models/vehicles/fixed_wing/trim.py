@@ -77,7 +77,7 @@ class Trim:
 
 
 def trim(model: Aeroplane, airspeed: float, climb_angle: float = 0.0, radius: float = math.inf) -> Trim:
-    """Return the trimmed flight at an airspeed [m/s], climb angle [rad] and turn radius [m], right positive.
+    """Return the coordinated trim at an airspeed [m/s], climb angle [rad] and turn radius [m], right positive.
 
     Raises:
         UsageError: there is none.

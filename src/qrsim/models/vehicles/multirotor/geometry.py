@@ -119,7 +119,7 @@ def effects(rotor: Rotor, torque_ratio: Number) -> tuple[Number, Number, Number,
 def allocation(
     rotors: Sequence[Rotor], torque_ratio: Array, without: Sequence[int] = (), yaw: bool = True
 ) -> list[list[Number]]:
-    """Return the control allocation: N rows of 4, rotor thrust [N] per collective N and torque N m.
+    """Return the control allocation, a pseudo-inverse: N rows of 4, rotor thrust [N] per collective N and torque N m.
 
     Args:
         rotors: all of them.
@@ -164,7 +164,7 @@ def rank_of(rotors: Sequence[Rotor], torque_ratio: float) -> float:
 
 
 def holds_yaw(rotors: Sequence[Rotor], torque_ratio: float, without: Sequence[int]) -> bool:
-    """Return whether the vehicle can hover without yawing if rotors ``without`` fail, all others in use."""
+    """Return whether the vehicle can hover without yawing if rotors ``without`` fail, all others giving thrust."""
     left = [rotor for i, rotor in enumerate(rotors) if i not in without]
     if len(left) < 4 or rank_of(left, torque_ratio) < 0.02:
         return False

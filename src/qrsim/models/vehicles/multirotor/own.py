@@ -119,7 +119,7 @@ def own_parameters(
     known: Mapping[str, object] | None = None,
     curve: float | None = None,
 ) -> dict[str, Any]:
-    """Return a multirotor's full parameters by name, derived from mass [kg], arm [m], rotors and a few others.
+    """Return a multirotor's parameters by name, derived by the rules of docs/explanation/models/multirotor.md.
 
     Args:
         mass: take-off mass [kg].
@@ -332,7 +332,7 @@ def _radius(arm: float, arms: int) -> float:
 
 
 def _curve(hover: float, ratio: float) -> float:
-    """Return a in thrust/largest thrust = a u^2 + (1 - a) u, from the throttle u = ``hover`` and thrust-to-weight."""
+    """Return a of thrust/largest = a u^2 + (1 - a) u, from hover throttle and thrust-to-weight; raise UsageError."""
     low, high = 1.0 / ratio, 1.0 / math.sqrt(ratio)
     # Numbers are given to two digits.
     if not low - 0.005 <= hover <= high + 0.005:

@@ -11,7 +11,7 @@ from qrsim.models.vehicles.multirotor.vehicle import Multirotor
 
 
 def x500() -> Multirotor:
-    """Return the X500 of PX4-gazebo-models as a multirotor; its body drag is assumed, as Gazebo has none."""
+    """Return the X500 of PX4-gazebo-models (x500, x500_base); its body drag is assumed, as Gazebo has none."""
     return Multirotor()
 
 
@@ -43,7 +43,7 @@ def hummingbird() -> Multirotor:
 
 
 def hexa4() -> Multirotor:
-    """Return a hexarotor of 4 kg with 15-inch propellers, an assumed design, as a multirotor.
+    """Return a hexarotor of 4 kg with 15-inch propellers, an assumed design without a data sheet.
 
     Its figure of merit in hover is 0.65, and its motors with their controllers give 0.8 of the power of the battery.
     """
@@ -73,7 +73,7 @@ def hexa4() -> Multirotor:
 
 
 def pelican() -> Multirotor:
-    """Return the AscTec Pelican of RotorS as a multirotor, a rigid body with rotors.
+    """Return the AscTec Pelican of RotorS (pelican.xacro) as a multirotor, a rigid body with rotors.
 
     It weighs 1 kg there; the identified one (``type: pelican``) weighs 1.68 kg and has its own autopilot in it.
     """

@@ -151,7 +151,7 @@ class Multirotor(Airframe, Vehicle):
         return max(foot[2] for foot in self.feet)
 
     def stood(self, state: MultirotorState, ground: Callable[[Vec3], tuple[Array, Vec3]]) -> MultirotorState:
-        """Return the start state, with vehicles near the ground standing on it, rotors stopped."""
+        """Return the start state; vehicles at rest with all feet near the ground stand on it, rotors stopped."""
         down, normal = ground(state.position_ned)
         up, height = state.quaternion.rotation().to_body(normal), (state.position_ned.z - down) * normal.z
         depths = [-(height + dot_known(up, foot)) for foot in self.feet]
@@ -167,7 +167,10 @@ class Multirotor(Airframe, Vehicle):
         )
 
     def load(self, state: MultirotorState) -> Load:
-        """Return the battery load: thrust [N], weight [N], electrical power [W] (eq. V25), relative air density."""
+        """Return battery load: thrust [N], weight [N], electrical power [W] (eq. V25), air density over sea level's.
+
+        Each is (n,) or one number for all; the density ratio is None if ``thin_air`` is ignored.
+        """
         square = sum(rate * rate for rate in state.rotor_speed)
         cube = sum(rate * rate * rate for rate in state.rotor_speed)
         coefficient = self.thrust_coefficient * self.share(state.position_ned)
