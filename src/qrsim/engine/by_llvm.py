@@ -106,13 +106,13 @@ def form_of(function: Function, shared: Packer, own: Packer, state: Packer | Non
 
 
 def state_layout(start: Function, shared: Packer, own: Packer) -> Packer:
-    """Return the buffer layout of the state that ``start`` returns."""
+    """Return the buffer layout of the state that ``start`` returns (``own``: layout of each world's inputs)."""
     with uncollected():
         return _traced_with_state(start, shared, own, None)[1]
 
 
 def _loaded(function: Function, shared: Packer, own: Packer, state: Packer | None, mode: Mode) -> Program:
-    """Load a program from the user's cache on disk, or compile it."""
+    """Load a program from the user's cache on disk, or compile it (``own``: layout of each world's inputs)."""
     before = [shared, own] if state is None else [shared, own, state]
     what = None if function.text is None else (function.name, *function.text, *map(identity, before), mode)
     # A start runs once, so quick code is enough.
@@ -162,7 +162,7 @@ def _traced_with_state(function: Function, shared: Packer, own: Packer, state: P
 
 
 def _input_kinds(shared: Packer, own: Packer, state: Packer) -> tuple[Input, ...]:
-    """Describe the inputs of a program from their layouts: shared, per world, and state."""
+    """Describe the inputs of a program by their layouts: what worlds share, what each has (``own``), and the state."""
     return Input(shared, own=False), Input(own, own=True), Input(state, own=True)
 
 
@@ -178,7 +178,7 @@ def _kept_code(program: str, wanted: str) -> Binary | None:
 
 
 def _traced(function: Function, shared: Packer, own: Packer) -> tuple[Any, Any]:
-    """Return a function's jaxpr and result shapes, reused if ``state_bytes`` has traced it."""
+    """Return the jaxpr and result shapes of a function, reused if ``state_bytes`` has traced it before."""
     found = _TRACED.pop((function, identity(shared), identity(own)), None)
     return found or trace_of(function.call, (Input(shared, own=False), Input(own, own=True)))
 

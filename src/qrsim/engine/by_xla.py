@@ -113,7 +113,7 @@ class XlaProgram:
 
     @property
     def layout(self) -> Packer:
-        """The layout of the state, known once it has started."""
+        """Layout of one world's state in two flat buffers, known once it has started."""
         assert self._layout is not None
         return self._layout
 

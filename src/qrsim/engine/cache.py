@@ -211,7 +211,7 @@ def _parsed_entry(header: Content, code: bytes, key: str, origin: dict[str, str]
 
 
 def _parsed_state(state: Content | None) -> Packer | None:
-    """Return the layout of a state from its header; raises an error if its identity differs."""
+    """Return the buffer layout of a state from a cache file's header; raise an error if it does not match."""
     if state is None:
         return None
     leaves = iter([struct(tuple(shape), np.dtype(dtype)) for shape, dtype in state["leaves"]])

@@ -104,7 +104,7 @@ class Packer:
 
     @cached_property
     def numbers(self) -> Any:
-        """Tree with each leaf replaced by its index among the leaves."""
+        """Tree of the same structure with each leaf's index in place of the leaf."""
         return jax.tree.unflatten(self.structure, range(len(self.slices)))
 
 

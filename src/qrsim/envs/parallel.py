@@ -159,7 +159,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         return spaces.Box(-np.inf, np.inf, (STATE * self.batch.vehicles + 1,), self.batch.dtype.type)
 
     def state(self) -> NumpyArray:
-        """Return the true state of the episode, for a centralised critic; see ``Batch.state``.
+        """Return the true state (S,) of all vehicles in the episode, for a centralised critic; see ``Batch.state``.
 
         Raises:
             UsageError: nothing has begun.

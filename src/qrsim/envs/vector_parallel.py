@@ -151,7 +151,7 @@ class VectorParallelTask:
             self.batch.hand_in(array[rows][:, None], rows, np.array([self.possible_agents.index(agent)]))
 
     def state(self) -> NumpyArray:
-        """Return the true states (num_envs, S), for a centralised critic; see ``Batch.state``.
+        """Return the true states (num_envs, S) of all vehicles, for a centralised critic; see ``Batch.state``.
 
         Raises:
             UsageError: nothing has begun.

@@ -108,7 +108,7 @@ class Task(Protocol):
         return {}
 
     def observe_early(self, memory: Any, world: World, state: State) -> dict[str, Array]:
-        """Return the observation without the parts in ``later``."""
+        """Return the agents' observations without the large parts that ``later`` names."""
         raise NotImplementedError
 
     def shot(self, world: World, state: State) -> Any:
@@ -127,7 +127,7 @@ class Task(Protocol):
         raise NotImplementedError
 
     def answer_shape(self, world: World) -> tuple[int, ...]:
-        """Return the shape of each agent's answer at the end; () without an answer."""
+        """Return the shape of an agent's answer at the end of an episode; () for a task without answers."""
         return ()
 
     def score(self, memory: Any, world: World, state: State, answer: Array) -> Array:

@@ -147,11 +147,11 @@ class Episodes:
 
     @property
     def late(self) -> tuple[str, ...]:
-        """Names of the parts of an observation that ``look`` computes on demand; () for none."""
+        """Names of the large parts of an observation, such as pictures, that ``look`` computes; () for none."""
         return tuple(self._play.task.later(self._play.world)) if self._worlds.looks else ()
 
     def look(self, rows: NumpyArray | None = None) -> dict[str, NumpyArray]:
-        """Compute the parts of observations named in ``late``, of all episodes or those in ``rows``, (b, n, ...).
+        """Compute the parts of observations named in ``late`` (b, n, ...), of all episodes or those in ``rows``.
 
         Agents that have stopped see what they saw last. The caller owns the arrays.
         """

@@ -76,7 +76,7 @@ class NoTask(Task):
         return jnp.zeros((0, 0))
 
     def sees(self, world: World) -> tuple[Axis, ...]:
-        """Return (): the observation is empty."""
+        """Return (): observations have no values."""
         return ()
 
 

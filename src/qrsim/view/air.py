@@ -83,7 +83,7 @@ class Air(Contents):
 
     @property
     def label(self) -> str:
-        """Return the layer's name on a page without controls: title, kind and height."""
+        """Return the text for the layer in an exported page's list: title, kind of wind and height."""
         return f"{self.title}: {self.shows} at {self.height:g} m"
 
     def draw(self, frame: Frame) -> None:
@@ -119,7 +119,7 @@ class Air(Contents):
 
 
 def blows_as_a_field(world: World) -> bool:
-    """Return whether the turbulence is a function of position, and not separate for each vehicle."""
+    """Return whether a world's turbulence is a function of position, and not separate for each vehicle."""
     return "position_ned" in world.turbulence.reads
 
 

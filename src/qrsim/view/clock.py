@@ -43,7 +43,7 @@ class Clock:
 
     @property
     def speed(self) -> float:
-        """Simulated seconds per second."""
+        """Simulated seconds that pass per real second."""
         return self._speed
 
     @speed.setter

@@ -119,7 +119,7 @@ class Layer:
 
     @property
     def label(self) -> str:
-        """Return the layer's name on a page without a server."""
+        """Return the layer's name in the list of an exported page."""
         return self.title
 
     def begin(self) -> None:

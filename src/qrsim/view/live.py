@@ -194,7 +194,7 @@ class LiveView:
             self.note("Asked for; it acts from the next tick on.")
 
     def close(self) -> None:
-        """Draw the last offered states, then close the page."""
+        """Draw the last queued states, then close the page and its server."""
         self._ended.set()
         if self.clock is not None:
             self.clock.close()

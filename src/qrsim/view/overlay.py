@@ -158,7 +158,7 @@ class Overlay:
             self._tell("states", self._stated, None)
 
     def choose(self, vehicle: int | None, browser: object = None) -> None:
-        """Mark a vehicle as chosen (None: no vehicle), in one browser or, by default, all."""
+        """Mark a vehicle in the scene as chosen (None: no vehicle), in one browser or, by default, all."""
         self._tell("choose", vehicle, browser)
 
     def follow(self, vehicle: int | None, browser: object = None) -> None:

@@ -99,7 +99,7 @@ class Emitter(Loops):
         return self.emit(f"add {of} {self.widened((number, 1), node.dtype, lanes)}, {ramp}")
 
     def _nest(self, step: Step, stored: set[int]) -> None:
-        """Emit a loop over the axes that a step keeps, and in it a loop over the axes that it reduces."""
+        """Emit loops over the axes that a step keeps, in them over those it reduces (``stored``: nodes in memory)."""
         if any(step.domain[axis] == 0 for axis in step.kept):
             return
         last = len(step.domain) - 1
@@ -112,7 +112,7 @@ class Emitter(Loops):
         self._loops(step, step.kept, Scope(step.domain, ["0"] * (last + 1), lane_axis, {}, {}), together, stored)
 
     def _rows(self, step: Step, stored: set[int]) -> None:
-        """Emit one loop over the last axis, with one loop nest after the other in its body."""
+        """Emit one loop over the last axis with several loop nests in its body (``stored``: nodes in memory)."""
         vectors = self.lanes > 1 and not self.side_by_side
         # Numbers of which an element of the axis has one stay in registers for the parts that follow.
         row: dict[int, str] = {}
@@ -168,7 +168,7 @@ class Emitter(Loops):
     def _body(
         self, step: Step, scopes: list[Scope], accumulators: dict[int, tuple[Node, str]], stored: set[int]
     ) -> None:
-        """Emit the body of a loop, its unrolled copies interleaved part by part."""
+        """Emit the body of a loop, its unrolled copies interleaved part by part (``stored``: nodes kept in memory)."""
         several = len(scopes) > 1 and bool(accumulators)
         # LLVM would begin all sums of all turns first, and move most of them to memory.
         self.topdown |= several
@@ -190,7 +190,7 @@ class Emitter(Loops):
         self.scope = scopes[0]
 
     def _keep(self, step: Step, stored: set[int]) -> None:
-        """Emit the stores of a loop body's results to memory, after all its loads."""
+        """Emit the stores of a loop body's results after all its loads (``stored``: nodes kept in memory)."""
         for node in step.nodes:
             if node.number in stored and node.op != "reduce":
                 value = self.scope.values[node.number]
@@ -286,7 +286,7 @@ class Emitter(Loops):
     # Branches and repetition
 
     def _repeating(self, step: Step, stored: set[int]) -> None:
-        """Emit a while loop that each world leaves when its own condition becomes false."""
+        """Emit a while loop that each world leaves when its condition is false (``stored``: nodes in memory)."""
         node = step.nodes[0]
         condition, body = node.regions
         places = [self.places[output.number] for output in node.attributes[1]]
@@ -324,7 +324,7 @@ class Emitter(Loops):
         return self.emit(f"call i1 @{name}({mask} {flags})")
 
     def _branching(self, step: Step, stored: set[int]) -> None:
-        """Emit a conditional with two branches; all worlds take the same one, or each its own by a mask."""
+        """Emit a conditional of two branches, taken by all worlds or by a mask (``stored``: nodes in memory)."""
         cond = step.nodes[0]
         self.scope = Scope((), [], None, {}, {})
         which, lanes = self.value(cond.args[0])
@@ -345,7 +345,7 @@ class Emitter(Loops):
         self.start_block(f"{label}.after")
 
     def _branch_by_world(self, step: Step, taken: str, label: str, stored: set[int]) -> None:
-        """Emit a conditional that differs by world: each branch runs if any world takes it, with a mask."""
+        """Emit a conditional that differs by world; the names ``taken`` and ``label``: of its flags and LLVM block."""
         mask = vector("i1", self.lanes)
         # A branch that no world takes is still skipped.
         others = self.emit(f"xor {mask} {taken}, {splat('true', 'i1', self.lanes)}")

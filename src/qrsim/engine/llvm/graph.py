@@ -115,7 +115,7 @@ def own_index(axes: int) -> Index:
 
 @lru_cache(maxsize=4096)
 def _whole_index(shape: Shape) -> Index:
-    """Return the index of a whole array: each axis longer than 1 from 0."""
+    """Return the index by which a loop reads a whole array: each axis longer than 1 from 0."""
     return tuple((axis, 0) for axis, extent in enumerate(shape) if extent != 1)
 
 

@@ -24,7 +24,7 @@ class Indexing(Nodes):
     alone: bool
 
     def dynamic_slice(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Trace dynamic_slice: a slice with a start that is computed at run time, clipped into range."""
+        """Add graph nodes for JAX's dynamic_slice: a slice with a run-time start, clipped into range."""
         operand, shape = inputs[0], tuple(out.shape)
         # Where the whole extent is taken, JAX brings any start to zero.
         starts = {axis: inputs[1 + axis] for axis, extent in enumerate(operand.shape) if extent != shape[axis]}
@@ -32,7 +32,7 @@ class Indexing(Nodes):
         return self._pick(operand, starts, limits, {axis: axis for axis in range(len(shape))}, out)
 
     def dynamic_update_slice(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Trace dynamic_update_slice: an array with a slice replaced, at a run-time start clipped into range."""
+        """Add graph nodes for JAX's dynamic_update_slice: a slice replaced at a run-time start, clipped into range."""
         operand, update, *starts = inputs
         shape, part = operand.shape, update.shape
         if 0 in part:
@@ -76,7 +76,7 @@ class Indexing(Nodes):
         return View.whole(self.graph.node("pick", accesses, squeezed(shape), out.dtype, (moved,)), shape)
 
     def gather(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Trace gather: single elements of an array at the indices in an integer array."""
+        """Add graph nodes for JAX's gather: single elements of an array at the indices in an integer array."""
         operand, places = inputs
         numbers, shape, mode = parameters["dimension_numbers"], tuple(out.shape), parameters["mode"].name
         single = {*numbers.collapsed_slice_dims, *numbers.operand_batching_dims} == set(range(len(operand.shape)))
@@ -114,7 +114,7 @@ class Indexing(Nodes):
         return inside
 
     def scatter(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Trace scatter: an array with single elements replaced at the indices in an integer array."""
+        """Add graph nodes for JAX's scatter: single elements replaced at the indices in an integer array."""
         operand, places, updates = inputs
         numbers, shape, mode = parameters["dimension_numbers"], updates.shape, parameters["mode"].name
         inserted = {*numbers.inserted_window_dims, *numbers.operand_batching_dims}
@@ -160,7 +160,7 @@ class Indexing(Nodes):
         return found
 
     def half(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Trace an operation on symmetric matrices (see ``qrsim.core.symmetric``)."""
+        """Add a graph node for an operation on symmetric matrices (see ``qrsim.core.symmetric``)."""
         if out.dtype.kind != "f" or inputs[0].shape[0] < 2:
             raise UnsupportedError(f"'{op}' of {out.dtype}[{inputs[0].shape[0]}]")
         attributes = (inputs[0].shape[0], *(parameters[name] for name in sorted(parameters)))
@@ -170,7 +170,7 @@ class Indexing(Nodes):
         )
 
     def reshape(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Trace reshape: the array in another shape, in row-major order."""
+        """Add graph nodes for JAX's reshape: the array in another shape, in row-major order."""
         (operand, *dynamic), shape = inputs, tuple(out.shape)
         if dynamic:
             raise UnsupportedError("a shape that the program computes")

@@ -37,7 +37,7 @@ class Nodes:
         return View.whole(self.graph.node(name, accesses, squeezed(shape), dtype, attributes), shape)
 
     def iota(self, op: str, inputs: list[View], out: ShapedArray | Like, parameters: Parameters) -> View:
-        """Trace iota: each element's index along an axis."""
+        """Add graph nodes for JAX's iota: each element's index along an axis."""
         shape, dtype = tuple(out.shape), np.dtype(out.dtype)
         # An axis of one element is none of the loop, so it has no counter.
         if shape[parameters["dimension"]] == 1:
@@ -56,7 +56,7 @@ class Nodes:
 
     @staticmethod
     def without_unit_axes(view: View, shape: Shape) -> View:
-        """Return the view in a shape that differs only in axes of length 1."""
+        """Return a view of an array in a shape that differs only in axes of length 1."""
         before = [axis for axis, extent in enumerate(view.shape) if extent != 1]
         after = [axis for axis, extent in enumerate(shape) if extent != 1]
         return view.moved(dict(zip(before, after, strict=True)), shape)

@@ -144,7 +144,7 @@ class Operations:
         return result
 
     def _arithmetic(self, op: str, kind: str, of: str, dtype: DType, values: list[str], lanes: int) -> str:
-        """Emit a sum, difference, product, quotient or remainder of two values, and return its name."""
+        """Emit +, -, *, / or remainder (``op``) of two values, and return its name (``of``: LLVM type)."""
         if kind == "f":
             return self.emit(f"f{op} {of} {values[0]}, {values[1]}")
         if kind == "b":
@@ -154,7 +154,7 @@ class Operations:
         return self.emit(f"{op} {of} {values[0]}, {values[1]}")
 
     def _whole_division(self, op: str, of: str, dtype: DType, values: list[str], lanes: int) -> str:
-        """Emit integer division as in JAX: by 0 the quotient has all bits set, the remainder is the dividend."""
+        """Emit integer division as in JAX: x / 0 has all bits set, x % 0 is x (``of``: LLVM type)."""
         element, mask, signed = scalar_type(dtype), vector("i1", lanes), dtype.kind == "i"
         zero, one, ones = (splat(text, element, lanes) for text in ("0", "1", "-1"))
         is_zero = self.emit(f"icmp eq {of} {values[1]}, {zero}")
@@ -173,7 +173,7 @@ class Operations:
         return self.emit(f"select {mask} {is_zero}, {of} {ones}, {of} {result}")
 
     def _shift(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Emit a bit shift as in JAX: by the width or more it gives 0, or the sign."""
+        """Emit a bit shift as in JAX: by the width or more it gives 0, or the sign (``of``: LLVM type)."""
         how, bits = _SHIFTS[node.op], 8 * node.dtype.itemsize
         # All shifts of the noise are by constants, and must cost one instruction.
         known = _known_number(node.args[1].node)
@@ -191,14 +191,14 @@ class Operations:
         return self.emit(f"select {vector('i1', lanes)} {inside}, {of} {result}, {of} {zero}")
 
     def _comparison(self, op: str, kind: str, of: str, values: list[str]) -> str:
-        """Emit a comparison of two values, and return the name of its flags (i1)."""
+        """Emit a comparison of two values, and return the name of its flags (i1) (``of``: LLVM type)."""
         if kind == "f":
             return self.emit(f"fcmp {_FLOAT_COMPARISONS[op]} {of} {values[0]}, {values[1]}")
         signed = "" if op in ("eq", "ne") else "s" if kind == "i" else "u"
         return self.emit(f"icmp {signed}{op} {of} {values[0]}, {values[1]}")
 
     def _same(self, name: str, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Emit a call of the LLVM intrinsic with this name on all arguments, and return the result's name."""
+        """Emit a call of the LLVM intrinsic ``name``, and return the result's name (``of``: LLVM type)."""
         return self._intrinsic(name, node.dtype, lanes, values)
 
     _fma = partialmethod(_same, "fma")
@@ -207,15 +207,15 @@ class Operations:
     _ceil = partialmethod(_same, "ceil")
 
     def _fms(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Emit a * b - c with one rounding (the change of a sign is exact), and return its name."""
+        """Emit a * b - c with one rounding (the change of a sign is exact), and return its name (``of``: LLVM type)."""
         return self._intrinsic("fma", node.dtype, lanes, [*values[:2], self.emit(f"fneg {of} {values[2]}")])
 
     def _fnma(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Emit c - a * b with one rounding, and return its name."""
+        """Emit c - a * b with one rounding, and return its name (``of``: LLVM type)."""
         return self._intrinsic("fma", node.dtype, lanes, [self.emit(f"fneg {of} {values[0]}"), *values[1:]])
 
     def _neg(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Emit the negative of the argument, and return its name."""
+        """Emit the negative of the argument, and return its name (``of``: LLVM type)."""
         if node.dtype.kind == "f":
             return self.emit(f"fneg {of} {values[0]}")
         return self.emit(f"sub {of} {splat('0', scalar_type(node.dtype), lanes)}, {values[0]}")
@@ -229,7 +229,7 @@ class Operations:
         return self._call(f"llvm.smax.{suffix(scalar_type(node.dtype), lanes)}", of, [of, of], [values[0], negative])
 
     def _sign(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Emit the sign of the argument; of NaN and of both zeros it is the number itself, as in JAX."""
+        """Emit the sign of the argument, as in JAX: NaN and zeros are kept (``of``: LLVM type)."""
         dtype, element = node.dtype, scalar_type(node.dtype)
         zero, one, minus = (splat(literal(v, dtype), element, lanes) for v in (0, 1, -1))
         mask = vector("i1", lanes)
@@ -243,7 +243,7 @@ class Operations:
         return self.emit(f"xor {of} {values[0]}, {splat(ones, scalar_type(node.dtype), lanes)}")
 
     def _ordered(self, how: str, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Emit the minimum or maximum (``how``) of two arguments, and return its name."""
+        """Emit the minimum or maximum (``how``) of two arguments, and return its name (``of``: LLVM type)."""
         known = [_known_number(arg.node) for arg in node.args]
         if node.dtype.kind == "f":
             # A number that is known is no NaN, and where the other is equal they may only differ as zeros do.
@@ -257,7 +257,7 @@ class Operations:
     _max = partialmethod(_ordered, "max")
 
     def _limited(self, how: str, of: str, value: str, limit: str, number: float, lanes: int) -> str:
-        """Emit the minimum or maximum (``how``) of a value and a constant; of two zeros +0 is the larger."""
+        """Emit min or max (``how``) of a value and a constant; +0 is above -0 (``of``: LLVM type)."""
         positive = math.copysign(1.0, number) > 0.0
         takes_equal = number == 0.0 and positive == (how == "max")
         compare = ("ole" if takes_equal else "olt") if how == "min" else ("oge" if takes_equal else "ogt")
@@ -265,7 +265,7 @@ class Operations:
         return self.emit(f"select {vector('i1', lanes)} {taken}, {of} {limit}, {of} {value}")
 
     def _extreme(self, how: str, dtype: DType, of: str, a: str, b: str, lanes: int) -> str:
-        """Emit min or max (``how``), NaN where either argument is; of two zeros +0 is the larger."""
+        """Emit min or max (``how``), NaN if either value is; +0 is above -0 (``of``: LLVM type)."""
         if dtype.kind == "f":
             name = f"llvm.{'minimum' if how == 'min' else 'maximum'}.{suffix(scalar_type(dtype), lanes)}"
             return self._call(name, of, [of, of], [a, b])
@@ -275,21 +275,21 @@ class Operations:
         return self._call(f"llvm.{sign}{how}.{suffix(scalar_type(dtype), lanes)}", of, [of, of], [a, b])
 
     def _clamp(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Emit the second argument clipped to the first and the third, and return its name."""
+        """Emit the second argument clipped to the first and the third, and return its name (``of``: LLVM type)."""
         low, value, high = values
         return self._extreme(
             "min", node.dtype, of, self._extreme("max", node.dtype, of, value, low, lanes), high, lanes
         )
 
     def _select_n(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Emit the third argument where the first is true, else the second, and return its name."""
+        """Emit the third argument where the first is true, else the second, and return its name (``of``: LLVM type)."""
         if len(values) != 3 or node.args[0].node.dtype.kind != "b":
             raise UnsupportedError("a selection among several")
         result = vector(scalar_type(node.dtype), lanes)
         return self.emit(f"select {vector('i1', lanes)} {values[0]}, {result} {values[2]}, {result} {values[1]}")
 
     def _rsqrt(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Emit 1 / sqrt, not the processor's estimate, which rounds differently on each processor."""
+        """Emit 1 / sqrt, not an estimate, which rounds differently on each processor (``of``: LLVM type)."""
         one = splat(literal(1.0, node.dtype), scalar_type(node.dtype), lanes)
         return self._arithmetic("div", "f", of, node.dtype, [one, self._sqrt(node, of, values, lanes)], lanes)
 
@@ -307,7 +307,7 @@ class Operations:
         return self.emit(f"{'f' if node.dtype.kind == 'f' else ''}mul {of} {values[0]}, {values[0]}")
 
     def _integer_pow(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Emit an integer power by repeated squares, in XLA's order, so that both round alike."""
+        """Emit an integer power by repeated squares, in XLA's order, so that both round alike (``of``: LLVM type)."""
         power, kind = int(node.attributes[0]), node.dtype.kind
         if kind not in "fiu" or (kind != "f" and power < 0):
             raise UnsupportedError("this whole power")
@@ -332,7 +332,7 @@ class Operations:
         return values[0] if to == of else self.emit(f"bitcast {of} {values[0]} to {to}")
 
     def whole_part(self, before: DType, after: DType, of: str, value: str, lanes: int) -> str:
-        """Emit float to integer, truncated and clipped, NaN to 0; LLVM's intrinsic would be split into scalars."""
+        """Emit float to integer, truncated and clipped, NaN to 0, without LLVM's slow intrinsic (``of``: LLVM type)."""
         limits, element, mask = np.iinfo(after), scalar_type(before), vector("i1", lanes)
         to, signed = vector(scalar_type(after), lanes), after.kind == "i"
         low, beyond = (splat(literal(float(n), before), element, lanes) for n in (limits.min, limits.max + 1))
@@ -350,7 +350,7 @@ class Operations:
         return self.emit(f"select {mask} {missing}, {to} {splat('0', scalar_type(after), lanes)}, {to} {found}")
 
     def _convert_element_type(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Emit the conversion of the argument to the node's dtype, and return its name."""
+        """Emit the conversion of the argument to the node's dtype, and return its name (``of``: LLVM type)."""
         before, after = node.args[0].node.dtype, node.dtype
         to = vector(scalar_type(after), lanes)
         if before.kind == "b":

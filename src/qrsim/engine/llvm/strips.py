@@ -131,7 +131,7 @@ class Grouping:
     # What can be cut
 
     def _fits(self, step: Step, extent: int, made: set[int]) -> bool:
-        """Return whether a step, cut into strips, reads from the arrays of its group only its own elements."""
+        """Return whether a step, cut into strips, reads only its own elements of nodes of its group (``made``)."""
         return self._fits_inside(step, extent, made | _made(step, extent))
 
     @staticmethod
@@ -145,7 +145,7 @@ class Grouping:
         return step.kind in ("concatenate", "running") and step.nodes[0].attributes[0] != last
 
     def _fits_inside(self, step: Step, extent: int, made: set[int]) -> bool:
-        """Return whether a step inside a branch can be computed for one strip only."""
+        """Return whether a step inside a branch can be computed for one strip only (``made``: nodes of its group)."""
         if step.kind == "cond":
             outputs = [(node, region.results[node.attributes[0]]) for region in step.nodes[0].regions
                        for node in step.nodes[1:]]  # fmt: skip
@@ -162,11 +162,11 @@ class Grouping:
         return small and all(self._reads_own(node, extent, made) for node in step.nodes)
 
     def _reads_own(self, node: Node, extent: int, made: set[int]) -> bool:
-        """Return whether a node's loop reads only its own elements of arrays that its group computes."""
+        """Return whether a node's loop reads only its own elements of the nodes that its group computes (``made``)."""
         return all(self._own(access, shape, extent, made, moved) for access, shape, moved in _reads(node))
 
     def _own(self, access: Access, shape: Shape, extent: int, made: set[int], moved: bool = False) -> bool:
-        """Return whether a loop over ``shape`` reads its own element of the last axis, or an array its group keeps."""
+        """Return whether a loop over ``shape`` reads its own element, or an array that its group (``made``) keeps."""
         last = len(shape) - 1
         followed = [axis for axis, _ in access.index]
         along = (
@@ -178,7 +178,7 @@ class Grouping:
         return along or self._whole(access, extent, made)
 
     def _whole(self, access: Access, extent: int, made: set[int]) -> bool:
-        """Return whether every element of an array may be read, because the group of steps does not change it."""
+        """Return whether all elements of an array may be read, because its group (``made``) does not change it."""
         node = access.node
         return node.number not in made and not (node.number in self.leaves and node.shape[-1:] == (extent,))
 

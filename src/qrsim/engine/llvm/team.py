@@ -56,7 +56,7 @@ class Pace:
         return faster == (self._turn % _TRIED_AGAIN != 0)
 
     def took(self, together: bool, seconds: float) -> None:
-        """Record how long [s] a tick took, with or without several threads."""
+        """Record how long [s] a tick took, with several threads (``together``) or one."""
         self._seconds[together] = 0.5 * (self._seconds.get(together, seconds) + seconds)
 
     def ticks(self, least: int) -> int:

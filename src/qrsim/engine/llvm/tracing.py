@@ -101,7 +101,7 @@ class Tracer(Indexing):
     def _contracted(
         self, op: str, equation: jex.JaxprEqn, inputs: list[View], out: ShapedArray, products: _Products
     ) -> View:
-        """Trace a sum, difference or product; a product that is used only in a sum is fused with it (one rounding).
+        """Add graph nodes for a sum, difference or product; fuse a product with the only sum that uses it.
 
         Compilers fuse a product and a sum if they see both together, so the last bit depends on the surrounding
         program. Here it depends only on the function that contains both. A product that is used elsewhere too is
@@ -125,7 +125,7 @@ class Tracer(Indexing):
         return self.apply(name, shape, out.dtype, *factors, rest)
 
     def elementwise(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Trace an elementwise primitive of JAX."""
+        """Add graph nodes for an elementwise primitive of JAX."""
         shape: Shape = tuple(out.shape)
         before = inputs[0].node.dtype
         if op == "convert_element_type" and before == out.dtype:
@@ -142,24 +142,24 @@ class Tracer(Indexing):
         return self.apply(op, shape, out.dtype, *inputs, attributes=attributes)
 
     def kernel(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Trace an elementwise function that is compiled as a kernel, and return its results."""
+        """Add graph nodes for an elementwise function that is compiled as a kernel, and return its results."""
         return [
             self.apply("kernel", tuple(out.shape), np.dtype(dtype), *inputs, attributes=(op, i))
             for i, dtype in enumerate(KERNELS[op].gives)
         ]
 
     def transparent(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Trace a primitive that has no effect: return the arguments unchanged."""
+        """Translate a primitive that has no effect: return the arguments unchanged."""
         return inputs
 
     def call(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Trace a call of an inner function, and return its results."""
+        """Translate a call of an inner function, and return its results."""
         closed = parameters[op]
         inner = closed.jaxpr if hasattr(closed, "jaxpr") else closed
         return self.run(inner, getattr(closed, "consts", ()), inputs)
 
     def reduction(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Trace a reduction, such as a sum, along some axes."""
+        """Add graph nodes for a reduction, such as a sum, along some axes."""
         return self._reduced(op, inputs[0], out, parameters["axes"])
 
     def _reduced(self, op: str, operand: View, out: ShapedArray | Like, axes: Sequence[int]) -> View:
@@ -178,7 +178,7 @@ class Tracer(Indexing):
         return View.whole(node, tuple(out.shape))
 
     def running(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Trace a cumulative reduction along an axis, such as cumsum."""
+        """Add a graph node for a cumulative reduction along an axis, such as cumsum."""
         shape = tuple(out.shape)
         if shape[parameters["axis"]] == 1 or 0 in shape:
             return inputs[0]
@@ -187,7 +187,7 @@ class Tracer(Indexing):
         return View.whole(node, shape)
 
     def nearest(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Trace the search of each point's nearest neighbour, and return its squared distance (n,)."""
+        """Add a graph node for the search of each point's nearest neighbour, and return its squared distance (n,)."""
         shape = tuple(out.shape)
         # Cells pay from some size on, and their tables are of one world.
         if not (self.alone and len(shape) == 1 and shape[0] >= MANY_POINTS and not inputs[3].shape):
@@ -197,7 +197,7 @@ class Tracer(Indexing):
         return View.whole(self.graph.node("nearest", accesses, squeezed(shape), out.dtype), shape)
 
     def place_of(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Trace argmin or argmax: the index of the first minimum, maximum or NaN."""
+        """Add graph nodes for JAX's argmin or argmax: the index of the first minimum, maximum or NaN."""
         operand, axes = inputs[0], parameters["axes"]
         (axis,), shape = axes, operand.shape
         if shape[axis] == 1:
@@ -218,7 +218,7 @@ class Tracer(Indexing):
         return self._reduced("min", chosen, out, axes)
 
     def broadcast_in_dim(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Trace broadcast_in_dim: the array with further axes, along which it repeats."""
+        """Add graph nodes for JAX's broadcast_in_dim: the array with further axes, along which it repeats."""
         if len(inputs) != 1:
             raise UnsupportedError("a shape that the program computes")
         operand, to = inputs[0], parameters["broadcast_dimensions"]
@@ -226,22 +226,22 @@ class Tracer(Indexing):
         return operand.moved({axis: grows.get(axis) for axis in range(len(operand.shape))}, tuple(out.shape))
 
     def squeeze(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Trace squeeze: the array without some axes of length 1."""
+        """Add graph nodes for JAX's squeeze: the array without some axes of length 1."""
         return self.without_unit_axes(inputs[0], tuple(out.shape))
 
     def transpose(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Trace transpose: the array with permuted axes."""
+        """Add graph nodes for JAX's transpose: the array with permuted axes."""
         moves: dict[int, int | None] = {axis: i for i, axis in enumerate(parameters["permutation"])}
         return inputs[0].moved(moves, tuple(out.shape))
 
     def slice(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Trace slice: a part of an array at constant begin and end, without strides."""
+        """Add graph nodes for JAX's slice: a part of an array at constant begin and end, without strides."""
         if any(stride != 1 for stride in parameters["strides"] or ()):
             raise UnsupportedError("a slice in strides")
         return inputs[0].shifted(parameters["start_indices"], tuple(out.shape))
 
     def split(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Trace split: consecutive parts of an array along an axis."""
+        """Add graph nodes for JAX's split: consecutive parts of an array along an axis."""
         axis, begin, parts = parameters["axis"], 0, []
         for size in map(int, parameters["sizes"]):
             shape = tuple(size if i == axis else extent for i, extent in enumerate(inputs[0].shape))
@@ -250,7 +250,7 @@ class Tracer(Indexing):
         return parts
 
     def unstack(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Trace unstack: the slices of an array along an axis, without this axis."""
+        """Add graph nodes for JAX's unstack: the slices of an array along an axis, without this axis."""
         (view,), axis = inputs, parameters["axis"] % len(inputs[0].shape)
         parts = []
         for begin in range(view.shape[axis]):
@@ -260,7 +260,7 @@ class Tracer(Indexing):
         return parts
 
     def tile(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Trace tile: an array repeated along each axis."""
+        """Add graph nodes for JAX's tile: an array repeated along each axis."""
         view = inputs[0]
         for axis, count in enumerate(parameters["reps"]):
             shape = tuple(extent * (count if i == axis else 1) for i, extent in enumerate(view.shape))
@@ -268,7 +268,7 @@ class Tracer(Indexing):
         return view
 
     def stack(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Trace stack: arrays joined along a new axis."""
+        """Add graph nodes for JAX's stack: arrays joined along a new axis."""
         axis = parameters["axis"] % len(out.shape)
         grown = []
         for view in inputs:
@@ -277,7 +277,7 @@ class Tracer(Indexing):
         return self._join(grown, tuple(out.shape), out.dtype, axis)
 
     def concatenate(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Trace concatenate: arrays joined along an axis."""
+        """Add graph nodes for JAX's concatenate: arrays joined along an axis."""
         return self._join(inputs, tuple(out.shape), out.dtype, parameters["dimension"])
 
     def _join(self, parts: list[View], shape: Shape, dtype: DType, axis: int) -> View:
@@ -294,7 +294,7 @@ class Tracer(Indexing):
         return View.whole(self.graph.node("concatenate", accesses, squeezed(shape), dtype, attributes), shape)
 
     def cond(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Trace cond: the results of the one of two branches that is chosen at run time."""
+        """Add graph nodes for JAX's cond: the results of the one of two branches that is chosen at run time."""
         which, operands = inputs[0], inputs[1:]
         branches = parameters["branches"]
         if len(branches) != 2 or which.shape:
@@ -323,7 +323,7 @@ class Tracer(Indexing):
         return View.whole(node, first.shape)
 
     def while_(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Trace while: the final carry of a while loop."""
+        """Add graph nodes for JAX's while: the final carry of a while loop."""
         conditions, bodies = parameters["cond_nconsts"], parameters["body_nconsts"]
         first = inputs[conditions + bodies :]
         if any(0 in view.shape for view in first):
@@ -345,7 +345,7 @@ class Tracer(Indexing):
         return [View.whole(output, view.shape) for output, view in zip(outputs, first, strict=True)]
 
     def scan(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Trace scan without scanned arrays: the final carry of a loop with a fixed number of turns."""
+        """Add graph nodes for JAX's scan without scanned arrays: the final carry of a loop of fixed length."""
         constants, length = parameters["num_consts"], parameters["length"]
         carries = len(inputs) - constants
         if parameters["num_carry"] != carries or len(parameters["jaxpr"].out_avals) != carries:
@@ -375,7 +375,7 @@ class Tracer(Indexing):
         return self.graph.node(op, args, squeezed(like.shape), dtype, attributes, invariant=False, uniform=False)
 
     def _region(self, closed: jex.ClosedJaxpr, inputs: list[View]) -> tuple[Region, list[View]]:
-        """Trace the jaxpr of a branch or loop body to its own region; return the region and its results."""
+        """Translate the jaxpr of a branch or loop body to its own region; return the region and its results."""
         region = self.graph.region = Region(parent=self.graph.region)
         views = self.run(closed.jaxpr, closed.consts, inputs)
         region.results = [view.access() for view in views]
