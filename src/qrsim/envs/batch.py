@@ -298,7 +298,7 @@ class Batch:
         return tuple(self.functional.play.task.answer_shape(self.functional.play.world))
 
     def hand_in(self, answers: object, rows: Floats, agents: Floats) -> None:
-        """Store agents' answers (b, a, ...), such as plume maps; a later answer replaces an earlier one.
+        """Store answers (b, a, ...) of ``agents`` in episodes ``rows``, such as plume maps; the last ones count.
 
         Args:
             answers: one of each.

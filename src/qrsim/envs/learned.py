@@ -29,7 +29,7 @@ def play_of(scenario: Scenario, what: str, precision: str = "float32") -> Play:
 
 
 def rollout_policy(source: str | Path, scenario: Scenario, precision: str = "float32") -> RolloutPolicy:
-    """Return a learned policy for ``qrsim.rollout``, from its file or name; its attribute ``ticks`` is its period.
+    """Return a learned policy from its file, for ``qrsim.rollout``; its attribute ``ticks`` is its period.
 
     Raises:
         UsageError: the scenario has no task, or the file is of another task or damaged.

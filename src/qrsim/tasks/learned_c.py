@@ -104,7 +104,7 @@ def c_source(file: PolicyFile) -> str:
 
 
 def _table(kind: str, name: str, values: Any, rank: str = "[]", group: int = 1) -> str:
-    """Return a C definition of a constant array, with ``group`` numbers per line; ``rank``: its brackets."""
+    """Return the C definition of a constant array; ``kind``: C type, ``rank``: dimensions, ``group``: last size."""
     shown = [_float(value) if kind == "float" else str(int(value)) for value in values]
     if group > 1:
         shown = [f"{{{', '.join(shown[at : at + group])}}}" for at in range(0, len(shown), group)]

@@ -194,7 +194,7 @@ class Cast:
 
 
 def cast_of(world: World, start_ned: Floats, places: Places | None = None) -> Cast:
-    """Return what of a world never moves, for the page: vehicle shapes, starts (n, 3) NED [m], routes, task places."""
+    """Return a scene's fixed content: vehicles' names and shapes, starts (n, 3) NED [m], routes, the task's places."""
     return Cast(
         tuple(name for fleet in world.fleets for name in fleet.vehicle_names),
         np.repeat(np.arange(len(world.fleets)), [fleet.size for fleet in world.fleets]),
@@ -217,7 +217,7 @@ def _routes(fleet: Fleet) -> Iterator[Floats]:
 
 
 def _contents_corners(world: World) -> Floats | None:
-    """Return the corners (k, 3) [m] of the area if the world has ground cover, persons or plume; None otherwise."""
+    """Return two opposite corners (2, 3) [m] of a box area if the world has ground cover, persons, plume; else None."""
     area = world.area
     if not (area.is_box and world.contents.random):
         return None

@@ -62,7 +62,7 @@ def _of_run(own: Series) -> str:
 
 
 def _extreme(own: Series, name: str, most: bool, words: str) -> Iterator[Highlight]:
-    """Yield the first time [s] at which a quantity was largest (``most``) or smallest, with its text."""
+    """Yield the first time [s] at which a quantity was largest (``most``) or smallest; ``words``: text template."""
     if name not in own.quantities:
         return
     time, values = own.values(name)

@@ -71,7 +71,7 @@ class Rebuilt:
         return jax.enable_x64(self._wide)
 
     def at(self, time: float) -> Beside:
-        """Recompute the world's contents, camera pictures and weather at a time [s]."""
+        """Recompute the world's contents (plume, persons ...), camera readings and weather at a time [s]."""
         tick = round(time / self._world.time_step)
         contents = self._start
         if contents.persons is not None:

@@ -142,7 +142,7 @@ class Recording:
         return f"{info.scenario}, seed {info.seed}, {count} vehicle{'s' if count != 1 else ''}"
 
     def _surroundings(self) -> tuple[World | None, Cast]:
-        """Return the recorded scenario's world and what never moves in it; world None, with a warning, if it fails."""
+        """Return the recorded scenario's world and its scene's fixed content; no world, with a warning, if invalid."""
         start = self._truth.at("position", self.time[0])
         over = self._over
         # Of the same scenario nothing has to be built again.

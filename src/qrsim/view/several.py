@@ -230,7 +230,7 @@ def _name(member: Member) -> str:
 
 
 def _cast(members: list[Member]) -> Cast:
-    """Return what never moves of all runs together, such as shapes, starts and paths, in the first run's frame."""
+    """Return the scene's fixed content of all runs, such as shapes, starts and paths, in the first run's frame."""
     casts = [member.recording.cast for member in members]
     fleets: list[Any] = []
     outlines: list[Outline | None] = []

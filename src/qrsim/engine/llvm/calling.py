@@ -157,7 +157,7 @@ class Program:
             self._call(*addresses, scratch, tick + first, ticks)
 
     def together(self, run: OnSeats, addresses: Sequence[int], tick: int, count: int) -> None:
-        """Advance a state by ``count`` ticks with several threads; ``run`` calls a function on each seat.
+        """Advance a state by ``count`` ticks with several threads; ``run`` calls a function for each thread.
 
         Args:
             run: calls a function with the address of each seat, each in a thread.
@@ -170,7 +170,7 @@ class Program:
             run(partial(_at_seat, self._call, addresses, (tick + first, ticks)))
 
     def keeping_together(self, run: OnSeats, addresses: Sequence[int], tick: int, rows: Buffers) -> None:
-        """Advance one world with several threads, and write its state after each tick to the next row."""
+        """Advance one world by a tick per row with several threads (called by ``run``); write each state to its row."""
         for first, ticks in self._portions(len(rows[0])):
             to = (number for part in rows for number in (part[first:].ctypes.data, part.strides[0]))
             run(partial(_at_seat, self._call_keeping, addresses, (tick + first, ticks, *to)))

@@ -13,7 +13,7 @@ _LOOKS = 1000
 
 
 def head(shared: Sequence[str], seated: bool) -> str:
-    """Return the first line of the LLVM function that runs ticks; ``seated``: with working memory per thread.
+    """Return the first line of the LLVM function that runs ticks; ``shared``: names of its pointer arguments.
 
     Args:
         shared: pointers to inputs and working memory.

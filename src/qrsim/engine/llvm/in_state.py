@@ -89,7 +89,7 @@ class InState:
         return not self.side_by_side or step.nodes[0].args[0].node.uniform
 
     def _fits(self, node: Node, place: Place) -> bool:
-        """Return whether a memory place suits a node: per world if its value is, shared if its value is."""
+        """Return whether a place in memory has one element per world exactly if the node's value has."""
         return place.own == (self.side_by_side and not node.uniform)
 
     def _over(self, old: Node, writer: Node) -> bool:
@@ -98,7 +98,7 @@ class InState:
         return all(self._reads_first(self.body, reading, step, writer) for reading in self.read[old.number])
 
     def _reads_first(self, steps: list[Step], reading: Reading, step: int, writer: Node) -> bool:
-        """Return whether a read by step number ``step`` comes before the store of the node ``writer``."""
+        """Return whether a read comes before the store of the node ``writer``, which step number ``step`` computes."""
         at, reader, access = reading
         if at != step:
             return at < step
@@ -109,7 +109,7 @@ class InState:
         return self._agreed(steps[step])
 
     def _hold(self, at: int, output: Node, leaves: list[Node]) -> None:
-        """Place a conditional's result in the state leaf that one of its branches returns unchanged."""
+        """Place the result of a conditional at step ``at`` in one of ``leaves`` that a branch returns unchanged."""
         for leaf in leaves:
             place = self.places[leaf.number]
             if not self._free(output) or not self._fits(output, place):
@@ -122,7 +122,7 @@ class InState:
                 self._assign(output, place)
 
     def _begin(self, at: int, output: Node, handed: list[Access]) -> None:
-        """Compute a node that a conditional returns unchanged directly where the conditional's result is stored."""
+        """Compute a node that the conditional at step ``at`` returns unchanged directly where its result is stored."""
         place = self.places.get(output.number)
         if place not in self.lying:
             return

@@ -13,13 +13,10 @@ from qrsim.engine.llvm.graph import Node
 from qrsim.engine.llvm.refusal import UnsupportedError
 from qrsim.engine.llvm.text import literal, scalar_type, splat, suffix, vector
 
-# Emits an instruction and returns the name of its value.
-Emit = Callable[[str], str]
+Emit = Callable[[str], str]  # emits an instruction and returns the name of its value
 
-_LIBRARY = {
-    "exp", "exp2", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh",
-    "tanh", "pow",
-}  # fmt: skip
+_LIBRARY = {"exp", "exp2", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
+            "cosh", "tanh", "pow"}  # fmt: skip
 _FLOAT_COMPARISONS = {"eq": "oeq", "ne": "une", "lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge"}
 # What hands on one of its arguments, or its bits but for the sign.
 _CHOICES = ("select_n", "min", "max", "clamp")
@@ -33,8 +30,7 @@ class Operations:
 
     def __init__(self, emit: Emit, declarations: set[str]):
         self.emit, self.declarations = emit, declarations
-        # Numbers of nodes that are normal or zero.
-        self._flushed: set[int] = set()
+        self._flushed: set[int] = set()  # numbers of nodes that are normal or zero
         self._tiny_state = False
 
     def expect(self, results: Iterable[Node]) -> None:
@@ -46,11 +42,9 @@ class Operations:
         """Emit a graph node's operation on its arguments' values, of ``lanes`` lanes, and return the result's name."""
         argument = node.args[0].node.dtype if node.args else node.dtype
         if node.op != "bitcast_convert_type":
-            values = [
-                self._intrinsic("canonicalize", access.node.dtype, lanes, [value])
-                if access.node.dtype.kind == "f" and self._to_flush(node, access.node) else value
-                for access, value in zip(node.args, values, strict=True)
-            ]  # fmt: skip
+            values = [self._intrinsic("canonicalize", access.node.dtype, lanes, [value])
+                      if access.node.dtype.kind == "f" and self._to_flush(node, access.node) else value
+                      for access, value in zip(node.args, values, strict=True)]  # fmt: skip
         kind = argument.kind
         of = vector(scalar_type(argument), lanes)
         rule = getattr(self, f"_{node.op}", None)
@@ -221,6 +215,7 @@ class Operations:
         return self.emit(f"sub {of} {splat('0', scalar_type(node.dtype), lanes)}, {values[0]}")
 
     def _abs(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Emit the absolute value of the argument, and return its name (``of``: LLVM type)."""
         if node.dtype.kind == "f":
             return self._intrinsic("fabs", node.dtype, lanes, values)
         if node.dtype.kind == "u":
@@ -239,6 +234,7 @@ class Operations:
         return self.emit(f"select {mask} {above}, {of} {one}, {of} {rest}")
 
     def _not(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Emit the logical or bitwise complement of the argument, and return its name (``of``: LLVM type)."""
         ones = "true" if node.dtype.kind == "b" else "-1"
         return self.emit(f"xor {of} {values[0]}, {splat(ones, scalar_type(node.dtype), lanes)}")
 
@@ -294,16 +290,19 @@ class Operations:
         return self._arithmetic("div", "f", of, node.dtype, [one, self._sqrt(node, of, values, lanes)], lanes)
 
     def _round(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Emit the argument rounded to an integer, halves to even or away from 0, and return its name."""
         to_even = int(node.attributes[0]) == 1
         return self._intrinsic("roundeven" if to_even else "round", node.dtype, lanes, values)
 
     def _is_finite(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Emit whether the argument is finite, and return the name of the flags (``of``: LLVM type)."""
         dtype = node.args[0].node.dtype
         size = self._intrinsic("fabs", dtype, lanes, values)
         infinity = splat("0x7FF0000000000000", scalar_type(dtype), lanes)
         return self.emit(f"fcmp olt {of} {size}, {infinity}")
 
     def _square(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Emit the square of the argument, and return its name (``of``: LLVM type)."""
         return self.emit(f"{'f' if node.dtype.kind == 'f' else ''}mul {of} {values[0]}, {values[0]}")
 
     def _integer_pow(self, node: Node, of: str, values: list[str], lanes: int) -> str:
@@ -328,6 +327,7 @@ class Operations:
         return self._arithmetic("div", "f", of, node.dtype, [one, result], lanes)
 
     def _bitcast_convert_type(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Emit the argument's bits read as the node's dtype, and return the name (``of``: LLVM type)."""
         to = vector(scalar_type(node.dtype), lanes)
         return values[0] if to == of else self.emit(f"bitcast {of} {values[0]} to {to}")
 

@@ -104,7 +104,7 @@ class Scheduler:
         return found
 
     def _rows(self, nodes: list[Node], sizes: Counter[Shape]) -> Step:
-        """Return one step that computes these nodes in a single loop over their last axis."""
+        """Return one step that loops over the nodes' last axis; ``sizes``: count of waiting nodes by loop shape."""
         step = Step("rows", (nodes[0].domain[-1],), nodes)
         waiting = Waiting(nodes, self.reads, sizes)
         while waiting.nodes:

@@ -46,8 +46,7 @@ class Tracer(Indexing):
     def __init__(self, graph: Graph, alone: bool):
         super().__init__(graph)
         self.alone = alone
-        # Jaxprs compare by identity.
-        self._variables_used_once: dict[jex.Jaxpr, set[jex.Var]] = {}
+        self._variables_used_once: dict[jex.Jaxpr, set[jex.Var]] = {}  # jaxprs compare by identity
 
     def run(self, jaxpr: jex.Jaxpr, constants: Sequence[object], arguments: Sequence[View]) -> list[View]:
         """Translate a jaxpr to graph nodes; return views of its results, given its arguments and constants."""
@@ -361,6 +360,7 @@ class Tracer(Indexing):
             """Return the final carry of the scan, written as a while loop with a counter."""
 
             def body(state: tuple[Array, ...]) -> tuple[Array, ...]:
+                """Return counter and carry after one turn of the scan."""
                 return (state[0] + 1, *turn(*given[:constants], *state[1:]))
 
             first = (jnp.int32(0), *given[constants:])

@@ -64,7 +64,7 @@ class Waiting:
         raise UnsupportedError("a graph with a cycle")
 
     def take(self, nodes: list[Node]) -> None:
-        """Remove the nodes that a step computes, and those outputs that waited only for them."""
+        """Remove the nodes that a step computes from those that wait, and make them available to their readers."""
         for node in nodes:
             del self.nodes[node.number]
             self._ready[self._rank(node)].discard(node.number)

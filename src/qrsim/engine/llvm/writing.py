@@ -277,7 +277,7 @@ class Writer:
         return Place(pointer, place.offset, place.strides, place.own)
 
     def _distance(self, start: str, dtype: DType, largest: int, stride: int, lanes: int) -> str:
-        """Emit the offset [bytes] of a run-time index that is clipped to [0, largest], and return its name."""
+        """Emit the byte offset of a run-time index, clipped to [0, largest], times ``stride``; return its name."""
         of, sign = vector(scalar_type(dtype), lanes), "s" if dtype.kind == "i" else "u"
         for how, limit in (("max", 0), ("min", largest)):
             name = f"llvm.{sign}{how}.{suffix(scalar_type(dtype), lanes)}"

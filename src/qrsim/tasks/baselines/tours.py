@@ -29,7 +29,7 @@ def untangled(start: NumpyArray, points: NumpyArray, order: list[int]) -> list[i
 
 
 def tours(starts: NumpyArray, points: NumpyArray, stop: float) -> list[list[int]]:
-    """Share points among vehicles so that the longest tour is short; return each one's order of visits.
+    """Share points among vehicles so that the longest tour is short; return orders of visits (``stop``: visit's cost).
 
     Args:
         starts: (n, 2) where the vehicles are.
