@@ -264,7 +264,7 @@ class Worlds:
         return self._states is not None
 
     def prepare(self, begins: Tree, given: Tree) -> None:
-        """Compile the first state and the tick, for example inputs (1, ...), with the same compiler for both."""
+        """Compile start (inputs ``begins``) and tick (``given``) for examples (1, ...), both by the same compiler."""
         self._layout = self._checked_program(self._start, begins).layout
         self._checked_program(self._tick, given, self._layout)
         if self._look is not None and self.compiler == "llvm" and self._layout is not None:
@@ -347,6 +347,6 @@ class Worlds:
         return self._states.get(select)
 
     def map(self, function: Callable[[Tree], Tree], select: Callable[[Tree], Tree]) -> Tree:
-        """Apply a JAX function to the part of each world's state that ``select`` picks; return leaves (B, ...)."""
+        """Apply a JAX ``function`` to the part of each world's state that ``select`` picks; return leaves (B, ...)."""
         mesh = self._extent.mesh if self.compiler == "xla" else None
         return by_xla.mapped(function, mesh, self._extent.few)(self.get(select))

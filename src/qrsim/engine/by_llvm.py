@@ -112,7 +112,7 @@ def state_layout(start: Function, shared: Packer, own: Packer) -> Packer:
 
 
 def _loaded(function: Function, shared: Packer, own: Packer, state: Packer | None, mode: Mode) -> Program:
-    """Load a program from the user's cache on disk, or compile it (``own``: layout of each world's inputs)."""
+    """Load a program from the user's cache, or compile it (``own``: layout of each world's inputs)."""
     before = [shared, own] if state is None else [shared, own, state]
     what = None if function.text is None else (function.name, *function.text, *map(identity, before), mode)
     # A start runs once, so quick code is enough.
@@ -139,7 +139,7 @@ def _loaded(function: Function, shared: Packer, own: Packer, state: Packer | Non
 def _made(
     function: Function, shared: Packer, own: Packer, state: Packer | None, mode: Mode, wanted: str
 ) -> tuple[Known, Binary]:
-    """Trace a function and compile it, unless its code is cached; return what is known of it and its machine code."""
+    """Trace a function and compile it to the tier ``wanted``, unless cached; return its metadata and machine code."""
     closed, layout = _traced_with_state(function, shared, own, state)
     inputs, program = _input_kinds(shared, own, layout), digest(closed)
     # How the leaves lie in the buffers; of their structure the code knows nothing.
@@ -290,7 +290,7 @@ class LlvmProgram:
         return lanes
 
     def record(self, state: Any, tick: int, count: int, capacity: int) -> tuple[Any, Buffers]:
-        """Advance one world by ``count`` ticks; return its state, and those after each tick as buffers (count, ...)."""
+        """Advance one world by ``count`` <= capacity ticks; return its state and that after each tick (count, ...)."""
         assert self._program is not None
         floats, integers = (np.empty((count, part.size), part.dtype) for part in state)
         if count:

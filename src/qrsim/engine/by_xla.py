@@ -28,7 +28,7 @@ PARTS = 16
 def make(
     function: Function, shared: Shared, own: Packer, state: Packer | None, extent: Extent, refused: str
 ) -> XlaProgram | XlaWorldsProgram:
-    """Return a program that JAX compiles at its first call; see ``qrsim.engine.backend.compile``."""
+    """Return a program that JAX compiles at its first call; ``refused``: why LLVM did not compile it."""
     if extent.worlds is None:
         return XlaProgram(function, shared, own, state, extent, refused)
     return XlaWorldsProgram(function, shared, own, extent, refused)
@@ -61,11 +61,11 @@ def _advance_function(function: Function, few: bool) -> Any:
     def advance(
         layouts: tuple[Packer, Packer], shared: Buffers, own: Any, state: Buffers, tick: Any, count: object
     ) -> Any:
-        """Advance a packed state by ``count`` ticks."""
+        """Advance a packed state by ``count`` ticks; ``layouts``: of shared values and state, ``own``: inputs."""
         common = layouts[0].unpack(shared)
 
         def body(i: Any, current: Any) -> Any:
-            """Advance the packed state by one tick."""
+            """Advance the state ``current`` by one tick, number ``i`` of the call."""
             return function.call(common, own, current, tick + i)
 
         return layouts[1].pack(lax.fori_loop(jnp.int32(0), count, body, layouts[1].unpack(state)))
@@ -75,15 +75,15 @@ def _advance_function(function: Function, few: bool) -> Any:
 
 @lru_cache(maxsize=KEPT)
 def _record_function(function: Function, few: bool, capacity: int) -> Any:
-    """Return the jitted function that advances one world and stores its state after each of ``capacity`` ticks."""
+    """Return the jitted function that advances one world and stores ``capacity`` states; ``few``: compile quickly."""
 
     def record(layouts: _Layouts, shared: Buffers, own: Any, state: Buffers, tick: Any, count: object) -> Any:
-        """Run ``count`` <= capacity ticks; return the packed state, and the packed states after each tick."""
+        """Run ``count`` <= capacity ticks from ``tick``; return the packed state, and those after each tick."""
         common, layout = layouts[0].unpack(shared), layouts[1]
         rows = tuple(jnp.zeros((capacity, buffer.shape[0]), buffer.dtype) for buffer in state)
 
         def body(i: Any, carry: tuple[Any, Buffers]) -> tuple[Any, Any]:
-            """Advance the packed state by one tick, and store it in the record."""
+            """Advance the state in ``carry`` by one tick, and store it in row ``i`` of the record in ``carry``."""
             current = function.call(common, own, carry[0], tick + i)
             packed = layout.pack(current)
             return current, tuple(
@@ -136,7 +136,7 @@ class XlaProgram:
         return aligned_copy(self._call(_advance_function(self._function, self._few), state, tick, count))
 
     def record(self, state: Buffers, tick: int, count: int, capacity: int) -> tuple[Buffers, Buffers]:
-        """Return the packed state ``count`` ticks later, and those after each tick, as buffers (count, ...)."""
+        """Return the state ``count`` <= capacity ticks later, and those after each tick, as buffers (count, ...)."""
         after, rows = self._call(_record_function(self._function, self._few, capacity), state, tick, count)
         floats, integers = (np.asarray(part)[:count] for part in rows)
         return aligned_copy(after), (floats, integers)
@@ -157,13 +157,13 @@ class XlaProgram:
 
 @lru_cache(maxsize=KEPT)
 def _first_of_many_function(function: Function, few: bool, mesh: Mesh | None) -> Any:
-    """Return the jitted function that computes the first states of many worlds, split over the devices of a mesh."""
+    """Return the jitted function of many worlds' first states, split over a mesh; ``few``: compile quickly."""
     return _over_devices(jax.vmap(function.call, (None, 0)), "sr", mesh, few)
 
 
 @lru_cache(maxsize=KEPT)
 def _advance_many_function(function: Function, few: bool, mesh: Mesh | None) -> Any:
-    """Return the jitted function that advances many worlds, split over the devices of a mesh."""
+    """Return the jitted function that advances many worlds, split over a mesh; ``few``: compile quickly."""
     one = jax.vmap(function.call, in_axes=(None, 0, 0, None))
 
     def advance(shared: object, own: object, states: object, tick: object, count: object) -> Any:
@@ -176,12 +176,12 @@ def _advance_many_function(function: Function, few: bool, mesh: Mesh | None) -> 
 
 @lru_cache(maxsize=KEPT)
 def mapped(function: Callable[[Any], Any], mesh: Mesh | None, few: bool) -> Any:
-    """Return a function of one world's state, compiled for the states (B, ...) of many worlds."""
+    """Return a function of one world's state, compiled for those of many worlds (B, ...); ``few``: quickly."""
     return _over_devices(jax.vmap(function), "r", mesh, few)
 
 
 def _over_devices(function: Callable[..., Any], arguments: str, mesh: Mesh | None, few: bool, **more: object) -> object:
-    """Compile for all devices; ``arguments`` has a letter for each argument: r: split by world, s: shared."""
+    """Compile a function for all devices; ``arguments`` has a letter for each: r: split by world, s: shared."""
     if mesh is not None:
         # No device needs anything of another, so nothing is exchanged during a tick.
         cut, same = PartitionSpec(WORLDS), PartitionSpec()

@@ -73,7 +73,7 @@ def folder() -> Path | None:
 
 @lru_cache(maxsize=4)
 def _sources(rooms: tuple[str, ...]) -> str:
-    """Return a digest of all Python source files in these folders or files of this package."""
+    """Return a digest of all Python source files in ``rooms``: folders or files of this package."""
     digest = hashlib.sha256()
     root = Path(__file__).parents[1]
     for room in rooms:
@@ -120,14 +120,14 @@ def look_up(what: tuple[object, ...], rooms: tuple[str, ...] = TRACED) -> Any:
 
 
 def keep(what: tuple[object, ...], value: Kept, rooms: tuple[str, ...] = TRACED) -> None:
-    """Cache a value under the key ``what``; errors of the file system are ignored."""
+    """Cache a value under the key ``what``, for the sources in ``rooms``; errors of the file system are ignored."""
     place = _place(what, rooms)
     if place is not None:
         _write_entry(*place, value)
 
 
 def _place(what: tuple[object, ...], rooms: tuple[str, ...]) -> tuple[Path, str, tuple[str, ...]] | None:
-    """Return (file, key text, source folders) of a cache entry; None if it cannot be cached."""
+    """Return (file, key text, ``rooms``) of the cache entry for the key ``what``; None if it cannot be cached."""
     place = folder()
     if place is None or any(isinstance(part, str) and part.startswith(_FOREIGN) for part in what):
         return None
@@ -146,7 +146,7 @@ def _tidied(place: Path, process: int) -> None:
 
 
 def _read_entry(path: Path, key: str, rooms: tuple[str, ...]) -> Kept | None:
-    """Read a cache file; return None if it is missing, damaged or belongs to another key or version."""
+    """Read a cache file; return None if it is missing, damaged or of another key, version or sources (``rooms``)."""
     try:
         data = file_bytes(path)
         if data is None:
@@ -223,7 +223,7 @@ def _parsed_state(state: Content | None) -> Packer | None:
 
 
 def _write_entry(path: Path, key: str, rooms: tuple[str, ...], value: Kept) -> None:
-    """Write a value to a cache file; layouts that are not plain data are not stored."""
+    """Write a value to a cache file, for sources in ``rooms``; layouts that are not plain data are not stored."""
     # A state with something in it that is no plain data is traced in every process.
     try:
         state = _plain_state(value.state) if isinstance(value, Known) and value.state is not None else None

@@ -72,7 +72,7 @@ def _open_to_others(path: Path, found: os.stat_result) -> str | None:
 
 @lru_cache(maxsize=64)
 def _warn(path: str, why: str) -> None:
-    """Warn once that compiled programs cannot be kept in a folder, with the reason."""
+    """Warn once that compiled programs cannot be kept in a folder; ``why``: the reason as text."""
     warn_user(
         f"compiled programs are neither read from {path} nor kept there: {why}. Every start compiles anew; "
         "QRSIM_CACHE_DIR names another place, QRSIM_COMPILATION_CACHE=off does without"
@@ -110,7 +110,7 @@ def temporary(path: Path) -> Path:
 
 
 def _is_abandoned(name: str, modified: float) -> bool:
-    """Return whether a temporary file, with its time of modification [s], is old or its process has ended."""
+    """Return whether a temporary file is old (``modified``: time [s]) or the process in its name has ended."""
     if not (name.endswith(".tmp") or name.startswith("tmp")):
         return False
     if time.time() - modified > STALE_S:

@@ -208,7 +208,7 @@ def _read_member(archive: tarfile.TarFile, member: tarfile.TarInfo) -> bytes:
 
 
 def _processor(machine: str) -> str:
-    """Return the processor and the LLVM version in the text of ``processor``, without the CPU features."""
+    """Return processor and LLVM version from ``machine``, the text of ``processor``, without CPU features."""
     words = machine.split()
     return " ".join([*words[:1], *words[-2:]])[:200]
 

@@ -52,7 +52,7 @@ def compiled(key: tuple[Hashable, ...], make: Callable[[], T]) -> T:
 
 
 def discard_unused(made: dict[K, T]) -> None:
-    """Discard programs of objects that no longer exist, and the oldest ones beyond limits of number and size.
+    """Discard those in ``made`` of objects that no longer exist, and the oldest beyond limits of number and size.
 
     Sessions of a server call this in threads, so it works on copies, and an entry may have been discarded already.
     """
@@ -89,7 +89,7 @@ def uncollected() -> Iterator[None]:
 
 
 def _tell(program: object, why: UnsupportedError) -> None:
-    """Warn that XLA compiles a program that LLVM cannot, once per reason and process."""
+    """Warn that XLA compiles a program that LLVM cannot (``why``), once per reason and process."""
     log.debug("'%s' is compiled by XLA, because of %s", program, why, exc_info=why)
     if str(why) not in _TOLD:
         _TOLD.add(str(why))

@@ -27,7 +27,7 @@ _chosen: dict[str, Any] = {"compiler": None, "threads": None}
 
 
 def configure(*, cpu_devices: int | None = None, compiler: str | None = None) -> None:
-    """Set the number of CPU devices and the compiler; call it before anything is computed.
+    """Set the number of CPU devices (``cpu_devices``) and the compiler; call it before anything is computed.
 
     Args:
         cpu_devices: cores that a rollout spreads its worlds over, and one world of thousands of vehicles its vehicles;

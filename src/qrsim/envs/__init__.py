@@ -113,7 +113,7 @@ def parallel_env(scenario: Any, **options: Any) -> ParallelTask:
 
 @checked_arguments
 def vector_parallel_env(scenario: Any, num_envs: int = 1, **options: Any) -> VectorParallelTask:
-    """Return B PettingZoo environments of a scenario that run in one batch; see ``VectorParallelTask``.
+    """Return ``num_envs`` PettingZoo environments of a scenario in one batch; see ``VectorParallelTask``.
 
     Raises:
         MissingExtraError: Gymnasium is not installed.

@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 def checked_arguments(make: Callable[P, T]) -> Callable[P, T]:
-    """Decorate a function so that wrong argument names or a missing scenario raise a UsageError with a hint."""
+    """Decorate ``make`` so that wrong argument names or a missing scenario raise a UsageError with a hint."""
     signature = inspect.signature(make)
 
     @wraps(make)

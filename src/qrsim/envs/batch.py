@@ -45,7 +45,7 @@ def checked_seed(seed: Any) -> int:
 
 
 def numbers(given: object, what: str, shape: tuple[int, ...]) -> Floats:
-    """Convert numbers to an array of any shape; raise UsageError for other values (``shape``: for the message).
+    """Convert numbers to an array of any shape; raise UsageError for other values, with ``what``, ``shape`` as text.
 
     Raises:
         UsageError: it has rows of different lengths, or something else in it, such as text or complex numbers.
@@ -157,7 +157,7 @@ class Batch:
             self.set_difficulty(options["difficulty"])
 
     def _start_episodes(self, rows: Floats) -> None:
-        """Start the episodes ``rows`` from their present seeds and numbers."""
+        """Start the episodes ``rows``, each given by a seed and a number in the seed's series."""
         if self._answers is not None:
             self._answers[rows] = 0.0
         self._steps[rows], self._ended[rows] = 0, False
@@ -184,7 +184,7 @@ class Batch:
         return {name: part if name in late else part.copy() for name, part in self.seen.items()}
 
     def step(self, action: object, words: object = None, who: str = "action") -> tuple[Floats, Floats, Floats]:
-        """Advance all episodes by actions (B, n, A), and return reward (B, n), terminated (B,) and truncated (B,).
+        """Advance all by actions (B, n, A) and radio ``words`` (B, n, D); return reward (B, n), ends: two (B,).
 
         Args:
             action: of each agent.
@@ -274,7 +274,7 @@ class Batch:
         return sum(fleet.size for fleet in self.functional.play.world.fleets)
 
     def state(self, row: int) -> Floats:
-        """Return the true state of an episode, a vector with STATE numbers for each of the V vehicles and the time.
+        """Return the true state of episode ``row``: STATE numbers for each of the V vehicles, and the time.
 
         Of each vehicle: position NED [m], roll, pitch and yaw [rad], velocity in body axes [m/s], body rates [rad/s],
         and 1 if it has stopped; at the end the part of the episode that is over, 0 to 1.

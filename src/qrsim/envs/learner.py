@@ -91,7 +91,7 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
         return self._inputs(seen), info
 
     def step(self, action: Any) -> tuple[NumpyArray, float, bool, bool, dict[str, Any]]:
-        """Advance by one decision; return the learner's reward, and the task's own as ``task_reward`` in the info.
+        """Advance by one decision; return inputs (F,), learner's reward, ends, and info with the task's own reward.
 
         Raises:
             UsageError: as of ``SingleTask.step``.

@@ -101,7 +101,7 @@ class Reached:
         self._potential = self.potential(batch, self.errors(batch))
 
     def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
-        """Return the learner's rewards (N,) for a step: gain of potential, less costs of error, effort and crash."""
+        """Return the learner's rewards (N,) for a step: fall of potential, less costs of error, effort and crash."""
         before, error = self._potential, self.errors(batch)
         now = self._potential = self.potential(batch, error)
         crashed = np.repeat(terminated, reward.shape[1])
@@ -112,7 +112,7 @@ class Reached:
         return self.shared(found, reward.shape[1])
 
     def potential(self, batch: Batch, error: Floats) -> Floats:
-        """Return the cost-to-go (N,) of errors (N,), the fall of which a step is rewarded for."""
+        """Return the potential (N,) of errors (N,); a step is rewarded for lowering it."""
         found: Floats = POTENTIAL * error
         return found
 
@@ -195,7 +195,7 @@ class Caught(Reached):
         return found
 
     def potential(self, batch: Batch, error: Floats) -> Floats:
-        """Return the cost-to-go (N,) of errors (N,), larger with the mouse far from the area's middle."""
+        """Return the potential (N,) of errors (N,), larger with the mouse far from the area's middle."""
         mouse = batch.seen[..., 0:2] + batch.seen[..., 4:6] - self._middle
         outside = np.maximum(np.sqrt(np.square(mouse).sum(axis=-1)).ravel() - self._inner, 0.0)
         found: Floats = super().potential(batch, error) + OUTWARD * outside

@@ -184,7 +184,7 @@ def play_policy(
     told: Callable[[int], None] = lambda step: None,
     recording: Recording | None = None,
 ) -> Scored:
-    """Fly one episode per seed with the policy that ``make`` builds, and return its returns and counts.
+    """Fly one episode per seed with the policy that ``make`` builds; return its score. ``told`` is called per step.
 
     Args:
         batch: as many episodes as there are seeds.
@@ -336,7 +336,7 @@ def score_task(
     told: Callable[[str, int], None] = lambda name, step: None,
     recording: Recording | None = None,
 ) -> list[Scored]:
-    """Fly all policies in the same episodes, with seeds from ``first_seed`` on; return each one's scores.
+    """Fly all policies (name -> maker) in the same episodes, with seeds from ``first_seed`` on; return scores.
 
     Args:
         batch: as many episodes as wanted.

@@ -34,7 +34,7 @@ def only_one(batch: Batch) -> None:
 
 
 def shaped(batch: Batch, flight: object, who: str, *lead: int, agent: int = 0) -> NumpyArray:
-    """Return an agent's actions (*lead, A), padded with zeros to the batch's width; raise UsageError if invalid.
+    """Return an agent's actions ``flight`` (*lead, A), padded to the batch's width; raise UsageError if invalid.
 
     Raises:
         UsageError: it has another shape, or is no numbers.

@@ -148,6 +148,6 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         return jax.tree.map(lambda leaf: leaf[:, 0], self.batch.give_away())
 
     def _truth_info(self, truth: dict[str, NumpyArray], there: NumpyArray) -> dict[str, NumpyArray]:
-        """Return true values as Gymnasium's vector infos: name -> array, and "_name" -> mask of valid rows."""
+        """Return true values as Gymnasium's vector infos: name -> array, "_name" -> which rows have it (``there``)."""
         values = {name: leaf[:, 0].copy() for name, leaf in truth.items()}
         return values | {f"_{name}": there.copy() for name in values}

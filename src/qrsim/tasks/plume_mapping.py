@@ -90,7 +90,7 @@ class PlumeMapping(Task):
             return Vec3(*(uniform(draw, 3 * look + i, low, high) for i, (low, high) in enumerate(bounds)))
 
         def again(now: tuple[Array, Vec3, Array]) -> tuple[Array, Vec3, Array]:
-            """Draw positions again for all locations not yet accepted, and accept those in the plume."""
+            """Draw positions again for locations that are not accepted; ``now``: (draw number, positions, accepted)."""
             look, kept, done = now
             tried = place(look)
             taken = Vec3(*(jnp.where(done, getattr(kept, axis), getattr(tried, axis)) for axis in "xyz"))
@@ -170,7 +170,7 @@ class PlumeMapping(Task):
         draw = replace(memory.draw, stream=replace(memory.draw.stream, ids=jnp.arange(plume.most, dtype=jnp.uint32)))
 
         def advance(now: tuple[Array, PuffState]) -> tuple[Array, PuffState]:
-            """Advance the puffs by one of their steps."""
+            """Advance the puffs by one of their steps; ``now``: (step number, puffs)."""
             tick, puffs = now
             return tick + 1, plume.step(puffs, replace(draw, tick=draw.tick + tick))
 
@@ -179,7 +179,7 @@ class PlumeMapping(Task):
         steps = jnp.round(jnp.asarray(self.sample_gap) / plume.period).astype(jnp.int32)
 
         def sample(now: tuple[Array, PuffState], _: None) -> tuple[tuple[Array, PuffState], Array]:
-            """Advance the puffs by the gap between samples; return the concentrations (L,) at the locations."""
+            """Advance ``now``, (step number, puffs), by the gap between samples; return it and concentrations (L,)."""
             now = lax.fori_loop(0, steps, lambda _, before: advance(before), now)
             since = jnp.zeros((), now[1].age.dtype)
             return now, plume.concentration(now[1], memory.locations_ned, wind, area, since)
@@ -189,7 +189,7 @@ class PlumeMapping(Task):
 
 
 def divergence(one: Array, other: Array) -> Array:
-    """Estimate the Kullback-Leibler divergence D(P | Q), (), from samples of P (n, d) and Q (m, d).
+    """Estimate the Kullback-Leibler divergence D(P | Q), (), from samples ``one`` of P (n, d), ``other`` of Q (m, d).
 
     By distances to nearest neighbours: (d/n) sum ln(nu/rho) + ln(m/(n-1)), with rho the distance of a sample of P to
     the next of P and nu that to the next of Q (Wang, Kulkarni, Verdu, IEEE Trans. Inf. Theory 55, 2009, eq. 5).

@@ -225,13 +225,13 @@ def _watch_function() -> Callable[..., tuple[tuple[object, Array | None], Array,
 
 
 def _watch(play: Play, carried: object, states: object, first: Array, count: Array) -> tuple[Any, Array, Array]:
-    """Judge ``count`` ticks from ``first``; return (memory, agents that left), rewards (T, n), episode goes on (T,).
+    """Judge ``count`` ticks from ``first``; return (memory, agents gone) after them, rewards (T, n), goes on (T,).
 
     What is returned of ticks that end no step has no meaning.
     """
 
     def tick(before: Any, item: tuple[Any, Array]) -> tuple[Any, tuple[Array, Array]]:
-        """Judge one tick; return the memory after it, and its reward and whether the episode goes on."""
+        """Judge one tick (``item``: state, row); return (memory, agents gone) after it, reward, whether it goes on."""
         state, place = item
         number = first + place
         memory = play.task.each_tick(before[0], play.world, state)

@@ -85,7 +85,7 @@ class Cameras(Contents):
         return np.array([np.asarray(axis)[0] for axis in vars(reading.taken_at_ned).values()]), picture
 
     def _put(self, windows: list[tuple[Floats, ...]]) -> None:
-        """Draw the pixels of pictures: positions (K, 3), quaternions (K, 4), scales (K, 3), colours (K, 3) of each."""
+        """Draw pictures' pixels; each picture: positions (K, 3), quaternions (K, 4), scales (K, 3), colours (K, 3)."""
         rest = -sum(len(part[0]) for part in windows) % INSTANCES or (0 if windows else INSTANCES)
         nothing = (np.zeros((rest, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (rest, 1)), np.zeros((rest, 3)))
         parts = zip(*windows, (*nothing, np.zeros((rest, 3), np.uint8)), strict=True)
@@ -139,7 +139,7 @@ def _windows(picture: Any, z: float) -> tuple[Floats, Floats, Floats, Floats]:
 
 
 def _edges(where: Floats, picture: Any, z: float) -> Floats:
-    """Return lines (8, 2, 3) from a camera to its picture's corners at down coordinate z [m], and between these."""
+    """Return lines (8, 2, 3) from a camera to its picture's corners at down coordinate z [m], and around them."""
     rows, columns = int(picture.rows), int(picture.columns)
     ends = ((0, 0), (0, columns), (rows, columns), (rows, 0))
     corners = np.array([(picture.north[end], picture.east[end], z) for end in ends])

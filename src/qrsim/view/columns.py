@@ -67,6 +67,6 @@ class Columns:
 
 
 def vector(run: Run, stream: str, name: str, parts: tuple[str, ...]) -> tuple[str, ...] | None:
-    """Return the column names of a vector in a stream of the log, None if one of them was not recorded."""
+    """Return the column names of a vector's ``parts`` (such as x, y, z) in a log's stream, None if one is missing."""
     columns = tuple(f"{name}.{part}" for part in parts)
     return columns if stream in run and all(column in run[stream] for column in columns) else None

@@ -54,7 +54,7 @@ MEAN, GUST = axes("wind.mean_ned"), axes("wind.gust_ned")
 
 
 def vector(read: Read, names: tuple[str, ...]) -> Floats:
-    """Read the logged columns of these names and return them stacked as (T, n, k)."""
+    """Return logged columns of these names, stacked as (T, n, k); ``read`` returns the column (T, n) of a name."""
     return np.stack([read(name) for name in names], axis=-1)
 
 

@@ -48,7 +48,7 @@ def untold(done: int, total: int) -> None:
 def export(
     recording: Recording | Several, folder: Path, progress: Progress = untold, colour: str | None = None
 ) -> Path:
-    """Write an HTML page that plays the run without a server into a folder, and return the page's path.
+    """Write an HTML page that plays the run to a folder; return its path. ``colour``: quantity that colours vehicles.
 
     Args:
         recording: what is played.
@@ -118,7 +118,7 @@ def write_film(
     free: Callable[[], int] | None = None,
     colour: str | None = None,
 ) -> None:
-    """Write an HTML page that plays the run without a server to an open file.
+    """Write an HTML page that plays the run to an open file; ``free`` returns the bytes left, ``colour``: quantity.
 
     Args:
         recording: what is played.

@@ -57,7 +57,7 @@ def _named(own: Series, vehicle: int) -> str:
 
 
 def _of_run(own: Series) -> str:
-    """Return ": " and the letter of the run, or "" if there is a single run."""
+    """Return the end of a highlight's text that names its run, such as ": A"; "" if there is a single run."""
     return f": {own.member.letter}" if own.member.letter else ""
 
 

@@ -246,7 +246,7 @@ class LiveView:
         return due
 
     def _draw(self, offered: _Offered, row: int, span: float) -> int:
-        """Draw the state that is due of those queued over ``span`` [s], if later than ``row``; return its number."""
+        """Draw the state of ``offered`` that is due within ``span`` [s], if later than ``row``; return its number."""
         assert self._page is not None
         share = (time.perf_counter() - offered.arrived + FRAME_S) / max(span, FRAME_S)
         now = min(offered.count - 1, max(0, int(share * offered.count) - 1))

@@ -211,7 +211,7 @@ def _legend(stage: Stage, layers: dict[str, Layer], cell: float) -> list[dict[st
 
 
 def _row(kind: str, own: Any, text: str, layer: str) -> dict[str, Any]:
-    """Return a row of the legend; ``own``: its colours (red, green, blue), 0 to 255."""
+    """Return a row of the legend for a layer; ``own``: its colours (red, green, blue), 0 to 255."""
     return {"kind": kind, "colours": [[int(part) for part in colour] for colour in own], "text": text, "layer": layer}
 
 

@@ -282,7 +282,7 @@ class Page:
                     self._come(client)
 
     def add_colours(self, names: list[str], paint: Callable[[str], Paint], chosen: str | None = None) -> None:
-        """Add a menu that colours vehicles and true paths by one of these quantities, at first by ``chosen``."""
+        """Add a menu of quantities ``names``; the one chosen colours vehicles and true paths by ``paint(name)``."""
         with self.layers_folder:
             by = self.server.gui.add_dropdown(
                 "Colour", (BY_VEHICLE, *names), initial_value=chosen or BY_VEHICLE, hint="of vehicles and true paths"

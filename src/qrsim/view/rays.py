@@ -110,7 +110,7 @@ def dashes(kind: int) -> Floats:
 
 
 def rays_of_film(rays: Rays) -> dict[str, object]:
-    """Return what an exported page needs to draw satellite lines, for JSON: lengths [m], dashes and colours."""
+    """Return lengths [m], dashes and colours with which an exported page draws satellite lines, for JSON."""
     return {
         "path": f"{rays.path}/rays",
         "reach": REACH * rays.stage.cast.extent,

@@ -109,7 +109,7 @@ class Scene:
         self._server.initial_camera.near, self._server.initial_camera.far = 0.1, max(1000.0, 20.0 * self.cast.extent)
 
     def look(self, at: Floats, distance: float, from_ned: tuple[float, float, float] = SOUTH) -> None:
-        """Make new pages view a point (3,) NED [m] from a distance [m], with the camera in direction ``from_ned``."""
+        """Make new pages view the point ``at`` (3,) NED [m] from a distance [m]; camera in direction ``from_ned``."""
         self._begin(at, distance, from_ned)
         self.overlay.hold()
 

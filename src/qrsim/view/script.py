@@ -26,7 +26,7 @@ _Script.__name__ = _PageScript.__name__ = RunJavascriptMessage.__name__
 
 
 def run_script(to: Any, kind: str, source: str, exported: bool = True) -> None:
-    """Run a script in the browsers of a server, or in one client; browsers that connect later run a kind's last one."""
+    """Run JavaScript ``source`` in all browsers of a server, or in one client; it replaces the last of its ``kind``."""
     script = (_Script if exported else _PageScript)(f"{{{source}}}")
     script.kind = kind
     (to._websock_server if hasattr(to, "_websock_server") else to._websock_connection).queue_message(script)

@@ -110,7 +110,7 @@ def free_port(port: int, host: str = LOOPBACK) -> int:
 
 
 def listen(server: ViserServer, wish: Callable[[Any], bytes | None]) -> None:
-    """Set the function that answers each request of the page's script; it is called in a thread.
+    """Set the function ``wish`` that answers each request of the page's script; it is called in a thread.
 
     What it returns is sent to that script.
     """

@@ -169,7 +169,7 @@ class Several:
 def open_several(
     folders: Iterable[Path], open_run: Callable[[Path], Run], align: str | None = None
 ) -> tuple[Recording | Several, list[str]]:
-    """Open run folders to show them together; return the recording, and warnings about what is not as flown.
+    """Open run folders to show together, shifted to ``align`` an event; return the recording, and warnings.
 
     Args:
         folders: at least one.

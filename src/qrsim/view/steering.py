@@ -57,5 +57,5 @@ def steered(simulation: Simulation, request: Request) -> str:
 
 
 def with_asked(world: World, asked: Mapping[Any, Any]) -> World:
-    """Return a world with the wind changed as recorded in events: field (speed, direction) -> value."""
+    """Return a world with its wind changed as recorded in events; ``asked``: field (speed, direction) -> value."""
     return with_wind(world, asked.get(SPEED), asked.get(BEARING))

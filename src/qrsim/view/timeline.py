@@ -52,7 +52,7 @@ class Timeline:
         self._run("plots", plots_script(plots))
 
     def _run(self, kind: str, source: str) -> None:
-        """Run a script in all browsers, but leave it out of exported pages."""
+        """Run the JavaScript ``source`` in all browsers, but leave it out of exported pages."""
         run_script(self._server, kind, source, exported=False)
 
     def show(self, time: float) -> None:

@@ -87,7 +87,7 @@ def record_video(
     draw: Callable[[float], str],
     progress: Callable[[int], None],
 ) -> None:
-    """Write a video of the page; ``draw`` draws it at a time [s] and returns a caption.
+    """Write a video; ``draw(time)`` draws the page, returns a caption; ``progress(number)`` is called per frame.
 
     Args:
         server: of the page.

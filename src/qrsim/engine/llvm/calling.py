@@ -43,7 +43,7 @@ def pause_address() -> int:
 
 
 def _at_seat(call: Callable[..., object], addresses: Sequence[int], arguments: Sequence[int], seat: int) -> None:
-    """Call machine code with the addresses of the buffers and of one thread's working memory (its seat)."""
+    """Call machine code with the addresses of buffers, of a thread's working memory (``seat``), and ``arguments``."""
     call(*addresses, seat, *arguments)
 
 

@@ -90,7 +90,7 @@ def machine_code(text: str, tier: str = "better") -> bytes:
 
 @contextlib.contextmanager
 def _scheduled(text: str) -> Iterator[None]:
-    """Set LLVM's instruction scheduling as an LLVM text requests it, on processors with a known default."""
+    """Return a context with LLVM's instruction scheduling set as ``text`` asks, on processors with a known default."""
     if not text.startswith(TOPDOWN) or not machine_triple().startswith("x86_64"):
         yield
         return

@@ -136,7 +136,7 @@ class Emitter(Loops):
     def _loops(
         self, step: Step, kept: Sequence[int], scope: Scope, together: int, stored: set[int]
     ) -> dict[int, tuple[Node, str]]:
-        """Emit the loops of a step, unrolled by ``together``; return its reductions with their accumulators.
+        """Emit loops over axes ``kept`` and reduced ones, unrolled by ``together``; return reductions, accumulators.
 
         Several turns of the innermost may be written at once, each with values of its own: divisions and roots of one
         wait while those of the other run.
@@ -157,7 +157,7 @@ class Emitter(Loops):
         return accumulators
 
     def _spread_counters(self, scopes: list[Scope], axis: int | None) -> None:
-        """Offset the loop counters of the further copies of an unrolled loop body along an axis."""
+        """Offset the loop counters of ``scopes``, the further copies of an unrolled loop body, along an axis."""
         for i, scope in enumerate(scopes[1:], 1):
             scope.variables[:] = scopes[0].variables
             assert axis is not None
@@ -168,7 +168,7 @@ class Emitter(Loops):
     def _body(
         self, step: Step, scopes: list[Scope], accumulators: dict[int, tuple[Node, str]], stored: set[int]
     ) -> None:
-        """Emit the body of a loop, its unrolled copies interleaved part by part (``stored``: nodes kept in memory)."""
+        """Emit the body of a loop, its unrolled copies (``scopes``) interleaved (``stored``: nodes in memory)."""
         several = len(scopes) > 1 and bool(accumulators)
         # LLVM would begin all sums of all turns first, and move most of them to memory.
         self.topdown |= several
@@ -365,7 +365,7 @@ class Emitter(Loops):
     def _branch(
         self, step: Step, number: int, label: str, after: str, stored: set[int], keep: str | None = None
     ) -> None:
-        """Emit branch ``number`` and copies of its results; worlds in the mask ``keep`` keep their old results."""
+        """Emit branch ``number``, then a jump to ``after``; worlds in the mask ``keep`` keep their old results."""
         outside = dict(self.scalars)
         self.start_block(label)
         self.steps(step.branches[number], stored)

@@ -28,7 +28,7 @@ def head(shared: Sequence[str], seated: bool) -> str:
 
 
 def seated(shared: Sequence[str], triple: str) -> list[str]:
-    """Return LLVM text: the threads' barrier, and a function that runs ticks from a thread's memory (seat).
+    """Return LLVM text for the machine ``triple``: a barrier, and a function that runs ticks from a thread's seat.
 
     Args:
         shared: pointers to inputs and working memory.
@@ -113,7 +113,7 @@ def _loaded(name: str, kind: str, seat: str = "%seat") -> list[str]:
 
 
 def for_each(pointers: int) -> list[str]:
-    """Return the LLVM function that advances one world for each row of a table of buffer addresses.
+    """Return the LLVM function that advances one world per row of a table of ``pointers`` buffer addresses each.
 
     In Python the way from one vector of worlds to the next takes as long as a tick of them does.
     """
@@ -145,7 +145,7 @@ def for_each(pointers: int) -> list[str]:
 
 
 def keeping(pointers: int, seated: bool) -> list[str]:
-    """Return the LLVM function that runs ticks and copies the state to the next row after each tick.
+    """Return the LLVM function that runs ticks and copies the state to a row after each (``seated``: by threads).
 
     Several threads may run it where their seats are in place of working memory; each copies a part.
     """
@@ -183,7 +183,7 @@ def keeping(pointers: int, seated: bool) -> list[str]:
 
 
 def _copied(kind: str, number: int, seated: bool) -> list[str]:
-    """Return the LLVM lines that copy state buffer ``number``, or a thread's part of it, to the present row."""
+    """Return the LLVM lines that copy state buffer ``number`` (``seated``: a thread's part) to the present row."""
     if not seated:
         return [
             f"  call void @llvm.memcpy.p0.p0.i64(ptr %{kind}.row, ptr %pointer.{number}, i64 %{kind}.bytes, i1 false)"
@@ -196,7 +196,7 @@ def _copied(kind: str, number: int, seated: bool) -> list[str]:
 
 
 def _parts(kinds: Sequence[str]) -> list[str]:
-    """Return the LLVM lines that compute which bytes of each state buffer a thread copies."""
+    """Return the LLVM lines that compute which bytes of the state buffers (``kinds``) a thread copies."""
     lines = [*_loaded("thread", "i64", "%scratch"), *_loaded("threads", "i64", "%scratch")]
     lines.append("  %thread.next = add i64 %thread, 1")
     for kind in kinds:

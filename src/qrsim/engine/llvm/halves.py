@@ -208,7 +208,7 @@ class _Half:
                     self._store(self._address(self.to, place_of(i, j, self.size)), found.get(j) or self._number(i, j))
 
     def _row(self, i: int, into: dict[int, list[tuple[int, str]]]) -> tuple[dict[int, str], set[int]]:
-        """Emit row ``i`` from the diagonal on; return its values by column, and the columns that changed."""
+        """Emit row ``i`` plus factor times row k for (k, factor) of ``into[i]``; return values and changed columns."""
         found: dict[int, str] = {}
         if i in into:
             for j in range(i, self.size):

@@ -109,7 +109,7 @@ class InState:
         return self._agreed(steps[step])
 
     def _hold(self, at: int, output: Node, leaves: list[Node]) -> None:
-        """Place the result of a conditional at step ``at`` in one of ``leaves`` that a branch returns unchanged."""
+        """Place ``output`` of the conditional at step ``at`` in one of ``leaves`` that a branch returns unchanged."""
         for leaf in leaves:
             place = self.places[leaf.number]
             if not self._free(output) or not self._fits(output, place):
@@ -122,7 +122,7 @@ class InState:
                 self._assign(output, place)
 
     def _begin(self, at: int, output: Node, handed: list[Access]) -> None:
-        """Compute a node that the conditional at step ``at`` returns unchanged directly where its result is stored."""
+        """Compute a branch's result (of ``handed``) of the conditional at step ``at`` in the place of ``output``."""
         place = self.places.get(output.number)
         if place not in self.lying:
             return
@@ -140,7 +140,7 @@ class InState:
                 return
 
     def _apart(self, other: Node, node: Node, last: int) -> bool:
-        """Return whether the lifetimes of two nodes do not overlap; ``last``: the last step that reads ``node``."""
+        """Return whether ``node``, read last by step ``last``, and ``other`` are never needed at the same time."""
         made = self.made.get(other.number, -1)
         return made > last or (made < self.made[node.number] and self._over(other, node))
 

@@ -60,7 +60,7 @@ class Loops(Writer):
 
     @contextmanager
     def over(self, axes: Sequence[int], domain: Shape, lane_axis: int | None, together: int = 1) -> Iterator[None]:
-        """Emit nested loops over axes of ``domain``, unrolled by ``together`` along the last one if not vectorised."""
+        """Emit nested loops over axes of ``domain``: vectors along ``lane_axis``, or unrolled by ``together``."""
         if not axes:
             yield
             return
@@ -78,7 +78,7 @@ class Loops(Writer):
         return super().vectors_ahead(node, place) if self.strip is None else 0 if place.local else _AHEAD
 
     def write(self, place: Place, dtype: DType, value: str, lanes: int, variables: Sequence[str]) -> None:
-        """Emit a store of a value to the memory place ``place``, at the element of the present loop."""
+        """Emit a store of a value to a memory place at the element of the present loop (``variables``: counters)."""
         if self.strip is not None and lanes > 1 and not place.local:
             address = self.address(place, [(v, 0) for v in variables])
             self.fetch(address, _AHEAD * self.lanes * stored_bytes(dtype) - 1, written=True)
@@ -123,7 +123,7 @@ class Loops(Writer):
             self.write(to, access.node.dtype, value, wide, self.scope.variables)
 
     def _copied_whole(self, access: Access, shape: Shape, to: Place) -> bool:
-        """Emit one block copy if source and target have the same memory layout; return whether that was done."""
+        """Emit one block copy if source and target ``to`` have the same memory layout; return whether that was done."""
         if len(shape) < 2 or self.strip or not access.identical(shape):
             return False
         source, dtype = self.place(access.node), access.node.dtype
@@ -144,14 +144,14 @@ class Loops(Writer):
         return True
 
     def _kept(self, to: Place, dtype: DType, value: str, lanes: int, keep: str) -> str:
-        """Emit a select between a new value and the one in memory, which worlds in the mask ``keep`` keep."""
+        """Emit a select between a new value and the one in memory at ``to``, for the worlds in the mask ``keep``."""
         of = vector(scalar_type(dtype), self.lanes)
         before = self.load(dtype, self.address(to, [(v, 0) for v in self.scope.variables]), self.lanes)
         value = self.widened((value, lanes), dtype, self.lanes)
         return self.emit(f"select {vector('i1', self.lanes)} {keep}, {of} {before}, {of} {value}")
 
     def move_all(self, moves: list[tuple[Access, Shape, Place]], keep: str | None = None) -> None:
-        """Emit copies that load all sources before any store; worlds in the mask ``keep`` keep their values."""
+        """Emit copies (source, shape, target), all loads before any store; worlds in the mask ``keep`` keep values."""
         # What lies there already is not moved.
         moves = [move for move in moves if not self._lies_there(*move)]
         targets = {(to.pointer, to.offset) for _, _, to in moves}
@@ -186,6 +186,6 @@ class Loops(Writer):
 
 
 def shared_axis(axes: Sequence[int], lane_axis: int | None) -> int | None:
-    """Return the axis along which a loop can be unrolled: the last one that is not the vector's."""
+    """Return the axis along which a loop can be unrolled: the last one except the vectors' (``lane_axis``)."""
     others = [axis for axis in axes if axis != lane_axis]
     return others[-1] if others else None

@@ -17,7 +17,7 @@ FORMS = ("graph", "steps", "llvm")
 
 
 def printed(closed: ClosedJaxpr, inputs: Sequence[Input], mode: Mode, form: str) -> str:
-    """Return a traced program as text in one of the FORMS: "graph", "steps" or "llvm".
+    """Return a traced program (``closed``: its jaxpr) as text in one of the FORMS: "graph", "steps" or "llvm".
 
     Args:
         closed, inputs, mode: see ``program.build``.
@@ -35,7 +35,7 @@ def printed(closed: ClosedJaxpr, inputs: Sequence[Input], mode: Mode, form: str)
 
 
 def _region_lines(region: Region, indent: str) -> Iterator[str]:
-    """Yield the text lines of a graph region and of the regions nested in it."""
+    """Yield the text lines of a graph region and of the regions nested in it, preceded by ``indent``."""
     for node in region.nodes:
         yield f"{indent}{_node(node)}"
         for i, inner in enumerate(node.regions):
@@ -63,7 +63,7 @@ def _access(access: Access) -> str:
 
 
 def _schedule_lines(draft: Draft) -> Iterator[str]:
-    """Yield the text lines of a program's schedule."""
+    """Yield the text lines of the schedule (order of loops) of a program (``draft``)."""
     for name, steps in (("before the first tick", draft.prologue), ("every tick", draft.body)):
         yield f"{name}:"
         for i, step in enumerate(steps):
@@ -72,7 +72,7 @@ def _schedule_lines(draft: Draft) -> Iterator[str]:
 
 
 def _step_lines(step: Step, label: str, indent: str) -> Iterator[str]:
-    """Yield the text lines of a schedule's step and of its parts."""
+    """Yield the text lines of a schedule's step and of its parts, preceded by ``indent``."""
     operations = ", ".join(f"{count} {op}" for op, count in Counter(node.op for node in step.nodes).most_common())
     shape = " x ".join(map(str, step.domain)) or "scalars"
     reduced = f", reduced along {step.reduced}" if step.reduced else ""

@@ -86,7 +86,7 @@ class Binary:
 
 
 def trace_tick(function: Callable[..., object], inputs: Sequence[Input]) -> ClosedJaxpr:
-    """Trace a function of trees and the tick's number to a jaxpr; its result has the last tree's structure.
+    """Trace ``function(*trees, tick)`` to a jaxpr; its result has the structure of the last of the trees.
 
     Args:
         function: called as function(*trees, tick) of one world.
@@ -101,7 +101,7 @@ def trace_tick(function: Callable[..., object], inputs: Sequence[Input]) -> Clos
 def build(
     function: Callable[..., object] | ClosedJaxpr, inputs: Sequence[Input], mode: Mode, tier: str = "quick"
 ) -> Binary:
-    """Compile a function that advances a state by one tick to machine code, quickly or better (``tier``).
+    """Compile ``function(*trees, tick)``, which returns the last tree after a tick, to machine code of a ``tier``.
 
     Args:
         function: see ``trace_tick``, or the same traced, which then may read fewer of the trees and no tick.
@@ -149,7 +149,7 @@ class Draft:
         self._schedule()
 
     def _trace(self, closed: ClosedJaxpr) -> None:
-        """Build the graph of a jaxpr, with a node for each leaf of the inputs and one for the tick's number."""
+        """Build the graph of the jaxpr ``closed``, with a node for each leaf of the inputs and one for the tick."""
         views: list[View] = []
         for which, given in enumerate(self.inputs):
             layout, nodes = given.layout, []
@@ -166,7 +166,7 @@ class Draft:
         self.results = [view.access() for view in found]
 
     def _input(self, which: int, given: Input, shape: Shape, dtype: DType, part: slice, is_float: bool) -> Node:
-        """Return the graph node of a leaf of input ``which``, and note where in the buffer (``part``) it is."""
+        """Return the graph node of a leaf of input number ``which``, and note its place (``part``) in the buffer."""
         # As they lie in the buffers; others would be taken for what they are not.
         if np.dtype(dtype) != given.layout.dtype if is_float else np.dtype(dtype).name not in _WHOLE:
             raise UnsupportedError(f"numbers of type {np.dtype(dtype)} from tick to tick")
@@ -213,7 +213,7 @@ class Draft:
         self._place_carries()
 
     def _place(self, lifetimes: Lifetimes) -> None:
-        """Assign each stored value of the tick's body memory that is reused after its last read."""
+        """Assign memory to each stored value of the tick's body, reused after its last read (``lifetimes``)."""
         ending: dict[int, list[tuple[Arena, int, int]]] = {}
         for i, step in enumerate(self.body):
             for node in all_nodes([step]):
@@ -250,7 +250,7 @@ class Draft:
         return self.arena.take(size)
 
     def _spare(self, node: Node, shape: Shape, group: int) -> Place:
-        """Return a memory place for a temporary copy of a node's value that overlaps no other value."""
+        """Return a memory place for a temporary copy of a node's value, per thread if ``group`` is not 0."""
         (self.local if group else self.arena).free.clear()
         return self._take(node, shape, group)
 
@@ -268,7 +268,7 @@ class Draft:
         return Place(pointer, offset, _row_major(rows, element), own, short=short)
 
     def _kept_shape(self, node: Node, group: int) -> Shape:
-        """Return the shape of the part of a node's value that is in memory at one time."""
+        """Return the shape of a node's value that is in memory at one time: one strip if ``group`` is not 0."""
         return (*node.shape[:-1], 1) if node.number in self.short else self._cut(node.shape, group)
 
     def _cut(self, shape: Shape, group: int) -> Shape:
@@ -381,7 +381,7 @@ def _whole(extent: int, lanes: int) -> int:
 
 
 def _padded(shape: Shape, lanes: int, side_by_side: bool) -> int:
-    """Return how many elements an array of this shape takes in memory, with rows of whole vectors."""
+    """Return how many elements an array takes in memory; ``side_by_side``: the lanes are worlds, else elements."""
     size = 1
     for axis, extent in enumerate(shape):
         size *= _whole(extent, lanes) if axis == len(shape) - 1 and not side_by_side else extent

@@ -20,7 +20,7 @@ def reduces_rows(node: Node) -> bool:
 
 
 def along(access: Access, reader: Node) -> bool:
-    """Return whether a node reads an argument only at its own index of the last axis."""
+    """Return whether the node ``reader`` reads an argument only at its own index of the last axis."""
     last = len(reader.domain) - 1
     followed = [axis for axis, _ in access.index]
     return (
@@ -34,7 +34,7 @@ def along(access: Access, reader: Node) -> bool:
 
 
 def together(waiting: dict[int, Node], loops: Callable[[Node], bool], reads: Reads) -> list[Node]:
-    """Return nodes to compute in one loop over a last axis, in order; [] if no reduction there has a reader.
+    """Return those of ``waiting`` to compute in one loop over a last axis, in order; [] if it would save nothing.
 
     Args:
         waiting: nodes that are not yet computed, in an order in which they can be.

@@ -42,7 +42,7 @@ def write_scatter(writer: Loops, node: Node) -> None:
 
 
 def _put(writer: Loops, node: Node, lane: int, parts: list[str]) -> None:
-    """Emit the store of one world's update of one element; ``parts``: names of its index and value."""
+    """Emit the store of one element of the world in ``lane``; ``parts``: names of its new value and its indices."""
     how, moved, single, index = node.attributes
     place, dtype = writer.places[node.number], node.dtype
     number, starts = parts[0], [(text, 1) for text in parts[1:]]
@@ -84,7 +84,7 @@ def _lies_there(writer: Loops, node: Node) -> bool:
 
 
 def _in_range(writer: Loops, moved: Moves, starts: list[tuple[str, int]], dtypes: Sequence[DType], lanes: int) -> str:
-    """Emit whether all run-time starts are in range, and return the name of the flag."""
+    """Emit whether all run-time ``starts`` are in range of the axes ``moved``, and return the name of the flag."""
     inside, mask = splat("true", "i1", lanes), vector("i1", lanes)
     for move in moved:
         if move is not None:

@@ -41,7 +41,7 @@ class Step:
 
     @cached_property
     def accesses(self) -> list[tuple[Node | None, Access]]:
-        """List (reader, access) of all reads of the step; conditionals and loops: each node read, once, reader None."""
+        """All reads of the step as (reading node, access); of conditionals and loops (None, access), once per node."""
         if self.kind not in NESTED:
             return [(node, access) for node in self.nodes for access in node.args]
         inner = [access for steps in self.branches for each in steps for _, access in each.accesses]
@@ -91,7 +91,7 @@ class Scheduler:
         return found
 
     def _needed(self, nodes: list[Node], waiting: Waiting) -> set[int]:
-        """Return the numbers of all graph nodes that these nodes depend on."""
+        """Return the numbers of the other ``waiting`` graph nodes that these nodes depend on."""
         own = {node.number for node in nodes}
         found: set[int] = set()
         stack = list(nodes)
@@ -114,7 +114,7 @@ class Scheduler:
         return step
 
     def _next(self, waiting: Waiting, wanted: set[int] | None = None, left_out: Collection[int] = ()) -> Step:
-        """Return the next step: the first waiting node, with all other nodes that fit into its loop."""
+        """Return the next step: the first waiting node (of ``wanted``), with others that fit into its loop."""
         first = waiting.first(wanted)
         if first.op in NESTED:
             return self._branching(first, waiting)
@@ -225,7 +225,7 @@ def materialised(steps: list[Step], results: list[Access]) -> tuple[set[int], se
 
 
 def _between(parts: list[Step]) -> set[int]:
-    """Return the numbers of the array nodes that one loop of a step computes and another one reads."""
+    """Return the numbers of the array nodes that one of ``parts`` of a step computes and another one reads."""
     made = {node.number for part in parts for node in part.nodes}
     found = set()
     for part in parts:

@@ -44,7 +44,7 @@ class Sharing:
         writer.entry.append("  %leads = icmp eq i64 %thread, 0")
 
     def steps(self, steps: Sequence[Step], stored: set[int], late: Sequence[Late] = ()) -> None:
-        """Emit the steps of a tick for several threads and the copies to the state, with a barrier at the end."""
+        """Emit a tick's steps for several threads, then copies to the state (``late``) and a barrier."""
         after = {each.group: each.moves for each in late}
         for group, members in groupby(steps, key=lambda step: step.group):
             if group:
@@ -184,7 +184,7 @@ class SharedNeighbours(Neighbours):
         return self._sharing.part(count)
 
     def _append(self, flags: str, first: str, near: str, number: str) -> None:
-        """Emit code that appends the flagged points' numbers to a list to which all threads append."""
+        """Emit code that appends the flagged points' numbers to the list ``near``, to which all threads append."""
         label, counted = self.writer.name("near")[1:], self._counted(flags)
         # Most vectors have none, and to append takes long where threads do so in turn.
         some = self.emit(f"icmp ne i32 {counted}, 0")

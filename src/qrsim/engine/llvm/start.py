@@ -17,7 +17,7 @@ from qrsim.engine.llvm.refusal import refusing
 
 
 def trace_of(function: Callable[..., object], inputs: Sequence[Input]) -> tuple[object, object]:
-    """Trace a function of the trees in ``inputs``; return its closed jaxpr and the ShapeDtypeStructs of its result."""
+    """Trace ``function(*trees)``; return its closed jaxpr and the ShapeDtypeStructs of its result."""
     found: tuple[object, object] = make_jaxpr(function, return_shape=True)(*(each.layout.template() for each in inputs))
     return found
 

@@ -69,7 +69,7 @@ class Grouping:
         return len(self.extents)
 
     def late(self, moves: list[Move], body: Sequence[Step], places: Mapping[int, Place]) -> list[Late]:
-        """Return the copies to the state at the tick's end, with the group of strips that they run in (0: none)."""
+        """Return the copies to the state (``moves``) at a tick's end by the group of strips they run in (0: none)."""
         if not self.strip:
             return [Late(0, moves)]
         sets: dict[int, list[Move]] = {}
@@ -86,7 +86,7 @@ class Grouping:
         return found if _independent(found, places) else [Late(0, moves)]
 
     def _alone(self, order: _Order) -> Step | None:
-        """Return the next step that is not cut into strips, scalars first; None if there is none."""
+        """Return the next step in ``order`` that is not cut into strips, scalars first; None if there is none."""
         for wanted in (lambda step: step.domain == () and step.kind == "loop", lambda step: not self._fits_alone(step)):
             for i in order.ready:
                 if wanted(order.steps[i]):
@@ -99,7 +99,7 @@ class Grouping:
         return extent > 0 and self._fits(step, extent, set())
 
     def _next(self, order: _Order, extent: int, made: set[int]) -> Step | None:
-        """Return the next step that fits into a group, and add its nodes to ``made``; None if there is none."""
+        """Return the next step in ``order`` that fits into a group, and add its nodes to ``made``; None without one."""
         for i in order.ready:
             step = order.steps[i]
             if self._extent(step) == extent and self._fits(step, extent, made):
@@ -166,7 +166,7 @@ class Grouping:
         return all(self._own(access, shape, extent, made, moved) for access, shape, moved in _reads(node))
 
     def _own(self, access: Access, shape: Shape, extent: int, made: set[int], moved: bool = False) -> bool:
-        """Return whether a loop over ``shape`` reads its own element, or an array that its group (``made``) keeps."""
+        """Return whether a loop over ``shape`` reads its own element, or an array unchanged by its group."""
         last = len(shape) - 1
         followed = [axis for axis, _ in access.index]
         along = (
@@ -258,7 +258,7 @@ class Lifetimes:
         )
 
     def end(self, node: Node, at: int, local: bool) -> int:
-        """Return the number of the last step that needs the memory of a node computed by step number ``at``."""
+        """Return the last step that needs the value made by step ``at``; ``local``: only its group reads it."""
         last = max(at, *(i for i, _, _ in self._read.get(node.number, ())), at)
         if node.number in self._kept or last >= len(self._until):
             return len(self._until)
@@ -266,7 +266,7 @@ class Lifetimes:
 
 
 def _independent(late: Sequence[Late], places: Mapping[int, Place]) -> bool:
-    """Return whether no group's copies to the state read an array that another group's copies write."""
+    """Return whether no set of copies to the state (``late``) reads an array that another set writes."""
     written = [{(to.pointer, to.offset) for _, _, to in each.moves} for each in late]
     for i, each in enumerate(late):
         elsewhere = set().union(*(targets for j, targets in enumerate(written) if j != i))
@@ -278,7 +278,7 @@ def _independent(late: Sequence[Late], places: Mapping[int, Place]) -> bool:
 
 
 def strip_pointer(group: int, element: int) -> str:
-    """Return the name of the pointer to a thread's strip, offset so that the array's indices can be used."""
+    """Return the name of the pointer to a thread's strip of a group, for arrays with elements of ``element`` bytes."""
     return f"%local{group}.{element}"
 
 

@@ -96,7 +96,7 @@ class Team:
         """Advance one world by one tick per row, and write its state after each tick to that row."""
 
         def run(together: bool, first: int, ticks: int) -> None:
-            """Advance the state by some ticks and store each in its row, with all threads (``together``) or one."""
+            """Advance by ``ticks`` from tick ``first`` and store each state, with all threads (``together``) or one."""
             some = rows[0][first : first + ticks], rows[1][first : first + ticks]
             if together:
                 self._program.keeping_together(self._on_seats, addresses, tick + first, some)
@@ -106,7 +106,7 @@ class Team:
         self._run(run, len(rows[0]))
 
     def _run(self, run: Callable[[bool, int, int], None], count: int) -> None:
-        """Run ``count`` ticks in portions, each with several threads or one, as measured to be faster."""
+        """Run ``count`` ticks in portions by ``run(together, first, ticks)``, with several threads or one if faster."""
         first = 0
         while first < count:
             ticks = min(count - first, self._pace.ticks(self._least))
@@ -124,7 +124,7 @@ class Team:
             first += ticks
 
     def _on_seats(self, function: Callable[[int], None]) -> None:
-        """Call a function with the address of each thread's working memory (seat), each call in a thread."""
+        """Call a function in each thread with the address of the thread's working memory (seat)."""
         seats, others = self._seats, list[Future[None]]()
         try:
             pool = worker_pool(self._workers)

@@ -55,13 +55,13 @@ def literal(value: float | np.float32, dtype: DType) -> str:
 
 
 def splat(text: str, element: str, lanes: int) -> str:
-    """Return an LLVM constant that repeats the literal ``text`` in all lanes."""
+    """Return an LLVM constant that repeats the literal ``text``, of LLVM type ``element``, in all lanes."""
     # LLVM writes constants of vectors so; a list of sixteen would make texts several times as long.
     return text if lanes == 1 else f"splat ({element} {text})"
 
 
 def suffix(element: str, lanes: int) -> str:
-    """Return the type suffix of an LLVM intrinsic's name, such as "v8f32"."""
+    """Return the suffix of an LLVM intrinsic's name for vectors of ``element``, such as "v8f32"."""
     letter = {"float": "f32", "double": "f64"}.get(element, element)
     return letter if lanes == 1 else f"v{lanes}{letter}"
 

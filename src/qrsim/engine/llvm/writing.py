@@ -190,7 +190,7 @@ class Writer:
         self.do(f"call void @{name}({of} {value}, ptr {address}, i32 {align}, {vector('i1', lanes)} {mask})")
 
     def _store_first(self, element: str, address: str, value: str, lanes: int, count: int, align: int) -> None:
-        """Emit the store of the first ``count`` lanes in pieces, faster than a masked store."""
+        """Emit the store of the first ``count`` lanes of type ``element`` in pieces, faster than a masked one."""
         of, begin = vector(element, lanes), 0
         while begin < count:
             size = 1 << ((count - begin).bit_length() - 1)
@@ -268,7 +268,7 @@ class Writer:
         return self._picked(node, place, wide, lanes)
 
     def begun(self, place: Place, moved: Moves, starts: list[tuple[str, int]], dtypes: Sequence[DType]) -> Place:
-        """Return a memory place offset by run-time indices, each clipped to its range."""
+        """Return a memory place offset along the axes ``moved`` by run-time ``starts``, each clipped to its range."""
         pointer = place.pointer
         for axis, move in enumerate(moved):
             if move is not None:
@@ -290,7 +290,7 @@ class Writer:
         return self.emit(f"mul {wide} {start}, {splat(str(stride), 'i64', lanes)}")
 
     def _picked(self, node: Node, place: Place, starts: list[str], lanes: int) -> str:
-        """Emit a load of a vector of elements, each lane at its own run-time index, and return its name."""
+        """Emit a load of a vector of elements, each lane at its run-time indices ``starts``, and return its name."""
         access, (moved,), wide = node.args[0], node.attributes, vector("i64", lanes)
         # From lane to lane: to the next world, or to the next element along the vector's axis.
         step = stored_bytes(node.dtype) if self._lanes_of(access.node) > 1 else 0
@@ -311,7 +311,7 @@ class Writer:
         return self.emit(f"icmp ne {vector('i32', lanes)} {found}, {splat('0', 'i32', lanes)}")
 
     def gathered(self, pointers: str, element: str, align: int, lanes: int) -> str:
-        """Emit loads from a vector of pointers, lane by lane, and return the name of the vector of values."""
+        """Emit loads of LLVM type ``element`` from a vector of pointers, and return the name of the vector."""
         of, places, mask = vector(element, lanes), vector("ptr", lanes), vector("i1", lanes)
         name = f"llvm.masked.gather.{suffix(element, lanes)}.v{lanes}p0"
         self.declarations.add(f"declare {of} @{name}({places}, i32, {mask}, {of})")
@@ -325,7 +325,7 @@ class Writer:
         return 1 if self.scope.lane_axis is None else self.lanes
 
     def _gathered(self, node: Node, place: Place, index: list[tuple[str | None, int]], across: list[int]) -> str:
-        """Emit a load of non-adjacent elements as a vector; lanes past the end repeat the last element."""
+        """Emit a load of elements apart in memory, lanes along axes ``across``, as a vector; return its name."""
         element = scalar_type(node.dtype)
         of, result = vector(element, self.lanes), "poison"
         axis = self.scope.lane_axis
@@ -370,7 +370,7 @@ class Writer:
         return self._constant_places[node.number]
 
     def write(self, place: Place, dtype: DType, value: str, lanes: int, variables: Sequence[str]) -> None:
-        """Emit a store of a value to a memory place, at the element of the present loop."""
+        """Emit a store of a value to a memory place at the element of the present loop (``variables``: counters)."""
         wanted = self.lanes if place.own and self.side_by_side else lanes
         value = self.widened((value, lanes), dtype, wanted)
         address = self.address(place, [(v, 0) for v in variables])
@@ -381,7 +381,7 @@ class Writer:
         self.store(dtype, address, value, wanted, mask)
 
     def inside(self, counter: str, extent: int) -> str:
-        """Emit the mask of the lanes with an index below ``extent``, and return its name."""
+        """Emit the mask of the lanes with an index (``counter`` plus lane) below ``extent``, and return its name."""
         if counter == "0":
             return "<" + ", ".join(f"i1 {'true' if lane < extent else 'false'}" for lane in range(self.lanes)) + ">"
         ramp = "<" + ", ".join(f"i64 {lane}" for lane in range(self.lanes)) + ">"

@@ -141,7 +141,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _take(training: Training, arrays: dict[str, Any], meta: dict[str, Any], path: Path) -> None:
-    """Set the state of a training (weights, curve, best policy ...) to that of a checkpoint.
+    """Set the state of a training to that of a checkpoint; ``meta``: its data other than arrays.
 
     Raises:
         UsageError: parts do not fit.
@@ -195,7 +195,7 @@ def _plan_of(training: Training) -> dict[str, Any]:
 
 
 def _check_plan(kept: dict[str, Any], wanted: dict[str, Any], folder: Path) -> None:
-    """Raise UsageError if a checkpoint belongs to a training with other settings.
+    """Raise UsageError if the settings ``kept`` in a checkpoint differ from those of this training (``wanted``).
 
     Raises:
         UsageError: a value differs.

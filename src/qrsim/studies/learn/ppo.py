@@ -110,7 +110,7 @@ class Rows(NamedTuple):
 
 
 def _layers(key: Array, sizes: tuple[int, ...], last: float) -> list[tuple[Array, Array]]:
-    """Return initial network layers (weights, offset), orthogonal, with gain ``last`` in the last layer."""
+    """Return initial layers (weights, offset) for ``sizes``, orthogonal, with gain ``last`` in the last layer."""
     keys = jax.random.split(key, len(sizes) - 1)
     gains = [2.0**0.5] * (len(sizes) - 2) + [last]
     return [
@@ -225,11 +225,11 @@ def _log_density(weights: Any, mean: Array, outputs: Array) -> Array:
 
 
 def _advantages(reward: Array, value: Array, after: Array, ended: Array, settings: Settings) -> Array:
-    """Return generalised advantage estimates (T, N); ``after``: values of the states after each decision."""
+    """Return generalised advantages (T, N); ``after``: values of the next states, ``ended``: flags of ends."""
     error = reward + settings.discount * after - value
 
     def back(later: Array, row: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Return the discounted sum of temporal-difference errors from one row back on, 0 after an episode's end."""
+        """Return a row's discounted sum of temporal-difference errors from that of the row after it (``later``)."""
         error, ended = row
         now = error + jnp.where(ended, 0.0, settings.discount * settings.trace) * later
         return now, now

@@ -148,7 +148,7 @@ class Training:
         return -(-self.flights.batch.functional.play.steps // self.horizon)
 
     def cycles(self, told: Callable[[int], None] = lambda steps: None) -> Iterator[Tried]:
-        """Train, and yield a row of the training curve after each cycle.
+        """Train, and yield a row of the training curve after each cycle; ``told`` is called with the decisions so far.
 
         Args:
             told: is called with the decisions so far.

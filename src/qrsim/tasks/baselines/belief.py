@@ -35,7 +35,7 @@ class View(NamedTuple):
 
 
 def view(corners: NumpyArray, grid: NumpyArray, camera: Camera) -> View:
-    """Compute where a camera was when it took a picture, from the picture's corners (4, 2) on the ground.
+    """Compute where a camera was from its picture's corners (4, 2) on the ground; ``grid``: rows and columns.
 
     Four points of a plane and the numbers of the camera give its pose (Zhang, IEEE Trans. PAMI 22, 2000, section 3.1).
 

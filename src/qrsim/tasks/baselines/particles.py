@@ -288,7 +288,7 @@ class Particles:
         self._likely = np.where(taken, likely, self._likely)
 
     def _changed(self, slot: NumpyArray, place: NumpyArray, rate: NumpyArray, there: NumpyArray) -> Guess:
-        """Return the particles with one source each, number ``slot`` (N,), set to this position, rate and existence."""
+        """Return the particles with source number ``slot`` (N,) set to this position, rate and existence."""
         old, new = self.guess, self.guess.copy()
         which = np.arange(len(slot)), slot
         new.place[which], new.rate[which], new.there[which] = place, rate, there

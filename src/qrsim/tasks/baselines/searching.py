@@ -66,7 +66,7 @@ class Searching:
         return np.clip(over_ground(wanted + apart(place, SEPARATION), place) / self._limit, -1.0, 1.0)
 
     def _look(self, ratio: NumpyArray, corners: NumpyArray, grid: NumpyArray) -> NumpyArray:
-        """Add a picture to the maps of persons and coverage; return the camera's position (3,) NED [m]."""
+        """Add a picture (log ratios, corners on the ground) to both maps; return the camera's position (3,) NED [m]."""
         corners = np.asarray(corners, np.float64)
         shown = view(corners, grid, self._belief.camera)
         places = self._belief.look(ratio, shown, corners, grid)
@@ -75,7 +75,7 @@ class Searching:
         return shown.place
 
     def _follow(self, i: int, here: NumpyArray, velocity: NumpyArray) -> None:
-        """Update the suspected person that vehicle ``i`` visits; drop it if found, unlikely or too slow to confirm."""
+        """Update the suspected person that vehicle ``i`` at ``here`` visits; drop it if found, unlikely or too slow."""
         target, odds = self._belief.best(self._target[i], 1.5)
         near = float(np.linalg.norm(self._target[i] - here[:2])) < NEAR + 1.0 and -here[2] < HEIGHT + 1.0
         self._waited[i] += near
