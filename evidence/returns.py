@@ -49,14 +49,14 @@ def pilots(name: str) -> dict[str, Any]:
 
 
 def fly(flown: Batch, command: Any, seed: int = 0) -> tuple[Values, Values]:
-    """Return the returns (B,) of the seeds from one on, and who flew to the end."""
+    """Return the mean returns (B,) of the agents, of the seeds from one on, and who flew to the end."""
     flown.reset(seed + np.arange(flown.size))
     shape = (flown.size, len(flown.functional.agents), len(flown.functional.play.task.axes))
     total, alive = np.zeros(flown.size), np.ones(flown.size, bool)
     for step in range(flown.functional.play.steps):
         asked = command(step, flown.seen) if callable(command) else command
         reward, terminated, _ = flown.step(np.broadcast_to(asked, shape))
-        total += np.where(alive, reward[:, 0].astype(np.float64), 0.0)
+        total += np.where(alive, reward.mean(axis=1, dtype=np.float64), 0.0)
         alive &= ~terminated
         if not alive.any():
             break

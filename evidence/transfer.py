@@ -1,7 +1,8 @@
 """Training for the field: policies learned in calm air with exact sensors, against ones learned in wind with noise.
 
-Both learn keep_spot with the defaults of ``qrsim train``, several seeds of each. Each then flies the same new episodes
-in both places. The field has a mean wind from any direction, gusts, and the sensors of the published task.
+Both learn keep_spot with the defaults of ``qrsim train``, and with ``--integral``, several seeds of each. Each then
+flies the same new episodes in both places. The field has a mean wind from any direction, gusts, and the sensors of the
+published task.
 """
 
 from __future__ import annotations
@@ -37,25 +38,25 @@ FIELD: dict[str, Any] = {
     "ranges": [{"path": "world.wind.wind_from_deg", "low": 0.0, "high": 360.0}],
 }
 PLACES = {"calm": CALM, "field": FIELD}
+# Whether the integral of the offset is an input.
+VIEWS = {"plain": False, "integral": True}
 
 
 def run(full: bool) -> dict[str, Any]:
     """Return how each policy does in each place; the small form trains one seed in calm air, briefly."""
     seeds, steps, trials = (SEEDS, STEPS, TRIALS) if full else (1, 100_000, 32)
-    plans = {place: Plan(scenario, steps=steps) for place, scenario in PLACES.items()}
-    where = {place: Training(replace(plan, envs=1, tries=1)).flights_of(trials) for place, plan in plans.items()}
-    trainings = {
-        (place, seed): Training(replace(plan, seed=seed))
-        for place, plan in plans.items()
-        if full or place == "calm"
-        for seed in range(seeds)
-    }
     found: dict[str, Any] = {"seeds": seeds, "trials": trials, "steps": steps, "wind_mps": WIND}
-    for (learned, seed), training in trainings.items():
-        list(training.cycles())
-        assert training.best is not None
-        policy = training.best[0]
-        found[f"{learned}_seed_{seed}"] = {place: flown(policy, flights, trials) for place, flights in where.items()}
+    for view, integral in VIEWS.items() if full else (("plain", False),):
+        plans = {place: Plan(scenario, steps=steps, integral=integral) for place, scenario in PLACES.items()}
+        where = {place: Training(replace(plan, envs=1, tries=1)).flights_of(trials) for place, plan in plans.items()}
+        for learned in PLACES if full else ("calm",):
+            for seed in range(seeds):
+                training = Training(replace(plans[learned], seed=seed))
+                list(training.cycles())
+                assert training.best is not None
+                policy = training.best[0]
+                flights = {place: flown(policy, each, trials) for place, each in where.items()}
+                found[f"{learned}_{view}_seed_{seed}"] = flights
     return found
 
 

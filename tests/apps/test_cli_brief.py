@@ -130,7 +130,7 @@ def test_a_fence_beside_the_leg_is_a_no_go(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_mast_on_the_leg_and_a_small_pack_are_no_goes(tmp_path: Path) -> None:
+def test_a_mast_on_the_leg_is_a_no_go(tmp_path: Path) -> None:
     code, found = brief(write(tmp_path / "mast", mast=ON_THE_LEG))
     assert (code, found["verdict"]) == (1, "no-go")
     assert " runs lost (" in found["why"]
@@ -139,7 +139,10 @@ def test_a_mast_on_the_leg_and_a_small_pack_are_no_goes(tmp_path: Path) -> None:
     row = rows(found)["obstacle"]
     assert (row["verdict"], row["worst"]["leg"]) == ("no-go", 2)
 
-    # The low battery's return takes over; no run finishes.
+
+@pytest.mark.nightly
+def test_a_small_pack_is_a_no_go(tmp_path: Path) -> None:
+    """The low battery's return takes over; no run finishes."""
     code, found = brief(write(tmp_path / "pack", battery={"capacity": 0.12}))
     assert (code, rows(found)["finished"]["verdict"]) == (1, "no-go")
     assert found["shares"]["failsafes"]["share"] > 0.9

@@ -73,9 +73,9 @@ def browser() -> Iterator[Browser]:
         yield found
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def replay(flown: Flight, browser: Browser) -> Iterator[Replay]:
-    """A replay that somebody looks at."""
+    """A replay that somebody looks at; a page takes seconds to load."""
     recording, server = Recording(open_run(flown.folder)), start_server(0)
     clock = Clock(playing=False, speeds=SPEEDS[:-1])
     found = Replay(recording, Page(server, recording.cast, recording.world, recording.heading, clock), clock)
@@ -89,8 +89,6 @@ def replay(flown: Flight, browser: Browser) -> Iterator[Replay]:
     stop.set()
     clock.close()
     playing.join(10.0)
-    # A server waits for seconds for the browsers that look at it.
-    browser.open("about:blank")
     server.stop()
 
 

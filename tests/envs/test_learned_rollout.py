@@ -21,7 +21,8 @@ SHORT = ["duration=1"]
 @pytest.mark.long
 def test_a_rollout_flies_as_an_environment_does(tmp_path) -> None:
     batch = Batch("keep_spot", 2, SHORT)
-    view = view_of(batch.functional)
+    view = view_of(batch.functional, integral=True)
+    assert view.summed == (9, 10, 11)
     assert view.observed[view.kept[0]] == "velocity_north"
     draw = np.random.default_rng(5)
     layers = tuple(

@@ -63,6 +63,7 @@ def option_cases(
     dear: Sequence[str] = (),
     options_nightly: Sequence[tuple[str, str]] = (),
     one_in_four: bool = False,
+    nightly: Sequence[tuple[str, str]] = (),
 ) -> list[Any]:
     """Return every component by its defaults, and with each of its options."""
     cases = []
@@ -73,7 +74,8 @@ def option_cases(
             long = options_are_long and (bool(settings) or group in dear or (bool(dear) and not_first))
             marks = (pytest.mark.long,) if long else ()
             # All programs take minutes to compile: of each group, one component in four is compiled before the night.
-            if (one_in_four and not_first) or (settings and dear) or (settings and (group, name) in options_nightly):
+            at_night = [*nightly, *(options_nightly if settings else ())]
+            if (one_in_four and not_first) or (settings and dear) or (group, name) in at_night:
                 marks = (pytest.mark.nightly,)
             cases.append(pytest.param(group, name, settings, id="-".join([group, name, *chosen]), marks=marks))
     return cases
@@ -92,6 +94,11 @@ BY_HAND = ("ideal_scan", "ideal_ranging", "ideal_neighbours")
 # component in four of each group.
 by_defaults_first = pytest.mark.parametrize(("group", "name", "settings"), option_cases(True, DEAR, ONE_FORM))
 by_defaults = pytest.mark.parametrize(("group", "name", "settings"), option_cases(True))
+# Backward through the contacts of its feet takes JAX a quarter of a minute.
+MULTIROTOR = ("VEHICLES", "multirotor")
+by_slopes = pytest.mark.parametrize(
+    ("group", "name", "settings"), option_cases(True, DEAR, ONE_FORM, nightly=[MULTIROTOR])
+)
 every_program = pytest.mark.parametrize(
     ("group", "name", "settings"), option_cases(options_nightly=COMPONENTS, one_in_four=True)
 )
@@ -196,18 +203,38 @@ def test_a_batch_of_worlds_is_each_world_alone(group: str, name: str, settings: 
         np.testing.assert_array_equal(got, want, err_msg=path)
 
 
-@by_defaults_first
-def test_slopes_in_every_parameter_are_finite(group: str, name: str, settings: dict[str, Any]) -> None:
-    def total(component: Any, given: Any, keys: Any) -> Any:
-        found = jax.tree.leaves(evaluate(group, component, given, keys)["results"])
-        return sum(jnp.sum(leaf) for leaf in found if jnp.issubdtype(leaf.dtype, jnp.floating))
+def total(group: str, component: Any, given: Any, keys: Any) -> Any:
+    """Return the sum of all floating-point results of a component."""
+    found = jax.tree.leaves(evaluate(group, component, given, keys)["results"])
+    return sum(jnp.sum(leaf) for leaf in found if jnp.issubdtype(leaf.dtype, jnp.floating))
 
+
+@by_slopes
+def test_slopes_in_every_parameter_are_finite(group: str, name: str, settings: dict[str, Any]) -> None:
     world = WORLDS[-1]
     given = example(group, name, **settings), inputs(world), stream_keys(world)
-    (slopes,) = by_numpy(jax.grad(total, allow_int=True), [given])
+    (slopes,) = by_numpy(jax.grad(partial(total, group), allow_int=True), [given])
     for path, leaf in leaves(slopes):
         if np.issubdtype(leaf.dtype, np.floating):
             assert np.isfinite(leaf).all(), path
+
+
+@pytest.mark.long
+def test_a_multirotor_has_a_finite_slope_along_all_parameters_at_once() -> None:
+    """Forward; the nightly tests go backward to each."""
+
+    def slope(component: Any, given: Any, keys: Any) -> Any:
+        def along(leaf: Any) -> Any:
+            is_float = jnp.issubdtype(leaf.dtype, jnp.floating)
+            return jnp.ones_like(leaf) if is_float else np.zeros(leaf.shape, jax.dtypes.float0)
+
+        own = jax.tree.map(jnp.asarray, component)
+        return jax.jvp(lambda each: total(MULTIROTOR[0], each, given, keys), (own,), (jax.tree.map(along, own),))[1]
+
+    world = WORLDS[-1]
+    (found,) = by_numpy(slope, [(example(*MULTIROTOR), inputs(world), stream_keys(world))])
+    assert np.isfinite(found)
+    assert found != 0.0
 
 
 # A placement is of a fleet as a whole.

@@ -61,6 +61,34 @@ def test_a_pursuer_sees_and_moves_relative_to_the_mouse() -> None:
     np.testing.assert_array_equal(chasing.action(output, seen * 0.0), [[0.0, 0.0]])
 
 
+def test_an_integral_grows_and_turns_with_the_heading_and_is_limited() -> None:
+    view = dataclasses.replace(VIEW, kept=(0, 1, 3, 4), pairs=((0, 1), (3, 4)), summed=(0, 1))
+    assert (view.inputs, view.remembered) == (6, 4)
+    seen = np.array([[2.0, 3.0, np.pi / 2]], np.float32)
+    last = np.array([[0.5, 0.7, 4.0, 19.9]], np.float32)
+    # Heading east: east is ahead, and north is to the left.
+    np.testing.assert_allclose(view.features(seen, last), [[3.0, -2.0, 19.9, -4.0, 0.5, 0.7]], atol=1e-5)
+    # 0.1 s of 2 m and of 3 m, the second at most 20 m s in all; outputs are limited to 10.
+    after = view.remember(np.array([[0.1, -30.0]], np.float32), seen, last)
+    np.testing.assert_allclose(after, [[0.1, -10.0, 4.2, 20.0]], atol=1e-5)
+
+
+def test_files_with_and_without_integrals(tmp_path: Path) -> None:
+    plain, path = policy(), tmp_path / "policy.npz"
+    # Earlier versions wrote no integrals, and read files without.
+    assert b"summed" not in plain.content()
+    path.write_bytes(plain.content())
+    assert read_policy(path).view == VIEW
+    view = dataclasses.replace(VIEW, kept=(0, 3), pairs=(), summed=(0,))
+    summing = policy(view=view)
+    path.write_bytes(summing.content())
+    assert read_policy(path).view == view
+    for wrong in ({"kept": (0, 4)}, {"summed": (3,)}, {"summed": ()}):
+        path.write_bytes(policy(view=dataclasses.replace(view, **wrong)).content())
+        with pytest.raises(UsageError, match="is no policy that qrsim train has written, or it is damaged"):
+            read_policy(path)
+
+
 def test_a_network_by_hand() -> None:
     hidden = (np.array([[1.0], [2.0]], np.float32), np.array([0.5], np.float32))
     last = (np.array([[3.0]], np.float32), np.array([-1.0], np.float32))

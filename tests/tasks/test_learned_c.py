@@ -33,6 +33,8 @@ VIEW = View(
 PLAIN = dataclasses.replace(VIEW, pairs=(), yaw=None)
 # Turned towards an offset, and two of the outputs turned back.
 CHASING = dataclasses.replace(VIEW, pairs=((0, 1), (4, 5)), yaw=None, ahead=(0, 1), turned=(2, 0))
+# The integrals of one vector, which turns too, and of one more number.
+SUMMING = dataclasses.replace(VIEW, kept=(0, 1, 4, 5, 6, 7, 8), pairs=((0, 1), (4, 5), (6, 7)), summed=(0, 1, 2))
 
 
 def policy(view: View) -> PolicyFile:
@@ -50,7 +52,7 @@ def policy(view: View) -> PolicyFile:
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
-@pytest.mark.parametrize("view", [VIEW, PLAIN, CHASING], ids=["turning", "plain", "chasing"])
+@pytest.mark.parametrize("view", [VIEW, PLAIN, CHASING, SUMMING], ids=["turning", "plain", "chasing", "summing"])
 def test_c_acts_as_numpy_does(view: View, tmp_path: Path) -> None:
     file = policy(view)
     (tmp_path / "policy.npz").write_bytes(file.content())
@@ -58,7 +60,7 @@ def test_c_acts_as_numpy_does(view: View, tmp_path: Path) -> None:
     words = ["gcc", "-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-O2", "-shared", "-fPIC"]
     subprocess.run([*words, "-o", tmp_path / "policy.so", tmp_path / "policy.c", "-lm"], check=True)
     fly = ctypes.CDLL(str(tmp_path / "policy.so")).qrsim_policy
-    pilot, last, rng = file.pilot(1, 0.1), np.zeros(3, np.float32), np.random.default_rng(6)
+    pilot, last, rng = file.pilot(1, 0.1), np.zeros(view.remembered, np.float32), np.random.default_rng(6)
     for scale in (1.0, 3.0, 3.0, 100.0):
         seen = rng.normal(0.0, scale, (1, 6)).astype(np.float32)
         action = np.zeros(4, np.float32)

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.tasks.test_learned_c import PLAIN, VIEW, policy
+from tests.tasks.test_learned_c import PLAIN, SUMMING, VIEW, policy
 
 from qrsim import cli
 from qrsim.errors import UsageError
 from qrsim.tasks.learned import View
 
 
-@pytest.mark.parametrize("view", [VIEW, PLAIN], ids=["turning", "plain"])
+@pytest.mark.parametrize("view", [VIEW, PLAIN, SUMMING], ids=["turning", "plain", "summing"])
 def test_onnx_acts_as_numpy_does(view: View, tmp_path: Path) -> None:
     pytest.importorskip("onnx", reason="needs onnx")
     runtime = pytest.importorskip("onnxruntime", reason="needs onnxruntime")
@@ -24,7 +24,7 @@ def test_onnx_acts_as_numpy_does(view: View, tmp_path: Path) -> None:
     options.intra_op_num_threads = 1
     session = runtime.InferenceSession(tmp_path / "policy.onnx", options, providers=["CPUExecutionProvider"])
     # Two vehicles by one call.
-    pilot, last, rng = file.pilot(2, 0.1), np.zeros((2, 3), np.float32), np.random.default_rng(6)
+    pilot, last, rng = file.pilot(2, 0.1), np.zeros((2, view.remembered), np.float32), np.random.default_rng(6)
     for scale in (1.0, 3.0, 3.0, 100.0):
         seen = rng.normal(0.0, scale, (2, 6)).astype(np.float32)
         action, last = session.run(["action", "next_last"], {"observation": seen, "last": last})

@@ -71,7 +71,7 @@ def show(browser: Browser) -> Iterator[Callable[..., Shown]]:
         return made[-1]
 
     yield make
-    # A server waits for seconds for the browsers that look at it.
+    # A page draws as long as it is open.
     browser.open("about:blank")
     for shown in made:
         shown.server.stop()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 from typing import Any
 
 import pytest
@@ -115,3 +116,14 @@ def test_elsewhere_the_address_has_a_token():
                 urlopen(f"{wrong}/")
     finally:
         server.stop()
+
+
+def test_a_connection_without_a_request_does_not_delay_the_end():
+    """Browsers open some in advance; viser waits up to 6 s for its thread, which waited 10 s for them."""
+    server = start_server(0)
+    thread = server._websock_server._server_thread
+    with socket.create_connection((server.get_host(), server.get_port())) as early:
+        status(address(server))
+        server.stop()
+        assert not thread.is_alive()
+        assert early.recv(1) == b""

@@ -46,12 +46,14 @@ class Train:
     """Decisions of all agents, after which the training ends."""
     minutes: Annotated[float | None, tyro.conf.arg(help_behavior_hint="(default: no limit)")] = None
     """Wall time, after which the training ends earlier."""
-    envs: Annotated[int | None, tyro.conf.arg(help_behavior_hint="(default: 512; in a pursuit 128)")] = None
+    envs: Annotated[int | None, tyro.conf.arg(help_behavior_hint="(default: as suits the task, 64 to 512)")] = None
     """Number of episodes side by side, 1 to 65536."""
     set: Annotated[Repeated, tyro.conf.arg(metavar="PATH=VALUE", help_behavior_hint="(default: none)")] = field(
         default_factory=list
     )
     """Change one value of the scenario; can be given several times."""
+    integral: bool = False
+    """Add the integral of the offset to the goal to the inputs, which makes up for a steady wind."""
     out: Annotated[
         Path | None,
         tyro.conf.arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(default: runs/TASK-policy-seedSEED)"),
@@ -75,7 +77,15 @@ class Train:
         from qrsim.studies.learn.training import Training
 
         seconds = None if self.minutes is None else 60.0 * self.minutes
-        plan = plan_of(self.task, tuple(self.set), self.envs, seed=self.seed, steps=self.steps, seconds=seconds)
+        plan = plan_of(
+            self.task,
+            tuple(self.set),
+            self.envs,
+            seed=self.seed,
+            steps=self.steps,
+            seconds=seconds,
+            integral=self.integral,
+        )
         folder = self.out or Path("runs") / f"{_name_of(plan)}-policy-seed{self.seed}"
         if folder.exists() and not self.resume and not (folder.is_dir() and not any(folder.iterdir())):
             raise UsageError(f"{folder} exists and is never overwritten; choose another --out, or add --resume")

@@ -197,7 +197,7 @@ class View:
                 frame = recording.frame(time)
                 remember_paths(scene, recording, frame.time)
                 scene.draw(frame)
-                return f"{recording.heading}, {frame.time:.1f} s"
+                return f"{recording.heading}, {frame.time:.2f} s"
 
             record_video(server, path, times, self._pixels, draw, lambda done: update(completed=done, total=len(times)))
         print(path)
@@ -247,8 +247,6 @@ class View:
         """Serve the 3-D page of the runs until Ctrl-C; the page shows a note while they are being loaded."""
         from qrsim.view.clock import SPEEDS, Clock
         from qrsim.view.loading import show_loading
-        from qrsim.view.page import Page
-        from qrsim.view.replay import Replay
         from qrsim.view.server import address, start_server
 
         # Options can be wrong for these runs, which is an error before there is a page.
@@ -265,6 +263,10 @@ class View:
                 if sys.stdout.isatty():
                     print(f"loading {names}: {address(server)}", flush=True)
                 recording = self._opened()
+            # These take most of the time of a start, which the page is there for already.
+            from qrsim.view.page import Page
+            from qrsim.view.replay import Replay
+
             page = Page(server, recording.cast, recording.world, recording.heading, clock, recording.imagery)
             replay = Replay(recording, page, clock, self.at or 0.0, self.colour)
             stop = threading.Event()

@@ -24,6 +24,7 @@ SINGLE = (
     "goto_waypoint",
     "keep_velocity",
     "land_on_pad",
+    "search_small",
     "search_and_rescue/2A",
     "search_and_rescue/2B",
     "plume_mapping/3A",
@@ -34,6 +35,7 @@ SINGLE = (
 )
 SEVERAL = (
     "keep_spot_10",
+    "keep_formation",
     "cats_and_mouse/1A",
     "cats_and_mouse/1B",
     "cats_and_mouse/1C",

@@ -7,6 +7,8 @@ is added as gamma Phi(s') - Phi(s), which leaves the best policy as it is (Ng, H
 true ones: a reward may use what a policy does not observe. All of it is multiplied by ``SCALE``.
 Velocities: the same of the error, and ``DRIFT`` of its integral.
 Landings: of the distance from the pad, and ``OFF_GROUND`` more while the vehicle moves.
+Searches by numbers: of the distance to the nearest missing person, and ``MISSING`` for each other one.
+Formations: of the distance from the place in it.
 Pursuits: of the distance beyond that of a catch; less room than ``ROOM`` to the mouse or a cat costs too, and a mouse
 far from the middle of the area lowers the potential. Half of it is each cat's own and half the mean of all cats. A
 decision of 1 s counts as one, so a crash costs more, and the unit is smaller.
@@ -21,9 +23,11 @@ import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.envs.batch import Batch
+from qrsim.tasks.formation import KeepFormation
 from qrsim.tasks.landing import Land
 from qrsim.tasks.learned import observed_names
 from qrsim.tasks.pursuit import Pursuit
+from qrsim.tasks.search import Search
 from qrsim.tasks.simple import KeepSpot, KeepVelocity
 
 # 5 s, the horizon of a discount of 0.98 for each 0.1 s, of log(1 + 120^2) + 12.
@@ -39,6 +43,8 @@ DRIFT = 0.5
 # Error of a vehicle in the air where it is to land [m], and the cost of a crash: that of staying 40 m away forever.
 # More would teach to keep away from the ground.
 OFF_GROUND, CRASH_IN_LANDING = 2.0, 60.0
+# Error of a search for each missing person that is not the nearest one [m], and for one within reach.
+MISSING, UNFOUND = 20.0, 2.0
 # Unit of the learner's reward, which makes values a few units large.
 SCALE = 0.1
 # Pursuits: cost of a crash and of each metre, longest time of a decision [s], unit.
@@ -76,6 +82,10 @@ def objective_of(batch: Batch, discount: float) -> Objective:
         return Steady(batch, discount)
     if isinstance(task, KeepSpot):
         return Reached(batch, discount)
+    if isinstance(task, KeepFormation):
+        return InFormation(batch, discount)
+    if isinstance(task, Search):
+        return Searched(batch, discount)
     if isinstance(task, Pursuit) and not task.senses:
         return Caught(batch, discount)
     return Scaled(batch, discount)
@@ -169,6 +179,31 @@ class Landed(Reached):
         """Return the true distances (N,) [m] from the pad, increased by ``OFF_GROUND`` for a vehicle that moves."""
         moves = _length(batch.truth["velocity_body"]) > 0.0
         found: Floats = Reached.errors(self, batch) + OFF_GROUND * moves
+        return found
+
+
+class InFormation(Reached):
+    """Reward for a small true distance from a place in a formation."""
+
+    def errors(self, batch: Batch) -> Floats:
+        """Return the agents' true distances (N,) from their places [m]."""
+        return _length(batch.truth["to_place_ned"])
+
+
+class Searched(Reached):
+    """Reward for a small true distance to the nearest missing person, and for finding one."""
+
+    crash = CRASH_IN_LANDING
+
+    def __init__(self, batch: Batch, discount: float):
+        super().__init__(batch, discount)
+        self._reach = float(cast(Any, batch.functional.play.world.contents.persons).found_distance)
+
+    def errors(self, batch: Batch) -> Floats:
+        """Return the distances (N,) [m] beyond that of finding, ``MISSING`` more for each other missing person."""
+        missing = batch.truth["missing"].ravel()
+        away = np.maximum(_length(batch.truth["to_person_ned"]) - self._reach, 0.0) + UNFOUND
+        found: Floats = np.where(missing > 0.0, away + MISSING * (missing - 1.0), 0.0)
         return found
 
 

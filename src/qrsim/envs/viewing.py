@@ -10,6 +10,7 @@ from qrsim.envs.functional import Functional
 from qrsim.envs.scoring import neutral
 from qrsim.errors import UsageError
 from qrsim.tasks.learned import View, observed_names
+from qrsim.tasks.search import Search
 
 # Wanted time between two decisions [s]; a task with longer steps has one for each.
 DECISION = 0.1
@@ -19,12 +20,18 @@ REACHES = {"pitch": 0.3, "roll": 0.3, "throttle": 0.2, "yaw_rate": 0.05}
 BODY = ("pitch", "roll")
 # A pursuer sees and moves relative to the direction of the first mouse, as it looks alike from all sides.
 AHEAD, LEVEL = ("mouse_0_offset_north", "mouse_0_offset_east"), ("velocity_north", "velocity_east")
+# Beginnings of the names of observed errors, whose integral makes up for a constant wind.
+INTEGRATED = ("to_", "wanting_")
 # What is never commanded: a battery is full.
 GIVEN = ("battery",)
 
 
-def view_of(functional: Functional) -> View:
+def view_of(functional: Functional, integral: bool = False) -> View:
     """Return how a learner sees this task: the network's inputs and outputs, and the time between decisions.
+
+    Args:
+        functional: the task.
+        integral: the integral of the offset to the goal, or of the missing velocity, is an input too.
 
     Raises:
         UsageError: a policy of this kind cannot fly the task.
@@ -35,14 +42,19 @@ def view_of(functional: Functional) -> View:
     try:
         observed = observed_names(play)
     except UsageError as error:
-        raise UsageError(f"{name}: {error}") from None
+        hint = "; task.observes=likeliest gives numbers" if isinstance(play.task, Search) else ""
+        raise UsageError(f"{name}: {error}{hint}") from None
     acts = tuple(axis.name for axis in play.axes)
     turns = "yaw" in observed and all(axis in acts for axis in BODY)
     chases = AHEAD[0] in observed and all(axis in acts for axis in LEVEL)
+    summed = tuple(number for number, name in enumerate(observed) if name.startswith(INTEGRATED)) if integral else ()
+    if integral and not summed:
+        raise UsageError(f"{name}: it observes no offset to a goal or velocity that an integral could be taken of")
+    names = (*observed, *(f"sum_{observed[number]}" for number in summed))
     pairs = tuple(
-        (number, observed.index(name.removesuffix("north") + "east"))
-        for number, name in enumerate(observed)
-        if (turns or chases) and name.endswith("_north") and name.removesuffix("north") + "east" in observed
+        (number, names.index(name.removesuffix("north") + "east"))
+        for number, name in enumerate(names)
+        if (turns or chases) and name.endswith("_north") and name.removesuffix("north") + "east" in names
     )
     # An offset to the goal says more than a position, and what turns with the heading needs none.
     goal = any(each.startswith("to_") for each in observed)
@@ -54,7 +66,7 @@ def view_of(functional: Functional) -> View:
         seconds=_seconds(play.task.period, play.steps),
         observed=observed,
         acts=acts,
-        kept=tuple(number for number, each in enumerate(observed) if each not in left_out),
+        kept=tuple(number for number, each in enumerate(names) if each not in left_out),
         pairs=pairs,
         yaw=observed.index("yaw") if turns else None,
         flown=flown,
@@ -62,6 +74,7 @@ def view_of(functional: Functional) -> View:
         reach=tuple(REACHES.get(act, 1.0) for act in acts),
         ahead=(observed.index(AHEAD[0]), observed.index(AHEAD[1])) if chases else None,
         turned=(flown.index(acts.index(LEVEL[0])), flown.index(acts.index(LEVEL[1]))) if chases else None,
+        summed=summed,
     )
 
 

@@ -87,7 +87,17 @@ from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.models.vehicles.quadrotor import Quadrotor
 from qrsim.models.vehicles.rover import DifferentialRover, Rover
 from qrsim.models.vehicles.separate_quadrotor import SeparateQuadrotor
-from qrsim.tasks import KeepSpot, KeepVelocity, Land, NoTask, PlumeMapping, Pursuit, ReachWaypoint, Search
+from qrsim.tasks import (
+    KeepFormation,
+    KeepSpot,
+    KeepVelocity,
+    Land,
+    NoTask,
+    PlumeMapping,
+    Pursuit,
+    ReachWaypoint,
+    Search,
+)
 
 Catalogue = dict[str, Any]
 
@@ -137,6 +147,7 @@ TASKS: Catalogue = {
     "reach_waypoint": ReachWaypoint,
     "land": Land,
     "keep_velocity": KeepVelocity,
+    "keep_formation": KeepFormation,
     "pursuit": Pursuit,
     "search": Search,
     "plume_mapping": PlumeMapping,

@@ -12,6 +12,7 @@ from qrsim.scenarios.build import build_task
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.timing import is_multiple
+from qrsim.tasks.formation import BEACON
 from qrsim.tasks.perceived import SEEING
 
 # Sensors by the field of a task that names one.
@@ -27,7 +28,7 @@ def task_problems(scenario: ScenarioSpec) -> Iterator[str]:
     task = scenario.task
     if task.type == "none":
         return
-    for name in ("fleet", "prey"):
+    for name in ("fleet", "prey", "leader"):
         wanted = vars(task).get(name)
         if wanted is not None and wanted not in scenario.fleets:
             yield f"task.{name}: no fleet is called '{wanted}'{did_you_mean(wanted, scenario.fleets)}"
@@ -35,6 +36,8 @@ def task_problems(scenario: ScenarioSpec) -> Iterator[str]:
         yield f"task.period: {task.period:g} s is not a multiple of the time step {scenario.time_step:g} s"
     elif not is_multiple(scenario.duration, task.period):
         yield f"task.period: the duration, {scenario.duration:g} s, is not a multiple of it, {task.period:g} s"
+    if task.type == "keep_formation":
+        yield from _formation_problems(scenario)
     content = CONTENTS.get(task.type)
     if content and getattr(scenario.world, content).type == "none":
         yield f"world.{content}: there is none, and the task '{task.type}' is about it"
@@ -49,6 +52,21 @@ def task_problems(scenario: ScenarioSpec) -> Iterator[str]:
         else:
             yield f"task.fleets: no fleet is called '{name}'{did_you_mean(name, scenario.fleets)}"
     yield from _fleet_problems(scenario, scenario.fleets[task.fleet])
+
+
+def _formation_problems(scenario: ScenarioSpec) -> Iterator[str]:
+    """Yield the problems of a formation: a leader among its followers, or a radio that sends no positions."""
+    task, radio = scenario.task, scenario.world.radio
+    if task.leader == task.fleet:
+        yield f"task.leader: '{task.leader}' is the fleet of the agents, task.fleet; name another one"
+    if radio is None:
+        yield f"world.radio: the task '{task.type}' needs one; give a preset, such as world.radio: sphere"
+    elif not radio.beacon or radio.size < BEACON:
+        yield f"task '{task.type}': it needs beacons; give world.radio beacon: true and a size of at least {BEACON}"
+    for name in {task.leader, task.fleet} & set(scenario.fleets):
+        own = scenario.fleets[name].radio
+        if own is not None and not own.works:
+            yield f"fleets.{name}.radio: none; the task '{task.type}' needs one"
 
 
 def _senses_problems(task: Any, fleet: FleetSpec) -> Iterator[str]:

@@ -5,6 +5,7 @@ It may import ``simulation`` and the layers below it.
 Read ``play.py`` first.
 """
 
+from qrsim.tasks.formation import KeepFormation
 from qrsim.tasks.landing import Land
 from qrsim.tasks.play import Episode, Play, Step
 from qrsim.tasks.plume_mapping import PlumeMapping
@@ -14,6 +15,7 @@ from qrsim.tasks.simple import KeepSpot, KeepVelocity, NoTask, ReachWaypoint
 
 __all__ = [
     "Episode",
+    "KeepFormation",
     "KeepSpot",
     "KeepVelocity",
     "Land",

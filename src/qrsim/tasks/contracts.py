@@ -14,6 +14,7 @@ from jax import Array
 
 from qrsim.core.arrays import Floats
 from qrsim.core.noise import Draw
+from qrsim.models.radio.contracts import Inbox
 from qrsim.tasks.agents import Axis
 from qrsim.world.state import Action, State, World
 
@@ -41,6 +42,8 @@ class Task(Protocol):
         leave: whether an agent that stops leaves, and the others fly on until all have stopped; else its episode ends.
         axes: the numbers of an action, with unit and range, where they do not depend on the world (see ``acts``).
         asks_for: kind of set-points that its fleet's controller must take; None: its actions are commands.
+        receives: whether radio messages are numbers of the observation, by ``observe_received``. The agents then
+            send beacons alone; else messages are parts of actions and observations.
         hands_in: whether an agent hands in an answer at the end, which has a ``score``.
         baseline: class of a policy for comparison, as ``qrsim score`` takes it; None: the task has none of its own.
     """
@@ -51,6 +54,7 @@ class Task(Protocol):
     leave: bool = False
     axes: ClassVar[tuple[Axis, ...]] = ()
     asks_for: ClassVar[type | None] = None
+    receives: ClassVar[bool] = False
     hands_in: ClassVar[bool] = False
     baseline: ClassVar[type | None] = None
 
@@ -89,12 +93,20 @@ class Task(Protocol):
         """Return the memory after step number ``step`` of ``steps``, and the reward (n,) while all vehicles fly."""
 
     def crashed(self, memory: Any, world: World, state: State, steps: int) -> Array:
-        """Return the team's reward () in the step in which a vehicle stops, such as after a crash."""
+        """Return the reward () or (n,) of the step in which a vehicle stops."""
         return jnp.asarray(self.penalty)
+
+    def truth(self, memory: Any, world: World, state: State) -> dict[str, Array]:
+        """Return what the infos of the agents have by name, (n, ...), in addition to their true poses."""
+        return {}
 
     @abstractmethod
     def observe(self, memory: Any, world: World, state: State) -> Any:
         """Return the agents' observations, (n, O) or a dict of arrays (n, ...), from sensors and never the truth."""
+
+    def observe_received(self, memory: Any, world: World, state: State, inbox: Inbox) -> Any:
+        """Return the observation of a task with ``receives``, from the messages that all vehicles have received."""
+        raise NotImplementedError
 
     @abstractmethod
     def sees(self, world: World) -> Any:

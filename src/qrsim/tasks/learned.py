@@ -28,6 +28,8 @@ FORMAT = "qrsim policy 1"
 LARGEST, MOST_NUMBERS = 64 * 2**20, 4_000_000
 # Inputs are limited to this many standard deviations.
 LIMIT = 10.0
+# An integral is limited to this [m s].
+MOST_SUM = 20.0
 # Offsets shorter than this have no direction [m].
 SHORTEST = 1e-3
 META = "meta"
@@ -43,7 +45,7 @@ class View:
         seconds: time between two decisions [s].
         observed: names of the O numbers of an observation.
         acts: names of the A numbers of an action.
-        kept: which of the observed numbers are inputs.
+        kept: which of the observed numbers are inputs; O + i is the integral of ``summed[i]``.
         pairs: north and east of each horizontal vector among them, rotated into the heading.
         yaw: where the heading is in an observation; None: nothing is rotated.
         flown: which numbers of an action the policy gives; the others have the value of ``centre``.
@@ -51,6 +53,7 @@ class View:
         reach: (A,) change of the action for each unit that the network returns.
         ahead: north and east of the observed offset along which the inputs are turned; None: the heading, ``yaw``.
         turned: which of the network's outputs are ahead and to the right of ``ahead``, and commanded north and east.
+        summed: which of the observed numbers are integrated over time, for inputs; the policy remembers the integrals.
     """
 
     task: str
@@ -66,6 +69,12 @@ class View:
     reach: tuple[float, ...]
     ahead: tuple[int, int] | None = None
     turned: tuple[int, int] | None = None
+    summed: tuple[int, ...] = ()
+
+    @property
+    def remembered(self) -> int:
+        """Size K of what a policy remembers between two decisions: its last outputs, and the integrals."""
+        return len(self.flown) + len(self.summed)
 
     @property
     def inputs(self) -> int:
@@ -73,16 +82,29 @@ class View:
         return len(self.kept) + len(self.flown)
 
     def features(self, seen: Any, last: Any) -> Any:
-        """Return the network's inputs (N, F) for observations (N, O) and its last outputs (N, K); NumPy or JAX."""
+        """Return the inputs (N, F) of observations (N, O) and what is remembered (N, K); NumPy or JAX."""
         lib = library(seen)
-        columns = [lib.asarray(seen[:, number], np.float32) for number in range(len(self.observed))]
+        outputs, sums = last[:, : len(self.flown)], last[:, len(self.flown) :]
+        columns = [lib.asarray(seen[:, number], np.float32) for number in range(len(self.observed))] + list(sums.T)
         turn = self._turn(columns)
         if turn is not None:
             cos, sin = turn
             for north, east in self.pairs:
                 ahead = cos * columns[north] + sin * columns[east]
                 columns[north], columns[east] = ahead, cos * columns[east] - sin * columns[north]
-        return lib.stack([*(columns[number] for number in self.kept), *last.T], axis=-1)
+        return lib.stack([*(columns[number] for number in self.kept), *outputs.T], axis=-1)
+
+    def remember(self, output: Any, seen: Any, last: Any) -> Any:
+        """Return what is remembered (N, K) after a decision with outputs (N, len(flown)) for ``seen`` (N, O)."""
+        outputs = output.clip(-LIMIT, LIMIT)
+        if not self.summed:
+            return outputs
+        lib = library(seen)
+        sums = [
+            last[:, len(self.flown) + i] + np.float32(self.seconds) * lib.asarray(seen[:, number], np.float32)
+            for i, number in enumerate(self.summed)
+        ]
+        return lib.concatenate([outputs, lib.stack(sums, axis=-1).clip(-MOST_SUM, MOST_SUM)], axis=-1)
 
     def action(self, output: Any, seen: Any = None) -> Any:
         """Convert the network's outputs (N, K) to actions (N, A) in [-1, 1]; NumPy or JAX.
@@ -167,7 +189,11 @@ class PolicyFile:
 
     def content(self) -> bytes:
         """Return the content of the policy's file as bytes."""
-        meta = json.dumps({"format": FORMAT, "view": asdict(self.view), "facts": self.facts}, sort_keys=True)
+        view = asdict(self.view)
+        if not self.view.summed:
+            # Versions without integrals read the file too.
+            del view["summed"]
+        meta = json.dumps({"format": FORMAT, "view": view, "facts": self.facts}, sort_keys=True)
         arrays: dict[str, Any] = {META: np.frombuffer(meta.encode(), np.uint8)}
         arrays |= {"mean": self.scaling.mean, "deviation": self.scaling.deviation}
         for number, (weights, offset) in enumerate(self.layers):
@@ -222,16 +248,17 @@ class LearnedPolicy:
 
     def __init__(self, file: PolicyFile, agents: int, hold: int):
         self._file, self._hold, self._steps = file, hold, 0
-        self._last = np.zeros((agents, len(file.view.flown)), np.float32)
+        self._last = np.zeros((agents, file.view.remembered), np.float32)
         self._action: Any = None
 
     def act(self, seen: Floats) -> Floats:
         """Return the actions (n, A) in [-1, 1] for the observations (n, O) of one step."""
         file = self._file
         if self._steps % self._hold == 0:
-            inputs = file.scaling.scaled(file.view.features(np.asarray(seen), self._last))
-            self._last = forward(file.layers, inputs).clip(-LIMIT, LIMIT)
-            self._action = file.view.action(self._last, np.asarray(seen))
+            view, seen = file.view, np.asarray(seen)
+            outputs = forward(file.layers, file.scaling.scaled(view.features(seen, self._last)))
+            self._last = view.remember(outputs, seen, self._last)
+            self._action = view.action(outputs.clip(-LIMIT, LIMIT), seen)
         self._steps += 1
         return self._action
 
@@ -298,8 +325,9 @@ def _check_shapes(view: View, scaling: Scaling, layers: Layers) -> None:
     for size, (weights, offset) in zip(sizes, layers, strict=False):
         fits += [weights.shape == (size, len(offset)), offset.ndim == 1]
     indices = [*view.kept, *(each for pair in view.pairs for each in pair), *([] if view.yaw is None else [view.yaw])]
-    fits += [all(0 <= each < len(view.observed) for each in indices), bool((scaling.deviation > 0.0).all())]
-    fits += [all(0 <= each < len(view.observed) for each in view.ahead or ())]
+    known = len(view.observed) + len(view.summed)
+    fits += [all(0 <= each < known for each in indices), bool((scaling.deviation > 0.0).all())]
+    fits += [all(0 <= each < len(view.observed) for each in (*(view.ahead or ()), *view.summed))]
     fits += [
         len(view.ahead or (0, 0)) == len(view.turned or (0, 0)) == 2,
         view.turned is None or view.ahead is not None,

@@ -7,23 +7,24 @@ from typing import Any
 
 import numpy as np
 
-from qrsim.tasks.learned import LIMIT, SHORTEST, PolicyFile
+from qrsim.tasks.learned import LIMIT, MOST_SUM, SHORTEST, PolicyFile
 
 # The computation; all that differs between policies is in the tables in front of it.
 FLY = """\
 static float limited(float value, float limit) { return value > limit ? limit : value < -limit ? -limit : value; }
 
-/* From an observation and the last outputs, which begin as zeros and are replaced, to an action in [-1, 1]. */
-void qrsim_policy(const float observation[OBSERVED], float last[FLOWN], float action[ACTED])
+/* From an observation and what is remembered, which begins as zeros and is replaced, to an action in [-1, 1]. */
+void qrsim_policy(const float observation[OBSERVED], float last[REMEMBERED], float action[ACTED])
 {
-    float seen[OBSERVED], one[WIDEST], other[WIDEST], *from = one, *to = other;
+    float seen[OBSERVED + SUMMED], one[WIDEST], other[WIDEST], *from = one, *to = other;
     for (int i = 0; i < OBSERVED; i++) seen[i] = observation[i];
+    for (int i = 0; i < SUMMED; i++) seen[OBSERVED + i] = last[FLOWN + i];
     const float to_north = observation[AHEAD_NORTH], to_east = observation[AHEAD_EAST];
     const float range = fmaxf(sqrtf(to_north * to_north + to_east * to_east), SHORTEST);
     const float c = AHEAD ? to_north / range : cosf(observation[YAW]);
     const float s = AHEAD ? to_east / range : sinf(observation[YAW]);
     for (int i = 0; i < PAIRS; i++) {
-        const float north = observation[pairs[i][0]], east = observation[pairs[i][1]];
+        const float north = seen[pairs[i][0]], east = seen[pairs[i][1]];
         seen[pairs[i][0]] = c * north + s * east;
         seen[pairs[i][1]] = c * east - s * north;
     }
@@ -40,6 +41,9 @@ void qrsim_policy(const float observation[OBSERVED], float last[FLOWN], float ac
         float *swapped = from; from = to; to = swapped;
     }
     for (int i = 0; i < FLOWN; i++) last[i] = limited(from[i], LIMIT);
+    for (int i = 0; i < SUMMED; i++) {
+        last[FLOWN + i] = limited(last[FLOWN + i] + SECONDS * observation[summed[i]], MOST_SUM);
+    }
     float out[FLOWN];
     for (int i = 0; i < FLOWN; i++) out[i] = last[i];
     if (TURNED) {
@@ -70,6 +74,8 @@ def c_source(file: PolicyFile) -> str:
         "OBSERVED": len(view.observed),
         "ACTED": len(view.acts),
         "FLOWN": len(view.flown),
+        "SUMMED": len(view.summed),
+        "REMEMBERED": view.remembered,
         "INPUTS": view.inputs,
         "PAIRS": 0 if view.yaw is None and view.ahead is None else len(view.pairs),
         "YAW": view.yaw or 0,
@@ -87,6 +93,7 @@ def c_source(file: PolicyFile) -> str:
         _table("int", "pairs", [each for pair in view.pairs or ((0, 0),) for each in pair], "[][2]", 2),
         _table("int", "kept", list(view.kept) or [0]),
         _table("int", "flown", view.flown),
+        _table("int", "summed", list(view.summed) or [0]),
         _table("int", "sizes", sizes),
         _table("float", "centre", view.centre),
         _table("float", "reach", view.reach),
@@ -99,7 +106,8 @@ def c_source(file: PolicyFile) -> str:
         which = ", ".join(f"{part}_{number}" for number in range(len(file.layers)))
         tables.append(f"static const float *const {name}[] = {{{which}}};")
     enum = ", ".join(f"{name} = {value}" for name, value in numbers.items())
-    limit = f"#define LIMIT {_float(LIMIT)}\n#define SHORTEST {_float(SHORTEST)}"
+    given = {"LIMIT": LIMIT, "SHORTEST": SHORTEST, "MOST_SUM": MOST_SUM, "SECONDS": view.seconds}
+    limit = "\n".join(f"#define {name} {_float(value)}" for name, value in given.items())
     return "\n".join([f"/* {comment} */", "#include <math.h>", "", f"enum {{ {enum} }};", limit, *tables, "", FLY])
 
 

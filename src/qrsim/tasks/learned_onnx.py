@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from qrsim.extras import load
-from qrsim.tasks.learned import LIMIT, PolicyFile, View
+from qrsim.tasks.learned import LIMIT, MOST_SUM, PolicyFile, View
 
 # Versions of the operators and of the file that runtimes of 2022 and later read.
 OPERATORS, FILE = 17, 8
@@ -67,7 +67,9 @@ def onnx_model(file: PolicyFile) -> bytes:
         value = graph.apply("Gemm", value, graph.constant(weights), graph.constant(offset))
         if number < len(file.layers) - 1:
             value = graph.apply("Tanh", value)
-    outputs = graph.limited(value, LIMIT, NEXT)
+    outputs = graph.limited(value, LIMIT, "" if view.summed else NEXT)
+    if view.summed:
+        graph.apply("Concat", outputs, _sums(graph, view), name=NEXT, axis=1)
     reach = np.zeros((len(view.flown), len(view.acts)), np.float32)
     reach[np.arange(len(view.flown)), view.flown] = np.asarray(view.reach, np.float32)[list(view.flown)]
     moved = graph.apply("Gemm", outputs, graph.constant(reach), graph.constant(view.centre))
@@ -77,8 +79,8 @@ def onnx_model(file: PolicyFile) -> bytes:
         """Return ONNX's description of a float array (N, size), one row per vehicle."""
         return helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, ["vehicles", size])
 
-    given = [numbers(OBSERVATION, len(view.observed)), numbers(LAST, len(view.flown))]
-    found = [numbers(ACTION, len(view.acts)), numbers(NEXT, len(view.flown))]
+    given = [numbers(OBSERVATION, len(view.observed)), numbers(LAST, view.remembered)]
+    found = [numbers(ACTION, len(view.acts)), numbers(NEXT, view.remembered)]
     made = helper.make_graph(graph.nodes, "qrsim_policy", given, found, graph.constants)
     model = helper.make_model(
         made, opset_imports=[helper.make_opsetid("", OPERATORS)], ir_version=FILE, producer_name="qrsim"
@@ -92,13 +94,16 @@ def onnx_model(file: PolicyFile) -> bytes:
 
 
 def _features(graph: _Graph, view: View) -> str:
-    """Add the computation of the network's inputs to the graph: chosen observations, rotated, and last outputs."""
-    count, pairs = len(view.observed), () if view.yaw is None else view.pairs
+    """Add the view: the selected observations and integrals, rotated into the heading, and the last outputs."""
+    count, pairs = len(view.observed) + len(view.summed), () if view.yaw is None else view.pairs
     source = {number: number for number in range(count)}
-    parts = [OBSERVATION]
+    known = OBSERVATION
+    if view.summed:
+        known = graph.apply("Concat", OBSERVATION, _remembered_sums(graph, view), axis=1)
+    parts = [known]
     if pairs:
         cos, sin = (graph.apply(each, graph.columns(OBSERVATION, [view.yaw])) for each in ("Cos", "Sin"))
-        north, east = (graph.columns(OBSERVATION, [pair[side] for pair in pairs]) for side in (0, 1))
+        north, east = (graph.columns(known, [pair[side] for pair in pairs]) for side in (0, 1))
         ahead = graph.apply("Add", graph.apply("Mul", cos, north), graph.apply("Mul", sin, east))
         right = graph.apply("Sub", graph.apply("Mul", cos, east), graph.apply("Mul", sin, north))
         parts += [ahead, right]
@@ -107,3 +112,14 @@ def _features(graph: _Graph, view: View) -> str:
     whole = graph.apply("Concat", *parts, LAST, axis=1)
     first = count + 2 * len(pairs)
     return graph.columns(whole, [*(source[kept] for kept in view.kept), *range(first, first + len(view.flown))])
+
+
+def _remembered_sums(graph: _Graph, view: View) -> str:
+    """Add the selection of the integrals among what is remembered."""
+    return graph.columns(LAST, list(range(len(view.flown), view.remembered)))
+
+
+def _sums(graph: _Graph, view: View) -> str:
+    """Add the integrals after a decision."""
+    change = graph.apply("Mul", graph.columns(OBSERVATION, list(view.summed)), graph.constant(view.seconds))
+    return graph.limited(graph.apply("Add", _remembered_sums(graph, view), change), MOST_SUM)

@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 
 from qrsim.core.noise import Draw, Key
-from qrsim.tasks.learned import LIMIT, PolicyFile, forward
+from qrsim.tasks.learned import PolicyFile, forward
 from qrsim.tasks.play import TASK, Play
 
 Memory = tuple[Any, Array, Array]
@@ -37,7 +37,7 @@ class RolloutPolicy:
         like = jnp.zeros((), play.world.fleets[0].start.position_ned.x.dtype)
         ids = jnp.arange(play.task.ids, dtype=jnp.uint32)
         memory = play.task.init(play.world, state, Draw(Key.root(0).stream(TASK, ids), jnp.int32(0), like))
-        last = jnp.zeros((len(play.agents), len(self._file.view.flown)), jnp.float32)
+        last = jnp.zeros((len(play.agents), self._file.view.remembered), jnp.float32)
         return memory, last, jnp.int32(0)
 
     def step(self, reading: Any, memory: Memory) -> tuple[dict[str, Any], Memory]:
@@ -45,9 +45,9 @@ class RolloutPolicy:
         file, play = self._file, self._play
         own, last, number = memory
         seen = play.observed(own, reading.state, number * play.ticks)
-        outputs = forward(file.layers, file.scaling.scaled(file.view.features(seen, last))).clip(-LIMIT, LIMIT)
-        last = jnp.where(number % self._hold == 0, outputs, last)
-        action = play.scaled(file.view.action(last, seen).astype(seen.dtype))
+        outputs = forward(file.layers, file.scaling.scaled(file.view.features(seen, last)))
+        last = jnp.where(number % self._hold == 0, file.view.remember(outputs, seen, last), last)
+        action = play.scaled(file.view.action(last[:, : len(file.view.flown)], seen).astype(seen.dtype))
         commands = play.task.commands(own, play.world, action)
         names = [fleet.name for fleet in play.world.fleets]
         given = {name: each for name, each in zip(names, commands, strict=True) if each is not None}

@@ -16,6 +16,7 @@ from qrsim.tasks.speaking import at_first_period, message_size, overheard, spoke
 from qrsim.tasks.teams import Side, apart, in_units, of_all, sides_of, width
 from qrsim.world import tick as ticks_of
 from qrsim.world.draws import keys_of
+from qrsim.world.radio import heard
 from qrsim.world.state import Action, State, World, WorldKeys, period_ticks
 
 TASK = "/task"
@@ -104,8 +105,8 @@ class Play:
 
     @property
     def message(self) -> int:
-        """Size D of the message that an agent can send in each step; 0 if the world has no radio."""
-        return message_size(self.world)
+        """Size D of an agent's radio message; 0 without a radio, or if messages are part of the observation."""
+        return 0 if self.task.receives else message_size(self.world)
 
     @property
     def ticks(self) -> int:
@@ -225,6 +226,8 @@ class Play:
 
     def observed(self, memory: object, state: State, tick: Array) -> Any:
         """Return the agents' observations at a tick () of the episode, with received messages if there is a radio."""
+        if self.task.receives:
+            return self.task.observe_received(memory, self.world, state, heard(self.world, state, tick))
         observe, fleets = self.task.observe_early if self.late else self.task.observe, self.task.fleets
         seen: Any = observe(memory, self.world, state)
         if not self.message:
@@ -284,7 +287,8 @@ class Play:
     def truth(self, episode: Episode) -> dict[str, Array]:
         """Return the true values of the agents, name -> (n,), which they do not observe."""
         each = [self._fleet_truth(episode, fleet) for fleet in self.task.fleets]
-        return each[0] if len(each) == 1 else {name: jnp.concatenate([one[name] for one in each]) for name in each[0]}
+        own = each[0] if len(each) == 1 else {name: jnp.concatenate([one[name] for one in each]) for name in each[0]}
+        return own | self.task.truth(episode.memory, self.world, episode.state)
 
     def _fleet_truth(self, episode: Episode, name: str) -> dict[str, Array]:
         """Return the true values of a fleet's vehicles, name -> (n,)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
 from jax import Array
@@ -22,12 +22,17 @@ from qrsim.tasks.agents import (
     number_of,
     only,
     penalty,
+    square,
     velocity_axes,
 )
 from qrsim.tasks.contracts import Task
 from qrsim.tasks.perceived import sensed, sensed_axes, senses
 from qrsim.world.episode import film, picture, surroundings
 from qrsim.world.state import Action, State, World
+
+# Largest size of a ratio in an observation of the likeliest window, and of the squared distance to a person [m^2].
+MOST_RATIO, FARTHEST = 20.0, 1e12
+LIKELIEST = (Axis("likeliest_north", "m"), Axis("likeliest_east", "m"), Axis("likeliest_ratio", "1", -20.0, 20.0))
 
 
 @record
@@ -51,6 +56,11 @@ class Search(Task):
     camera: str = setting(default="camera", doc="name of their camera")
     period: float = action_period(1.0)
     senses: tuple[str, ...] = senses()
+    observes: Literal["picture", "likeliest"] = setting(
+        default="picture",
+        doc="picture: a dict with the ratios of all windows; likeliest: an array of numbers with the offset to the "
+        "window of the largest ratio, and this ratio",
+    )
 
     axes: ClassVar[tuple[Axis, ...]] = velocity_axes(3.0, "ned")
     asks_for: ClassVar[type | None] = VelocitySetpoint
@@ -80,21 +90,27 @@ class Search(Task):
         number = number_of(world, self.fleet)
         return picture(world, state, number, self.camera)
 
-    def observe(self, memory: SearchMemory, world: World, state: State) -> dict[str, Array]:
+    def observe(self, memory: SearchMemory, world: World, state: State) -> Any:
         """Return the vehicles' observations by name: estimated state and last camera picture, arrays (n, ...).
 
         ``vehicle`` (n, 9) is what it believes of itself, ``ratio`` (n, R, C) the log-likelihood ratio of each window of
         its last picture, 0 beyond the grid, ``grid`` (n, 2) the rows and columns of the grid, and ``corners`` (n, 4, 2)
         north and east [m] of the grid's corners on the ground: upper left, upper right, lower right, lower left. They
         and the grid are enough to know all windows' corners. ``sensed`` (n, S) is what the sensors of ``senses`` say.
+
+        With ``observes: likeliest`` it is an array (n, 12 + S): ``vehicle``, the offset north and east [m] from where
+        the last picture was taken to the middle of the window with the largest ratio, that ratio, and ``sensed``. The
+        offset is 0 unless the ratio is above ln(R C), where a person is as likely as none.
         """
+        if self.observes == "likeliest":
+            return self._likeliest(world, state)
         ratio = self.picture(world, state).ratio
         # Nothing is seen any more by a vehicle that has stopped.
         return self.observe_early(memory, world, state) | {"ratio": jnp.where(jnp.isfinite(ratio), ratio, 0.0)}
 
     def later(self, world: World) -> dict[str, tuple[int, ...]]:
-        """Return {"ratio": (n, R, C)}, the pictures' shape; {} if a subclass overrides ``observe`` or ``picture``."""
-        if (type(self).observe, type(self).picture) != (Search.observe, Search.picture):
+        """Return {"ratio": (n, R, C)}; {} for other observations, or a subclass with its own."""
+        if self.observes != "picture" or (type(self).observe, type(self).picture) != (Search.observe, Search.picture):
             return {}
         lens = self.lens(world)
         return {"ratio": (world.fleets[number_of(world, self.fleet)].size, lens.most_rows, lens.most_columns)}
@@ -126,8 +142,51 @@ class Search(Task):
         around = surroundings(world, state.contents, jnp.int32(0))
         return {"ratio": taking.ratios(shot, around, stream, world.contents.persons.size, to["ratio"])}
 
-    def sees(self, world: World) -> dict[str, tuple[Axis, ...]]:
-        """Describe the values of each named part of an observation by name, unit and range."""
+    def truth(self, memory: SearchMemory, world: World, state: State) -> dict[str, Array]:
+        """Return the offsets (n, 3) NED [m] to the nearest missing person, and the number missing.
+
+        The offset is 0 once all are found. With ``observes: picture`` the dict is empty.
+        """
+        if self.observes == "picture":
+            return {}
+        model, fleet = fleet_of(world, state, self.fleet)
+        here, persons = model.vehicle.pose(fleet.vehicle).position_ned, state.contents.persons
+        missing = persons.missing()
+        offset = Vec3(persons.north[None] - here.x[:, None], persons.east[None] - here.y[:, None], -here.z[:, None])
+        squared = jnp.where(missing[None], square(offset), FARTHEST)
+        nearest = (squared == jnp.min(squared, axis=1, keepdims=True)) & missing[None]
+        share = nearest.astype(squared.dtype)
+        share = share / jnp.maximum(jnp.sum(share, axis=1, keepdims=True), 1.0)
+        to_person = offset.map(lambda axis: jnp.sum(share * axis, axis=1))
+        number = jnp.sum(missing).astype(squared.dtype)
+        return {"to_person_ned": to_person.stack(), "missing": jnp.broadcast_to(number, here.x.shape)}
+
+    def _likeliest(self, world: World, state: State) -> Array:
+        """Return the observation (n, 12 + S) of ``observes: likeliest``."""
+        _, fleet = fleet_of(world, state, self.fleet)
+        picture, taken_at = self.picture(world, state), self.shot(world, state).taken_at_ned
+        shown = jnp.isfinite(picture.ratio)
+        ratio = jnp.where(shown, jnp.clip(picture.ratio, -MOST_RATIO, MOST_RATIO), -MOST_RATIO)
+        most = jnp.max(ratio, axis=(1, 2), keepdims=True)
+        # A person anywhere in the picture is as likely as not at the logarithm of the number of windows.
+        likely = most > jnp.log(jnp.maximum(jnp.sum(shown, axis=(1, 2), keepdims=True), 1).astype(ratio.dtype))
+        best = shown & (ratio == most) & likely
+        count = jnp.maximum(jnp.sum(best, axis=(1, 2)), 1).astype(ratio.dtype)
+
+        def offset(corners: Array, start: Array) -> Array:
+            """Return the offset (n,) [m] along one axis to the middle of the best window, or of equal ones."""
+            middle = 0.25 * (corners[:, 1:, 1:] + corners[:, 1:, :-1] + corners[:, :-1, 1:] + corners[:, :-1, :-1])
+            return jnp.sum(jnp.where(best, middle - start[:, None, None], 0.0), axis=(1, 2)) / count
+
+        found = [offset(picture.north, taken_at.x), offset(picture.east, taken_at.y), most[:, 0, 0]]
+        parts = [believed(fleet), jnp.stack(found, axis=-1)]
+        more = [sensed(world, state, self.fleet, self.senses)] if self.senses else []
+        return jnp.concatenate([*parts, *more], axis=-1)
+
+    def sees(self, world: World) -> Any:
+        """Describe the named parts of an observation, or with ``observes: likeliest`` its values."""
+        if self.observes == "likeliest":
+            return (*BELIEVED, *LIKELIEST, *sensed_axes(world, self.fleet, self.senses))
         more = {"sensed": sensed_axes(world, self.fleet, self.senses)} if self.senses else {}
         lens = self.lens(world)
         most = (("rows", lens.most_rows), ("columns", lens.most_columns))

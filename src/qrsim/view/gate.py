@@ -173,12 +173,25 @@ class Gate:
         with _installing:
             plain = library.serve
 
+            class Closed(plain):  # type: ignore[misc, valid-type]
+                """A server that drops unused connections when it closes.
+
+                Browsers open connections in advance. websockets waits until each has timed out, after 10 s.
+                """
+
+                async def __aexit__(self, *error: object) -> None:
+                    """Abort connections without a request, and close the others."""
+                    for connection in tuple(self.server.handlers):
+                        if connection.request is None:
+                            connection.transport.abort()
+                    await super().__aexit__(*error)
+
             def serve(handler: Any, *place: Any, **options: Any) -> object:
                 """Start a WebSocket server; a server of viser gets this gate's checks, others are unchanged."""
                 if not getattr(handler, "__module__", "").startswith("viser."):
                     return plain(handler, *place, **options)
                 options["process_request"] = self._request(options["process_request"])
-                return plain(self._guarded(handler), *place, **options)
+                return Closed(self._guarded(handler), *place, **options)
 
             library.serve = serve
             try:

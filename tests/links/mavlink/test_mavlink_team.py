@@ -23,6 +23,25 @@ TYPES = [2, 2, 2, 2, 13, 1, 10, 10]
 WING, ROVER = 6, 7
 
 
+class Heard(dict):
+    """The messages of each system, which are read once somebody looks at them."""
+
+    def __init__(self, sent):
+        super().__init__()
+        self._sent = sent
+
+    def __missing__(self, number):
+        found, last = {"STATUSTEXT": ""}, {}
+        for data in self._sent[number]:
+            for read in Reader().datagram(data):
+                if read.layout.name == "STATUSTEXT":
+                    found["STATUSTEXT"] += read.message().text.rstrip(b"\0").decode()
+                else:
+                    last[read.layout.name] = read
+        self[number] = found | {name: read.message() for name, read in last.items()}
+        return self[number]
+
+
 class Team:
     """A scenario, and what each of its vehicles sends."""
 
@@ -45,17 +64,7 @@ class Team:
     def on(self, ticks):
         for _ in range(ticks):
             self.world.tick(0.0)
-        return {number: self.read(number) for number in self.sent}
-
-    def read(self, number):
-        found = {"STATUSTEXT": ""}
-        for data in self.sent[number]:
-            for read in Reader().datagram(data):
-                if read.layout.name == "STATUSTEXT":
-                    found["STATUSTEXT"] += read.message().text.rstrip(b"\0").decode()
-                else:
-                    found[read.layout.name] = read.message()
-        return found
+        return Heard({number: list(sent) for number, sent in self.sent.items()})
 
     def ask(self, system, name, **values):
         layout = LAYOUTS[name]

@@ -50,6 +50,8 @@ class Lanes:
     def _set_layout(self, layout: Packer, count: int, lanes: int) -> None:
         """Set the layout of one world's state, the number of worlds, and the lanes of a vector."""
         self.layout, self.count, self._lanes = layout, count, lanes
+        # Views of leaves that were read or set before.
+        self._parts: dict[int, Array] = {}
         self.tiles = -(-count // self._lanes)
 
     def addresses(self, tile: int) -> list[int]:
@@ -65,7 +67,16 @@ class Lanes:
     def fill(self, tree: object) -> None:
         """Set the states of all worlds from a tree, each leaf (B, ...)."""
         whole = self.tiles * self._lanes
-        for number, leaf in enumerate(jax.tree.leaves(tree)):
+        leaves = jax.tree.leaves(tree)
+        if whole == 1:
+            # One world is given its inputs at every step, where a copy leaf by leaf would count.
+            for buffer, size, kind in zip(self._buffers, self.layout.sizes, (True, False), strict=True):
+                of_kind = zip(leaves, self.layout.is_float, strict=True)
+                parts = [self._stored(leaf)[0] for leaf, is_float in of_kind if is_float is kind]
+                if parts:
+                    np.concatenate(parts, out=buffer[0, :size])
+            return
+        for number, leaf in enumerate(leaves):
             rows = self._stored(leaf)
             if whole != self.count:
                 # Lanes without a world of their own repeat the last one.
@@ -105,6 +116,12 @@ class Lanes:
 
     def _part(self, number: int) -> Array:
         """Return a view of the memory of leaf ``number``: (tiles, numbers of a world, lanes)."""
+        if number not in self._parts:
+            self._parts[number] = self._view(number)
+        return self._parts[number]
+
+    def _view(self, number: int) -> Array:
+        """Return a new view of a leaf's memory, as ``_part``."""
         layout = self.layout
         buffer, part = self._buffers[0 if layout.is_float[number] else 1], layout.slices[number]
         begin, end = part.start * self._lanes, part.stop * self._lanes

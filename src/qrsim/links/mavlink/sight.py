@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -25,8 +26,11 @@ from qrsim.links.shared.sight import (
     Sight,
 )
 from qrsim.models.geoid import GeoidPlane
+from qrsim.models.vehicles.contracts import Vehicle
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.simulation.simulation import Simulation
+from qrsim.world.standing import on_ground
+from qrsim.world.state import Fleet, FleetState
 
 # What says that a sensor is there and works.
 _BITS = (
@@ -43,6 +47,21 @@ _WEIGHTS = np.array([int(bit) for bit, _ in _BITS])
 _SEEN = [*range(12), PLACE, PLACE + 1, PLACE + 2, FIX_TYPE, HORIZONTAL, VERTICAL, CHARGE, VOLTAGE]
 
 
+def _feet(fleet: Fleet, state: FleetState) -> dict[str, Any] | None:
+    """Return the number of the leaf, by name, that says which vehicles are on the ground; None if it is not known.
+
+    Args:
+        fleet: of the world.
+        state: with the number of each leaf in the leaf's place. A fleet that touching the ground stops has no leaf.
+    """
+    if state.parked is not None:
+        return {"parked": state.parked}
+    if type(fleet.vehicle) is Multirotor:
+        feet: Any = state.vehicle
+        return {"standing": feet.standing}
+    return {} if type(fleet.vehicle).on_ground is Vehicle.on_ground else None
+
+
 class StackSight(Sight):
     """Estimates and readings of the vehicles of a simulation, and what their flight stacks see of them.
 
@@ -56,12 +75,8 @@ class StackSight(Sight):
         self._seen = [Seen() for _ in range(simulation.size)]
         self._present = [0] * simulation.size
         super().__init__(simulation)
-        # Of each fleet of multirotors where in the state it says for how long they have stood.
         fleets = zip(simulation.world.fleets, simulation.packed[0].numbers.fleets, strict=True)
-        self._feet: list[int | None] = [
-            state.vehicle.standing if type(fleet.vehicle) is Multirotor and state.parked is None else None
-            for fleet, state in fleets
-        ]
+        self._feet = [_feet(fleet, state) for fleet, state in fleets]
         known = np.isfinite(self.values)
         for row in range(simulation.size):
             self._present[row] = sum(int(bit) for bit, column in _BITS if known[row, column])
@@ -69,14 +84,15 @@ class StackSight(Sight):
     def _standing(self) -> list[bool]:
         """Return, for each vehicle of the world, whether it is on the ground."""
         found: list[bool] = []
-        for number, fleet in enumerate(self._simulation.world.fleets):
-            leaf = self._feet[number]
-            if leaf is None:
+        layout, buffers = self._simulation.packed
+        for fleet, feet in zip(self._simulation.world.fleets, self._feet, strict=True):
+            if feet is None:
                 return np.asarray(self._simulation.truth.on_ground).tolist()
-            layout, buffers = self._simulation.packed
             # The only part of the state that is read, as opening all of it takes longer than a tick.
-            state = SimpleNamespace(standing=layout.leaf(buffers, leaf))
-            found += np.asarray(fleet.vehicle.on_ground(state)).tolist()
+            leaves = {name: layout.leaf(buffers, leaf) for name, leaf in feet.items()}
+            state: Any = SimpleNamespace(parked=leaves.get("parked"), vehicle=SimpleNamespace(**leaves))
+            now = on_ground(fleet, state)
+            found += [False] * fleet.size if now is None else np.asarray(now).tolist()
         return found
 
     def see(self) -> list[Seen]:

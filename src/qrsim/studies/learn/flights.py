@@ -35,14 +35,14 @@ class Flights:
         objective: of the learner.
 
     Attributes:
-        last: (N, K) the last outputs of the network, within its limits.
+        last: (N, K) what a policy remembers: the last outputs of the network, within its limits, and integrals.
     """
 
     def __init__(self, batch: Batch, view: View, objective: Objective):
         self.batch, self.view, self.objective = batch, view, objective
         self.agents = len(batch.functional.agents)
         self.rows = batch.size * self.agents
-        self.last = np.zeros((self.rows, len(view.flown)), np.float32)
+        self.last = np.zeros((self.rows, view.remembered), np.float32)
 
     def begin(self, seeds: Floats) -> None:
         """Start all B episodes with new seeds (B,)."""
@@ -67,9 +67,9 @@ class Flights:
         Raises:
             RunError: a reward of the task is not finite.
         """
-        self.last = outputs.clip(-LIMIT, LIMIT)
+        self.last = self.view.remember(outputs, self.seen, self.last)
         reward, terminated, truncated = self.batch.step(action.reshape(self.batch.size, self.agents, -1))
-        own = self.objective.reward(self.batch, reward, terminated, self.last)
+        own = self.objective.reward(self.batch, reward, terminated, outputs.clip(-LIMIT, LIMIT))
         crashed, ended = (np.repeat(each, self.agents) for each in (terminated, terminated | truncated))
         return Decided(own, crashed, ended)
 
@@ -90,8 +90,9 @@ class Flights:
         self.begin(seeds)
         total, alive = np.zeros(self.batch.size), np.ones(self.batch.size, bool)
         for _ in range(self.batch.functional.play.steps):
-            self.last = act(self.features()).clip(-LIMIT, LIMIT)
-            action = self.view.action(self.last, self.seen).reshape(self.batch.size, self.agents, -1)
+            outputs = act(self.features())
+            self.last = self.view.remember(outputs, self.seen, self.last)
+            action = self.view.action(outputs.clip(-LIMIT, LIMIT), self.seen).reshape(self.batch.size, self.agents, -1)
             reward, terminated, _ = self.batch.step(action)
             total += np.where(alive, reward.mean(axis=1, dtype=np.float64), 0.0)
             alive &= ~terminated

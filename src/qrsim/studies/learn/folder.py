@@ -191,6 +191,7 @@ def _plan_of(training: Training) -> dict[str, Any]:
         "envs": plan.envs,
         "tries": plan.tries,
         "settings": asdict(plan.settings),
+        "integral": plan.integral,
     }
 
 
@@ -200,6 +201,8 @@ def _check_plan(kept: dict[str, Any], wanted: dict[str, Any], folder: Path) -> N
     Raises:
         UsageError: a value differs.
     """
+    # Checkpoints of earlier versions had no integral.
+    kept = {"integral": False} | kept
     for name, value in wanted.items():
         if kept.get(name) != value:
             raise UsageError(f"--resume: the training in {folder} has {name} {kept.get(name)}; this one has {value}")

@@ -7,15 +7,25 @@ from typing import Any
 from qrsim.envs.functional import Functional
 from qrsim.studies.learn.ppo import Settings
 from qrsim.studies.learn.training import Plan
+from qrsim.tasks.formation import KeepFormation
 from qrsim.tasks.landing import Land
 from qrsim.tasks.pursuit import Pursuit
+from qrsim.tasks.search import Search
 
 # Decisions of 1 s, whose consequences are fewer; noise that cats a few metres from each other survive.
 PURSUIT = Settings(discount=0.97, epochs=4, minibatches=8, spread=0.3, averaged=0.9)
 # Noise with which a vehicle near the ground seldom tips over.
 LANDING = Settings(spread=0.4)
+# Decisions of 0.2 s and more: fewer samples, and more passes over them.
+SLOW, SLOW_ENVS = Settings(epochs=4, minibatches=8, spread=0.4), 64
 # Episodes side by side: fewer of a team, so that the policy is improved more often for the same decisions.
 ENVS, PURSUIT_ENVS = 512, 128
+SUITED: dict[type, tuple[Settings, int]] = {
+    Pursuit: (PURSUIT, PURSUIT_ENVS),
+    Land: (LANDING, ENVS),
+    KeepFormation: (SLOW, SLOW_ENVS),
+    Search: (SLOW, SLOW_ENVS),
+}
 
 
 def plan_of(task: Any, overrides: tuple[str, ...] = (), envs: int | None = None, **changes: Any) -> Plan:
@@ -30,8 +40,7 @@ def plan_of(task: Any, overrides: tuple[str, ...] = (), envs: int | None = None,
         UsageError, ScenarioError: there is no such task.
     """
     kind = Functional.of(task, overrides).play.task
-    pursues = isinstance(kind, Pursuit)
-    settings = PURSUIT if pursues else LANDING if isinstance(kind, Land) else Settings()
+    settings, suited = next((each for task, each in SUITED.items() if isinstance(kind, task)), (Settings(), ENVS))
     if envs is None:
-        envs = PURSUIT_ENVS if pursues else ENVS
+        envs = suited
     return Plan(task, overrides, envs=envs, **({"settings": settings} | changes))

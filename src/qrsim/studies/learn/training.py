@@ -46,6 +46,7 @@ class Plan:
         steps: decisions of all agents, after which it ends.
         seconds: wall time after which it ends [s]; None: any.
         tries: episodes in which policies are tried.
+        integral: as of ``view_of``.
         settings: numbers of the algorithm.
     """
 
@@ -56,6 +57,7 @@ class Plan:
     steps: int = 3_000_000
     seconds: float | None = None
     tries: int = TRIES
+    integral: bool = False
     settings: Settings = field(default_factory=Settings)
 
 
@@ -123,7 +125,7 @@ class Training:
 
     def __init__(self, plan: Plan):
         self.plan = plan
-        self.view = view_of(Functional.of(plan.task, plan.overrides))
+        self.view = view_of(Functional.of(plan.task, plan.overrides), plan.integral)
         self.algorithm = Algorithm(self.view, plan.settings)
         use_compilation_cache()
         self.flights, self.trials = self.flights_of(plan.envs), self.flights_of(plan.tries)

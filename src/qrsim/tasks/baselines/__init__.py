@@ -7,7 +7,7 @@ and where something is handed in ``answer()``, (n, ...). It works on NumPy array
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import jax
 import jax.numpy as jnp
@@ -19,12 +19,15 @@ from qrsim.core.noise import Draw, Key
 from qrsim.errors import UsageError
 from qrsim.interface.messages import Say
 from qrsim.tasks.baselines.chasing import Chasing
+from qrsim.tasks.baselines.consensus import Consensus
 from qrsim.tasks.baselines.fleeing import Fleeing, Pursuing
 from qrsim.tasks.baselines.holding import FLOWN, Holding
 from qrsim.tasks.baselines.mapping import Mapping
 from qrsim.tasks.baselines.searching import Searching
+from qrsim.tasks.baselines.spotting import Spotting
 from qrsim.tasks.baselines.touring import Touring
 from qrsim.tasks.contracts import Answering
+from qrsim.tasks.formation import KeepFormation
 from qrsim.tasks.landing import Land
 from qrsim.tasks.play import TASK, Play
 from qrsim.tasks.plume_mapping import PlumeMapping
@@ -39,17 +42,25 @@ __all__ = [
     "Baseline",
     "BaselinePolicy",
     "Chasing",
+    "Consensus",
     "Fleeing",
     "Holding",
     "Mapping",
     "Searching",
+    "Spotting",
     "Touring",
     "baseline",
     "oracle",
 ]
 SIMPLE: dict[type, Any] = dict.fromkeys((KeepSpot, ReachWaypoint, Land, KeepVelocity), Holding)
 ORACLES: dict[type, Any] = {Search: Touring}
-KINDS: dict[type, Any] = {Pursuit: Chasing, Search: Searching, PlumeMapping: Mapping, **SIMPLE}
+KINDS: dict[type, Any] = {
+    KeepFormation: Consensus,
+    Pursuit: Chasing,
+    Search: Searching,
+    PlumeMapping: Mapping,
+    **SIMPLE,
+}
 
 
 class Baseline(Protocol):
@@ -66,7 +77,7 @@ def baseline(play: Play, seed: int = 0) -> Baseline:
     Raises:
         UsageError: the task has none.
     """
-    kind = KINDS.get(type(play.task), play.task.baseline)
+    kind: Any = KINDS.get(type(play.task), play.task.baseline)
     if kind is None:
         raise UsageError("policy baseline: this task has none; a task of your own names a class as its 'baseline'")
     if kind is Holding and tuple(axis.name for axis in play.axes) != FLOWN:
@@ -76,6 +87,8 @@ def baseline(play: Play, seed: int = 0) -> Baseline:
         raise UsageError("policy baseline: it reads the offsets that the observation lacks with task.senses")
     if isinstance(play.task, Pursuit) and play.task.mouse == "agent":
         kind = Pursuing
+    if kind is Searching and cast(Search, play.task).observes == "likeliest":
+        kind = Spotting
     made: Baseline = kind(play, seed)
     return made
 
