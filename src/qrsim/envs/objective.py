@@ -186,7 +186,7 @@ class InFormation(Reached):
     """Reward for a small true distance from a place in a formation."""
 
     def errors(self, batch: Batch) -> Floats:
-        """Return the agents' true distances (N,) from their places [m]."""
+        """Return the agents' true distances (N,) [m] from their places in the formation."""
         return _length(batch.truth["to_place_ned"])
 
 
@@ -200,7 +200,7 @@ class Searched(Reached):
         self._reach = float(cast(Any, batch.functional.play.world.contents.persons).found_distance)
 
     def errors(self, batch: Batch) -> Floats:
-        """Return the distances (N,) [m] beyond that of finding, ``MISSING`` more for each other missing person."""
+        """Return distances (N,) [m] to the nearest missing person beyond finding it, plus ``MISSING`` per other one."""
         missing = batch.truth["missing"].ravel()
         away = np.maximum(_length(batch.truth["to_person_ned"]) - self._reach, 0.0) + UNFOUND
         found: Floats = np.where(missing > 0.0, away + MISSING * (missing - 1.0), 0.0)

@@ -93,11 +93,11 @@ class Task(Protocol):
         """Return the memory after step number ``step`` of ``steps``, and the reward (n,) while all vehicles fly."""
 
     def crashed(self, memory: Any, world: World, state: State, steps: int) -> Array:
-        """Return the reward () or (n,) of the step in which a vehicle stops."""
+        """Return the reward, () for the team or (n,), of the step in which a vehicle stops, such as after a crash."""
         return jnp.asarray(self.penalty)
 
     def truth(self, memory: Any, world: World, state: State) -> dict[str, Array]:
-        """Return what the infos of the agents have by name, (n, ...), in addition to their true poses."""
+        """Return true values by name, (n, ...), that the agents' infos have in addition to the true poses."""
         return {}
 
     @abstractmethod
@@ -105,7 +105,7 @@ class Task(Protocol):
         """Return the agents' observations, (n, O) or a dict of arrays (n, ...), from sensors and never the truth."""
 
     def observe_received(self, memory: Any, world: World, state: State, inbox: Inbox) -> Any:
-        """Return the observation of a task with ``receives``, from the messages that all vehicles have received."""
+        """Return the agents' observations, for a task with ``receives``, from the radio messages of all vehicles."""
         raise NotImplementedError
 
     @abstractmethod

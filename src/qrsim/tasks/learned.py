@@ -73,7 +73,7 @@ class View:
 
     @property
     def remembered(self) -> int:
-        """Size K of what a policy remembers between two decisions: its last outputs, and the integrals."""
+        """Size K of what a policy remembers between two decisions: its last outputs, and integrals of observations."""
         return len(self.flown) + len(self.summed)
 
     @property
@@ -82,7 +82,7 @@ class View:
         return len(self.kept) + len(self.flown)
 
     def features(self, seen: Any, last: Any) -> Any:
-        """Return the inputs (N, F) of observations (N, O) and what is remembered (N, K); NumPy or JAX."""
+        """Return the network's inputs (N, F) for observations (N, O) and remembered values (N, K); NumPy or JAX."""
         lib = library(seen)
         outputs, sums = last[:, : len(self.flown)], last[:, len(self.flown) :]
         columns = [lib.asarray(seen[:, number], np.float32) for number in range(len(self.observed))] + list(sums.T)
@@ -95,7 +95,7 @@ class View:
         return lib.stack([*(columns[number] for number in self.kept), *outputs.T], axis=-1)
 
     def remember(self, output: Any, seen: Any, last: Any) -> Any:
-        """Return what is remembered (N, K) after a decision with outputs (N, len(flown)) for ``seen`` (N, O)."""
+        """Return the values (N, K) to remember after a decision: outputs (N, len(flown)), sums of ``seen`` (N, O)."""
         outputs = output.clip(-LIMIT, LIMIT)
         if not self.summed:
             return outputs
@@ -107,7 +107,7 @@ class View:
         return lib.concatenate([outputs, lib.stack(sums, axis=-1).clip(-MOST_SUM, MOST_SUM)], axis=-1)
 
     def action(self, output: Any, seen: Any = None) -> Any:
-        """Convert the network's outputs (N, K) to actions (N, A) in [-1, 1]; NumPy or JAX.
+        """Convert the network's outputs (N, len(flown)) to actions (N, A) in [-1, 1]; NumPy or JAX.
 
         Args:
             output: of the network.
@@ -136,7 +136,7 @@ class View:
         return None
 
     def _turned_back(self, output: Any, columns: Any) -> Any:
-        """Return the network's outputs (N, K) with the pair ``turned`` rotated from the heading to north and east."""
+        """Return the network's outputs (N, len(flown)), the pair ``turned`` rotated from the heading to north, east."""
         cos, sin = self._turn(columns)
         parts: list[Any] = list(output.T)
         first, second = self.turned or (0, 0)

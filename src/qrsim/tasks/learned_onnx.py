@@ -94,7 +94,7 @@ def onnx_model(file: PolicyFile) -> bytes:
 
 
 def _features(graph: _Graph, view: View) -> str:
-    """Add the view: the selected observations and integrals, rotated into the heading, and the last outputs."""
+    """Add the network's inputs to the graph: chosen observations and integrals, rotated, and last outputs."""
     count, pairs = len(view.observed) + len(view.summed), () if view.yaw is None else view.pairs
     source = {number: number for number in range(count)}
     known = OBSERVATION
@@ -115,11 +115,11 @@ def _features(graph: _Graph, view: View) -> str:
 
 
 def _remembered_sums(graph: _Graph, view: View) -> str:
-    """Add the selection of the integrals among what is remembered."""
+    """Add the selection of the integrals from the remembered values to the graph, and return its name."""
     return graph.columns(LAST, list(range(len(view.flown), view.remembered)))
 
 
 def _sums(graph: _Graph, view: View) -> str:
-    """Add the integrals after a decision."""
+    """Add the integrals of observations after a decision to the graph, and return their name."""
     change = graph.apply("Mul", graph.columns(OBSERVATION, list(view.summed)), graph.constant(view.seconds))
     return graph.limited(graph.apply("Add", _remembered_sums(graph, view), change), MOST_SUM)

@@ -32,7 +32,7 @@ class RolloutPolicy:
         self._hold = max(1, round(file.view.seconds / play.task.period))
 
     def init(self, reading: Any) -> Memory:
-        """Return the policy's memory at the start: the task's memory, last outputs (n, K) and step number ()."""
+        """Return the policy's memory at the start: the task's memory, remembered values (n, K), step number ()."""
         play, state = self._play, reading.state
         like = jnp.zeros((), play.world.fleets[0].start.position_ned.x.dtype)
         ids = jnp.arange(play.task.ids, dtype=jnp.uint32)

@@ -105,7 +105,7 @@ class Play:
 
     @property
     def message(self) -> int:
-        """Size D of an agent's radio message; 0 without a radio, or if messages are part of the observation."""
+        """Size D of the message that an agent can send per step; 0 without a radio, or if the task receives them."""
         return 0 if self.task.receives else message_size(self.world)
 
     @property

@@ -109,7 +109,7 @@ class Search(Task):
         return self.observe_early(memory, world, state) | {"ratio": jnp.where(jnp.isfinite(ratio), ratio, 0.0)}
 
     def later(self, world: World) -> dict[str, tuple[int, ...]]:
-        """Return {"ratio": (n, R, C)}; {} for other observations, or a subclass with its own."""
+        """Return {"ratio": (n, R, C)}, the pictures' shape; {} without pictures, or if a subclass makes its own."""
         if self.observes != "picture" or (type(self).observe, type(self).picture) != (Search.observe, Search.picture):
             return {}
         lens = self.lens(world)
@@ -143,7 +143,7 @@ class Search(Task):
         return {"ratio": taking.ratios(shot, around, stream, world.contents.persons.size, to["ratio"])}
 
     def truth(self, memory: SearchMemory, world: World, state: State) -> dict[str, Array]:
-        """Return the offsets (n, 3) NED [m] to the nearest missing person, and the number missing.
+        """Return name -> true values: offset (n, 3) NED [m] to the nearest missing person, number missing (n,).
 
         The offset is 0 once all are found. With ``observes: picture`` the dict is empty.
         """
@@ -162,7 +162,7 @@ class Search(Task):
         return {"to_person_ned": to_person.stack(), "missing": jnp.broadcast_to(number, here.x.shape)}
 
     def _likeliest(self, world: World, state: State) -> Array:
-        """Return the observation (n, 12 + S) of ``observes: likeliest``."""
+        """Return observations (n, 12 + S): estimated state, offset to the likeliest picture cell, ratio, sensors."""
         _, fleet = fleet_of(world, state, self.fleet)
         picture, taken_at = self.picture(world, state), self.shot(world, state).taken_at_ned
         shown = jnp.isfinite(picture.ratio)
@@ -174,7 +174,7 @@ class Search(Task):
         count = jnp.maximum(jnp.sum(best, axis=(1, 2)), 1).astype(ratio.dtype)
 
         def offset(corners: Array, start: Array) -> Array:
-            """Return the offset (n,) [m] along one axis to the middle of the best window, or of equal ones."""
+            """Return the offset (n,) [m] along one axis from ``start`` to the middle of the likeliest picture cell."""
             middle = 0.25 * (corners[:, 1:, 1:] + corners[:, 1:, :-1] + corners[:, :-1, 1:] + corners[:, :-1, :-1])
             return jnp.sum(jnp.where(best, middle - start[:, None, None], 0.0), axis=(1, 2)) / count
 
@@ -184,7 +184,7 @@ class Search(Task):
         return jnp.concatenate([*parts, *more], axis=-1)
 
     def sees(self, world: World) -> Any:
-        """Describe the named parts of an observation, or with ``observes: likeliest`` its values."""
+        """Describe an observation's values (of each named part) by name, unit and range."""
         if self.observes == "likeliest":
             return (*BELIEVED, *LIKELIEST, *sensed_axes(world, self.fleet, self.senses))
         more = {"sensed": sensed_axes(world, self.fleet, self.senses)} if self.senses else {}

@@ -154,7 +154,7 @@ class Cast:
 
     @property
     def waypoints(self) -> tuple[int, ...]:
-        """Number of waypoints or legs of each vehicle, (n,); 0 without a route."""
+        """Number of waypoints or legs of each vehicle's route, (n,); 0 without a route."""
         return self.counts or tuple(max(0, len(route) - 1) for route in self.routes) or (0,) * self.size
 
     @property

@@ -82,7 +82,7 @@ def _extreme(own: Series, name: str, most: bool, words: str) -> Iterator[Highlig
 
 
 def _beyond_fence(own: Series, time: Floats, values: Floats) -> Iterator[Highlight]:
-    """Yield which vehicles were outside the fence, with their first times [s] there, the earliest first.
+    """Yield which vehicles were outside the fence (distances ``values`` < 0), with times [s], the earliest first.
 
     Args:
         own: the run.
@@ -106,7 +106,7 @@ def _beyond_fence(own: Series, time: Floats, values: Floats) -> Iterator[Highlig
 
 
 def _then(others: Sequence[tuple[float, int]], names: Sequence[str]) -> str:
-    """Return the end of a text about the first of some vehicles: the others, with their times [s]; "" for none."""
+    """Return the end of a highlight's text: further vehicles with their times [s], such as "; then b 3.10 s"."""
     also = [f"{names[i]} {at:.2f} s" for at, i in others[:MOST_NAMED]]
     more = [f"{len(others) - MOST_NAMED} more"] if len(others) > MOST_NAMED else []
     return f"; then {', '.join([*also, *more])}" if also else ""

@@ -62,7 +62,7 @@ def lines_of(frame: Frame, found: Details, vehicle: int, waypoints: int) -> list
 
 
 def doing_of(found: Details, vehicle: int, waypoints: int) -> list[str]:
-    """Return the failsafe, or the waypoint of a number of them, of a vehicle as one text in a list; [] for neither."""
+    """Return [text] of a vehicle's failsafe, else of its waypoint, such as "waypoint 2 of 5"; [] for neither."""
     mode, leg = found.modes.get(vehicle), float(found.waypoint[vehicle])
     if mode:
         return [mode]

@@ -179,7 +179,7 @@ class Overlay:
         self._tell("follow", vehicle, browser)
 
     def identify(self, browser: Any) -> None:
-        """Tell a browser its number, with which it chooses a vehicle in its table."""
+        """Send a browser its own number, which its script needs to choose a vehicle in the table of vehicles."""
         self._tell("browser", browser.client_id, browser)
 
     def ride(self, vehicle: int, kind: str) -> None:

@@ -166,7 +166,7 @@ class Page:
             viewer.choose(self.scene.nearest(event.ray_origin, event.ray_direction) if by_ray else vehicle)
 
     def wish(self, wish: Any) -> bytes | None:
-        """Answer a request of a browser's script: the table of all vehicles, a choice in it, or something else.
+        """Answer a browser's request for the table of vehicles, a choice in it, or what ``wishes`` answers.
 
         Malformed requests are ignored.
         """

@@ -64,7 +64,7 @@ class Replay:
             self.seek(self._slider.value)
 
     def _wish(self, wish: object) -> bytes | None:
-        """Handle a request of the timeline, or of plots."""
+        """Seek, play, pause or change the speed as a browser requests; return plot lines if it requests those."""
         played = self.clock.playing
         answer = self._timeline.wish(wish)
         if played and not self.clock.playing:
@@ -72,7 +72,7 @@ class Replay:
         return answer
 
     def _paused(self) -> None:
-        """Let panel, slider and timeline say the time that is drawn; while it plays, they do so at some frames only."""
+        """Show the present time in panel, slider and timeline, which follow only some frames while it plays."""
         self.seek(self.time)
 
     def seek(self, time: float, everything: bool = True) -> None:

@@ -120,7 +120,7 @@ def listen(server: ViserServer, wish: Callable[[Any], bytes | None]) -> None:
 
 
 def packed(head: dict[str, object], values: Floats | None = None) -> bytes:
-    """Return an answer to a page's script: the length of a head in 4 bytes, the head as JSON, and values as float32."""
+    """Return bytes: the length of the JSON head in 4 bytes, the head, and values as float32."""
     text = json.dumps(head).encode()
     text += b" " * (-len(text) % 4)
     return len(text).to_bytes(4, "little") + text + (b"" if values is None else values.astype("<f4").tobytes())

@@ -121,7 +121,7 @@ class Lanes:
         return self._parts[number]
 
     def _view(self, number: int) -> Array:
-        """Return a new view of a leaf's memory, as ``_part``."""
+        """Return a new view of the memory of leaf ``number``: (tiles, numbers of a world, lanes)."""
         layout = self.layout
         buffer, part = self._buffers[0 if layout.is_float[number] else 1], layout.slices[number]
         begin, end = part.start * self._lanes, part.stop * self._lanes

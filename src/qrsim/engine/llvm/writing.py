@@ -278,7 +278,7 @@ class Writer:
         return Place(pointer, place.offset, place.strides, place.own)
 
     def _distance(self, start: str, dtype: DType, largest: int, stride: int, element: str, lanes: int = 1) -> str:
-        """Return the offset [bytes] of a start, clipped to its range, as integers of the type ``element``."""
+        """Emit the byte offset of a run-time index, clipped to [0, largest], times ``stride``, in type ``element``."""
         of, sign = vector(scalar_type(dtype), lanes), "s" if dtype.kind == "i" else "u"
         for how, limit in (("max", 0), ("min", largest)):
             name = f"llvm.{sign}{how}.{suffix(scalar_type(dtype), lanes)}"

@@ -167,7 +167,7 @@ class Algorithm:
         return np.array(each, np.int32).reshape(settings.epochs, settings.minibatches, count)
 
     def _decide(self, weights: Any, scaling: Pair, seen: Array, last: Array, noise: Array) -> Decision:
-        """Draw the agents' outputs and actions for observations (N, O), last outputs (N, K) and normals (N, K)."""
+        """Draw outputs and actions for observations (N, O), remembered values (N, K) and normals (N, outputs)."""
         features = self.view.features(seen, last)
         mean = network(weights["policy"], _scaled(scaling, features))
         outputs = mean + jnp.exp(weights["log_spread"])[None] * noise
