@@ -50,7 +50,7 @@ def mode_of(vehicles: int, dtype: DType) -> Mode:
 
 
 def mode_of_many(count: int, vehicles: int, dtype: DType) -> Mode:
-    """Return how a program of ``count`` worlds uses vectors: lanes over worlds, or over vehicles of too few worlds."""
+    """Return how a program of ``count`` worlds uses vectors: lanes over worlds, or over vehicles if worlds are few."""
     lanes = vector_bytes() // dtype.itemsize
     # Lanes without a world of their own would be computed for nothing.
     alone = count == 1 or (vehicles > lanes and count < lanes)

@@ -122,7 +122,7 @@ class XlaProgram:
         self._own = jax.tree.unflatten(self._structure, leaves)
 
     def start(self) -> Buffers:
-        """Return the first state."""
+        """Return the first state of the world as packed buffers."""
         refuse()
         shared = self._shared
         found = _first_function(self._function, self._few)(shared.layout, shared.device_buffers, self._own)

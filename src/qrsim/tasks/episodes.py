@@ -64,7 +64,7 @@ def _merged(seen: Any, late: dict[str, NumpyArray]) -> dict[str, Any]:
 
 
 def _begun_of(progress: Progress) -> Begun:
-    """Return of an episode at its start: whether all vehicles could be placed, the observations and the truth."""
+    """Return an episode's start: whether all vehicles could be placed, the observations and the true values."""
     return Begun(progress.episode.state.placed, progress.last.observation, progress.truth)
 
 

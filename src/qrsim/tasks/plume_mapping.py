@@ -85,7 +85,7 @@ class PlumeMapping(Task):
         free = jnp.arange(self.locations) < self.anywhere
 
         def place(look: Array) -> Vec3:
-            """Return a random position in the area from draw number ``look`` (not a view)."""
+            """Return random positions (L,) in the area; ``look``: number of the draw, from 0."""
             bounds = [(getattr(world.area, f"{axis}_min"), getattr(world.area, f"{axis}_max")) for axis in "xyz"]
             return Vec3(*(uniform(draw, 3 * look + i, low, high) for i, (low, high) in enumerate(bounds)))
 

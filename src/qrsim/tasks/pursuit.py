@@ -52,7 +52,7 @@ class Pursuit(Task):
     asks_for: ClassVar[type | None] = VelocityHeightSetpoint
 
     def init(self, world: World, state: State, draw: Draw) -> PursuitMemory:
-        """Return the task's memory at the start of an episode."""
+        """Return the task's memory at the start of an episode: the heights (z) that vehicles keep."""
         starts = [fleet_of(world, state, name)[1].vehicle.position_ned.z for name in self.fleets]
         return PursuitMemory(starts[0], starts[1] if self._both else None)
 

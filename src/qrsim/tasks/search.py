@@ -66,7 +66,7 @@ class Search(Task):
     asks_for: ClassVar[type | None] = VelocitySetpoint
 
     def init(self, world: World, state: State, draw: Draw) -> SearchMemory:
-        """Return the task's memory at the start of an episode."""
+        """Return the task's memory at the start of an episode: vehicles' headings, and no persons found."""
         model, fleet = fleet_of(world, state, self.fleet)
         return SearchMemory(model.vehicle.pose(fleet.vehicle).attitude.yaw, jnp.int32(0))
 

@@ -147,7 +147,7 @@ class Commanded(Task):
         return VelocitySetpoint if self.actions == "velocity" else None
 
     def init(self, world: World, state: State, draw: Draw) -> SimpleMemory:
-        """Return the task's memory at the start of an episode."""
+        """Return the task's memory at the start of an episode: vehicles' starts, and costs of 0."""
         _, fleet = fleet_of(world, state, self.fleet)
         start = fleet.vehicle.position_ned
         zero = jnp.zeros_like(start.x)
@@ -170,7 +170,7 @@ class Commanded(Task):
         return only(world, self.fleet, self.command_type(world)(*(action[:, i] for i in range(action.shape[1]))))
 
     def each_tick(self, memory: SimpleMemory, world: World, state: State) -> SimpleMemory:
-        """Return the memory with the cost of one more tick."""
+        """Return the memory (costs so far) with the cost of one more tick."""
         cost = self.cost_rate(*fleet_of(world, state, self.fleet))
         return replace(memory, cost=memory.cost + cost * world.time_step)
 

@@ -118,7 +118,7 @@ def write_film(
     free: Callable[[], int] | None = None,
     colour: str | None = None,
 ) -> None:
-    """Write an HTML page that plays the run to an open file; ``free`` returns the bytes left, ``colour``: quantity.
+    """Write an HTML page that plays the run to a file; ``free()``: bytes left, ``colour``: quantity to colour by.
 
     Args:
         recording: what is played.

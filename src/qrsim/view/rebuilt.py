@@ -117,7 +117,7 @@ def _weathers(run: Run, world: World) -> Iterator[tuple[int, World]]:
 
 
 def rebuilt(run: Run, world: World | None) -> Rebuilt | None:
-    """Return a recomputation of what the log lacks (contents, pictures, wind field); None if the world has none."""
+    """Return a recomputation of what logs lack (contents, pictures, wind field); None if there is nothing of it."""
     if world is None:
         return None
     parts = world.contents.random
@@ -157,7 +157,7 @@ class _Camera:
         self._vehicles, self._dtype = vehicles, dtype
 
     def at(self, time: float) -> CameraReading:
-        """Return a camera's recorded reading at a time [s], in which its last picture's time and place are."""
+        """Return a camera's recorded reading at a time [s]: pose at its last picture, and the picture's number."""
         where, attitude, number = (
             self._columns.at(name, time)[self._vehicles].astype(self._dtype)
             for name in ("taken_at_ned", "taken_attitude", "picture")

@@ -13,7 +13,7 @@ _LOOKS = 1000
 
 
 def head(shared: Sequence[str], seated: bool) -> str:
-    """Return the first line of the LLVM function that runs ticks; ``shared``: names of its pointer arguments.
+    """Return the LLVM function's head for running ticks; ``shared``: its pointers, ``seated``: for several threads.
 
     Args:
         shared: pointers to inputs and working memory.

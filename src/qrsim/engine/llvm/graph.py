@@ -168,7 +168,7 @@ class Graph:
         invariant: bool | None = None,
         uniform: bool | None = None,
     ) -> Node:
-        """Add a node (one array and the operation that computes it), or return an equal one that exists."""
+        """Add or find a node: an array and its operation. ``invariant``: same each tick, ``uniform``: in all worlds."""
         dtype = np.dtype(dtype)
         # Only a reduction and a scatter loop over something else than they make.
         domain = shape if domain is None else domain

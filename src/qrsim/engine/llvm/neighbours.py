@@ -105,7 +105,7 @@ class Neighbours:
             yield first
 
     def _column(self, hashes: list[str], words: int) -> str:
-        """Emit the hash of a vertical column of grid cubes to a bit number; return its name."""
+        """Emit the hash of a column of grid cubes to a bit number among 32 * ``words``; return its name."""
         of = vector("i32", self.writer.lanes)
         both = self.emit(f"xor {of} {hashes[0]}, {hashes[1]}")
         # The products' upper bits depend on all bits of both numbers, the lower ones do not.
@@ -279,7 +279,7 @@ class Neighbours:
         self.writer.write(self.writer.places[node.number], node.dtype, best, 1, [point])
 
     def _walk(self, node: Node, point: str, position: list[str], head: str, best: str) -> str:
-        """Emit the minimum of ``best`` and the squared distances to all points of a linked list; return its name."""
+        """Emit the minimum of ``best`` and the squared distances to points of the list at ``head``; return it."""
         writer = self.writer
         first = self.emit(f"load i32, ptr {head}, align 4")
         before, label = writer.block, f"chain{writer.count}"

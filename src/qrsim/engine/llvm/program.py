@@ -272,7 +272,7 @@ class Draft:
         return (*node.shape[:-1], 1) if node.number in self.short else self._cut(node.shape, group)
 
     def _cut(self, shape: Shape, group: int) -> Shape:
-        """Return a shape with its last axis cut to the length of one strip of a group."""
+        """Return a shape with its last axis cut to a strip's length, unchanged if ``group`` is 0."""
         return (*shape[:-1], self.strip) if group and shape[-1:] == (self.grouping.extents[group],) else shape
 
     def text(self, kernels_inside: bool = False) -> str:

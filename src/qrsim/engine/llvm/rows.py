@@ -34,7 +34,7 @@ def along(access: Access, reader: Node) -> bool:
 
 
 def together(waiting: dict[int, Node], loops: Callable[[Node], bool], reads: Reads) -> list[Node]:
-    """Return those of ``waiting`` to compute in one loop over a last axis, in order; [] if it would save nothing.
+    """Return nodes of ``waiting`` for one loop over a last axis, in order; ``loops(node)``: it may share a loop.
 
     Args:
         waiting: nodes that are not yet computed, in an order in which they can be.

@@ -203,7 +203,7 @@ def materialised(steps: list[Step], results: list[Access]) -> tuple[set[int], se
     needed, short = {access.node.number for access in results}, set()
 
     def visit(steps: list[Step]) -> None:
-        """Add the numbers of the nodes that steps, and the steps of their branches, read from memory."""
+        """Collect the numbers of the nodes that steps, and the steps of their branches, read from memory."""
         for step in steps:
             if step.kind in NESTED:
                 needed.update(access.node.number for access in branch_results(step))

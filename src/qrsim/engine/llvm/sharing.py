@@ -75,7 +75,7 @@ class Sharing:
             self._alone = self._cut = self._read = self._read_cut = False
 
     def _scalars(self, steps: Iterable[Step], stored: set[int]) -> None:
-        """Emit scalar steps, which every thread computes, after a barrier if they read what another thread wrote."""
+        """Emit scalar steps, run by every thread, after a barrier if they need one (``stored``: nodes in memory)."""
         for step in steps:
             read = [access.node for node in step.nodes for access in node.args
                     if access.node.number not in self.writer.scalars and self._changes(access.node.number)]  # fmt: skip

@@ -99,7 +99,7 @@ class Grouping:
         return extent > 0 and self._fits(step, extent, set())
 
     def _next(self, order: _Order, extent: int, made: set[int]) -> Step | None:
-        """Return the next step in ``order`` that fits into a group, and add its nodes to ``made``; None without one."""
+        """Return the next step in ``order`` that fits a group (axis of length ``extent``, nodes ``made``); or None."""
         for i in order.ready:
             step = order.steps[i]
             if self._extent(step) == extent and self._fits(step, extent, made):

@@ -225,7 +225,7 @@ class Training:
         return True
 
     def _fly(self, rng: np.random.Generator) -> Samples:
-        """Fly an iteration and return its samples; ``scaling`` becomes theirs, and ``moments`` include them."""
+        """Fly an iteration and return its samples; sets ``scaling`` for them, and adds them to ``moments``."""
         flights, weights = self.flights, self.learner.weights
         self.scaling = self.moments.scaling()
         noise = rng.standard_normal((self.horizon, flights.rows, len(self.view.flown)), np.float32)
