@@ -114,7 +114,7 @@ class View:
             self._film(recording, self.video, self.at or 0.0)
 
     def _opened(self) -> Recording | Several:
-        """Open the recorded runs, print which options do not fit them, and add image and colours."""
+        """Open the recorded runs, print warnings about what is not shown as flown, and add image and colours."""
         from qrsim.runs import open_run
         from qrsim.view.several import open_several
 
@@ -211,7 +211,8 @@ class View:
 
     @contextmanager
     def _staged(self, recording: Recording | Several, time: float) -> Iterator[tuple[ViserServer, Scene]]:
-        """In the context, serve a 3-D scene of the recording at a time [s]; yield its server and scene."""
+        """In the context, serve a 3-D scene of the recording at a time [s], with the options' camera, layers, colour
+        and image; yield its server and scene."""
         from qrsim.view.replay import remember_paths
         from qrsim.view.scene import Scene
         from qrsim.view.server import start_server

@@ -136,7 +136,7 @@ class Path:
         rate: float,
     ) -> Triple:
         """Return the acceleration [m/s^2] of the path's point along the line ``begin`` to ``goal``; ``step``: its
-        largest change."""
+        largest change, ``rate``: as in ``_to_goal``."""
         line = _minus(goal, begin)
         length = math.hypot(*line)
         unit = (line[0] / length, line[1] / length, line[2] / length)
