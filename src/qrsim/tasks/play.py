@@ -277,7 +277,7 @@ class Play:
         return Judged(memory, reward, goes_on, gone)
 
     def _crashed(self, episode: Episode) -> Array:
-        """Return the team's reward () in the step in which a vehicle stops."""
+        """Return the reward, () for the team or (n,), of the step in which a vehicle stops."""
         return self.task.crashed(episode.memory, self.world, episode.state, self.steps)
 
     def scaled(self, action: object) -> Any:

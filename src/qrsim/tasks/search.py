@@ -184,7 +184,7 @@ class Search(Task):
         return jnp.concatenate([*parts, *more], axis=-1)
 
     def sees(self, world: World) -> Any:
-        """Describe an observation's values (of each named part) by name, unit and range."""
+        """Describe an observation's values, or those of each named part, by name, unit and range."""
         if self.observes == "likeliest":
             return (*BELIEVED, *LIKELIEST, *sensed_axes(world, self.fleet, self.senses))
         more = {"sensed": sensed_axes(world, self.fleet, self.senses)} if self.senses else {}
