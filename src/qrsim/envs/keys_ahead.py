@@ -31,7 +31,7 @@ class KeysAhead:
         self._keys = None
 
     def keys(self, functional: Functional, rows: NumpyArray, seeds: NumpyArray, numbers: NumpyArray) -> EpisodeKeys:
-        """Return the random keys of episodes ``numbers`` of the seeds for ``rows``, leaves (b, ...), from a cache.
+        """Return the random keys of the episodes to start in ``rows``, leaves (b, ...), computed ahead if possible.
 
         Args:
             functional: what is played.

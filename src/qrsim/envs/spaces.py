@@ -19,7 +19,7 @@ Space = spaces.Space[Any]
 
 
 def action_space(batch: Batch, agent: int = 0) -> Space:
-    """Return the Gymnasium space of agent number ``agent``'s actions in [-1, 1], with a message if it has a radio.
+    """Return the Gymnasium space of agent number ``agent``'s actions in [-1, 1], with a radio message if it sends any.
 
     With a radio that is the part ``act`` of a dict, which has a message ``say`` too.
     """

@@ -264,7 +264,7 @@ class LearnedPolicy:
 
 
 def is_policy_file(source: object) -> bool:
-    """Return whether ``source`` is text that names a file of a learned policy."""
+    """Return whether ``source`` is the file name of a learned policy, by its suffix."""
     return isinstance(source, str | Path) and str(source).endswith(SUFFIX)
 
 

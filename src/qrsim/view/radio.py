@@ -61,7 +61,7 @@ class RadioLinks(Layer):
 
 
 def halves(links: Links, position_ned: Floats, valid: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return each link's starts, vectors (L, 3) [m], arrival chances (L,), whether the last packet arrived (L,).
+    """Return half-lines of links: start, vector (L, 3) [m], arrival chance, whether the last packet arrived (L,).
 
     Args:
         links: of the last period.
