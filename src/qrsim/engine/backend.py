@@ -80,7 +80,7 @@ class Program(Protocol):
         """Writable buffer of the inputs set by ``give``, leaf after leaf; None if the program has no such buffer."""
 
     def give(self, leaves: Sequence[object]) -> None:
-        """Set the inputs that differ by world, as leaves of their tree; required before any other call."""
+        """Set the inputs that differ by world, as leaves, until the next call of it; required before any other call."""
 
     def start(self) -> Any:
         """Return the first state of one world, or of all worlds that ``give`` has set inputs for."""
@@ -274,7 +274,7 @@ class Worlds:
 
     @property
     def looks(self) -> bool:
-        """Whether ``look`` has arrays to compute, such as camera pictures."""
+        """Whether ``look`` is available, to compute arrays such as camera pictures."""
         return self._looks is not None
 
     def look(self, rows: IntArray | None = None) -> Tree:

@@ -35,7 +35,7 @@ def make(
 
 
 def _jit_for(function: Callable[..., Any], few: bool, **options: Any) -> object:
-    """Return a function wrapped in ``jax.jit``; ``few``: only few ticks are run, so compile quickly."""
+    """Return a function wrapped in ``jax.jit``; ``few``: it is of few vehicles, so compile quickly."""
     return jax.jit(function, compiler_options=quick_to_compile() if few else None, **options)
 
 
@@ -48,7 +48,7 @@ def _first_function(function: Function, few: bool) -> Any:
 
     # The layout is static: JAX compiles anew for another one, and knows it by its equality.
     def first(layout: Packer, shared: Buffers, own: object) -> Any:
-        """Return the first state as packed buffers."""
+        """Return the tree of the first state."""
         return function.call(layout.unpack(shared), own)
 
     return _jit_for(first, few, static_argnums=0)
@@ -75,7 +75,7 @@ def _advance_function(function: Function, few: bool) -> Any:
 
 @lru_cache(maxsize=KEPT)
 def _record_function(function: Function, few: bool, capacity: int) -> Any:
-    """Return the jitted function that advances one world and stores ``capacity`` states; ``few``: compile quickly."""
+    """Return the jitted function that records every state of one world, at most ``capacity`` of them."""
 
     def record(layouts: _Layouts, shared: Buffers, own: Any, state: Buffers, tick: Any, count: object) -> Any:
         """Run ``count`` <= capacity ticks from ``tick``; return the packed state, and those after each tick."""
@@ -212,7 +212,7 @@ class Arrays:
         return select(self.tree)
 
     def put(self, worlds: NumpyArray, tree: object) -> None:
-        """Overwrite the states of the worlds with these indices by the first rows of a tree's leaves."""
+        """Overwrite the states of ``worlds`` by the first rows of a tree's leaves; further rows are ignored."""
         count, rows = (len(jax.tree.leaves(part)[0]) for part in (self.tree, tree))
         # What goes beyond the end is dropped, so that parts of one length share a program.
         target = np.concatenate([worlds, np.full(rows - len(worlds), count)])

@@ -162,7 +162,7 @@ def _read_entry(path: Path, key: str, rooms: tuple[str, ...]) -> Kept | None:
 
 
 def file_bytes(path: Path) -> bytes | None:
-    """Return the content of a file; None if it is missing, owned by another user or too large."""
+    """Return the content of a file; None if it is no regular file, owned by another user or too large."""
     # A pipe would wait for somebody to write into it.
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     with open(os.open(path, flags), "rb") as file:

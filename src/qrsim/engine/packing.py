@@ -110,7 +110,7 @@ def pack(path: Path) -> int:
 
 
 def _whole(path: Path) -> tuple[Content, bytes] | None:
-    """Return the header and machine code of a cache file; None if it is damaged or not a cache file."""
+    """Return the header and the whole content of a cache file; None if it is damaged or not a cache file."""
     try:
         content = cache.file_bytes(path)
         return None if content is None else (_checked(path.name, content), content)

@@ -78,7 +78,7 @@ def uses_llvm() -> bool:
 
 
 def chosen_compiler() -> str:
-    """Return which compiler is tried first, "llvm" or "xla"."""
+    """Return which compiler is tried first, "llvm" or "xla"; raise UsageError as ``uses_llvm`` does."""
     return "llvm" if uses_llvm() else "xla"
 
 
@@ -124,7 +124,7 @@ def quick_to_compile() -> dict[str, Any]:
 
 
 def quick_jit(function: Callable[..., Any], **options: Any) -> Any:
-    """Return ``jax.jit(function, **options)`` with the options of ``quick_to_compile`` in addition."""
+    """Return ``jax.jit(function, **options)`` that compiles quickly; XLA is asked for its options at the first call."""
     # At the first call, because to ask XLA for its options starts it, which an import must not.
     compiled = lru_cache(maxsize=1)(lambda: jax.jit(function, compiler_options=quick_to_compile(), **options))
 

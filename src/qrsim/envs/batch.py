@@ -45,7 +45,7 @@ def checked_seed(seed: Any) -> int:
 
 
 def numbers(given: object, what: str, shape: tuple[int, ...]) -> Floats:
-    """Convert numbers to an array of any shape; raise UsageError for other values, with ``what``, ``shape`` as text.
+    """Convert numbers to an array of any shape; raise UsageError, which names ``what`` and ``shape``, for others.
 
     Raises:
         UsageError: it has rows of different lengths, or something else in it, such as text or complex numbers.
@@ -187,7 +187,7 @@ class Batch:
         return {name: part if name in late else part.copy() for name, part in self.seen.items()}
 
     def step(self, action: object, words: object = None, who: str = "action") -> tuple[Floats, Floats, Floats]:
-        """Advance all by actions (B, n, A) and radio ``words`` (B, n, D); return reward (B, n), ends: two (B,).
+        """Advance all episodes by actions (B, n, A); return reward (B, n), terminated (B,) and truncated (B,).
 
         Args:
             action: of each agent.
@@ -268,7 +268,7 @@ class Batch:
         return mine[axis].name if axis < len(mine) else f"number {axis}, which is none"
 
     def of_agent(self, seen: object, number: int) -> object:
-        """Return agent ``number``'s part, leaves (B, ...), of all agents' observations (B, n, ...)."""
+        """Return agent ``number``'s part, leaves (B, ...), of observations (B, n, ...) of all, by fleet if several."""
         return part_of(self.sides, seen, number)
 
     @property
@@ -277,7 +277,7 @@ class Batch:
         return sum(fleet.size for fleet in self.functional.play.world.fleets)
 
     def state(self, row: int) -> Floats:
-        """Return the true state of episode ``row``: STATE numbers for each of the V vehicles, and the time.
+        """Return the true state of episode ``row``, (STATE V + 1,), for the V vehicles of all fleets in their order.
 
         Of each vehicle: position NED [m], roll, pitch and yaw [rad], velocity in body axes [m/s], body rates [rad/s],
         and 1 if it has stopped; at the end the part of the episode that is over, 0 to 1.

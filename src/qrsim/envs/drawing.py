@@ -67,7 +67,7 @@ class Drawing:
         self._ways.append(self._places(self._episode()))
 
     def frame(self) -> Floats:
-        """Draw the batch's first episode from above; return the picture, (480, 640, 3) uint8.
+        """Draw the episode from above, as it is now; return the picture, (480, 640, 3) uint8.
 
         Raises:
             UsageError: nothing has begun.
@@ -172,7 +172,7 @@ class _Scene:
         self._plan.plot(east, north, "*", **look)
 
     def _draw_concentration(self, episode: Episode, area: BoxArea) -> None:
-        """Draw the highest concentration over all heights as the background of the plot."""
+        """Draw the mean concentration, highest over all heights, as the background of the plot."""
         world = self._play.world.with_drawn(episode.state.drawn)
         wind = surroundings(world, episode.state.contents, jnp.int32(0)).carrying_wind(self._dtype)
         edges = [(float(getattr(area, f"{axis}_min")), float(getattr(area, f"{axis}_max"))) for axis in "xy"]
@@ -188,7 +188,7 @@ class _Scene:
             self._plan.pcolormesh(easts, norths, shown, cmap="PuRd", vmin=-3.5, vmax=0.5, zorder=0)
 
     def _goals(self, episode: Episode) -> None:
-        """Draw the goals of the vehicles, or the locations of a plume task."""
+        """Draw the goals of the vehicles, and the locations of a plume task."""
         places = places_of(self._play.task, self._play.world, episode.memory, episode.state.contents)
         if len(places.goals):
             look: dict[str, Any] = {"ms": 14, "mew": 2, "color": share(GREY), "ls": "none", "label": "goal"}

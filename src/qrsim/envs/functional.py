@@ -68,7 +68,7 @@ class Functional:
 
     @property
     def observation_axes(self) -> tuple[Axis, ...] | dict[str, Any]:
-        """Description of each value of an observation: name, unit and range; of each part, if it is a dict."""
+        """Description of each value of an observation: name, unit and range; of a dict, by part, those described."""
         return self.play.task.sees(self.play.world)
 
     def keys(self, seeds: object, numbers: object = 0) -> EpisodeKeys:
@@ -125,6 +125,7 @@ class Functional:
     def step(self, episode: Episode, action: Array) -> tuple[Episode, Step]:
         """Advance an episode by one action of each agent; return its new state and the step's results.
 
+        Results after the episode's end have no meaning.
         The sensors of an agent that has stopped report nothing, so what it observes then is not what it saw last; the
         other forms of an environment repeat that.
 
@@ -189,7 +190,7 @@ class Functional:
         return score
 
     def truth(self, episode: Episode) -> dict[str, Array]:
-        """Return the true values of the agents, name -> (n,), which they do not observe."""
+        """Return the true values of the agents, name -> (n, ...), which they do not observe."""
         return self.play.truth(episode)
 
 

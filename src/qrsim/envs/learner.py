@@ -91,7 +91,7 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
         return self._inputs(seen), info
 
     def step(self, action: Any) -> tuple[NumpyArray, float, bool, bool, dict[str, Any]]:
-        """Advance by one decision; return inputs (F,), learner's reward, ends, and info with the task's own reward.
+        """Advance by one decision; return inputs (F,), learner's reward, ends, info with the task's ``task_reward``.
 
         Raises:
             UsageError: as of ``SingleTask.step``.

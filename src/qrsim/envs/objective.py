@@ -122,7 +122,7 @@ class Reached:
         return self.shared(found, reward.shape[1])
 
     def potential(self, batch: Batch, error: Floats) -> Floats:
-        """Return the potential (N,) of errors (N,); a step is rewarded for lowering it."""
+        """Return minus the potential (N,) for errors (N,); a step is rewarded for lowering it."""
         found: Floats = POTENTIAL * error
         return found
 
@@ -160,7 +160,7 @@ class Steady(Reached):
         super().begin(batch, ended)
 
     def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
-        """Add the present velocity error to the drift, and return the learner's rewards (N,)."""
+        """Integrate the velocity error over this step into the drift, and return the learner's rewards (N,)."""
         self._drift += batch.functional.play.task.period * _lacking(batch)
         return super().reward(batch, reward, terminated, outputs)
 
@@ -200,7 +200,7 @@ class Searched(Reached):
         self._reach = float(cast(Any, batch.functional.play.world.contents.persons).found_distance)
 
     def errors(self, batch: Batch) -> Floats:
-        """Return distances (N,) [m] to the nearest missing person beyond finding it, plus ``MISSING`` per other one."""
+        """Return distances (N,) [m] to where the nearest missing person is found, plus ``MISSING`` per other one."""
         missing = batch.truth["missing"].ravel()
         away = np.maximum(_length(batch.truth["to_person_ned"]) - self._reach, 0.0) + UNFOUND
         found: Floats = np.where(missing > 0.0, away + MISSING * (missing - 1.0), 0.0)
@@ -230,7 +230,7 @@ class Caught(Reached):
         return found
 
     def potential(self, batch: Batch, error: Floats) -> Floats:
-        """Return the potential (N,) of errors (N,), larger with the mouse far from the area's middle."""
+        """Return minus the potential (N,) for errors (N,), larger with the mouse far from the area's middle."""
         mouse = batch.seen[..., 0:2] + batch.seen[..., 4:6] - self._middle
         outside = np.maximum(np.sqrt(np.square(mouse).sum(axis=-1)).ravel() - self._inner, 0.0)
         found: Floats = super().potential(batch, error) + OUTWARD * outside
@@ -309,9 +309,9 @@ class Scaled:
         return found
 
     def state(self) -> dict[str, Floats]:
-        """Return count, mean and squared deviation of the discounted returns, for a checkpoint."""
+        """Return count, mean and sum of squared deviations of the discounted returns, for a checkpoint."""
         return {"reward_moments": np.array([self._count, self._mean, self._squares])}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore count, mean and squared deviation of the discounted returns from a checkpoint."""
+        """Restore count, mean and sum of squared deviations of the discounted returns from a checkpoint."""
         self._count, self._mean, self._squares = map(float, state["reward_moments"])

@@ -82,6 +82,8 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Start an episode, without a seed the next of the series; return observations and infos by agent.
 
+        Options are those of ``SingleTask``.
+
         Raises:
             UsageError: a seed is no integer from 0 to 2**63 - 1, or a difficulty is none.
         """

@@ -125,7 +125,7 @@ class VecTask(VecEnv):  # type: ignore[misc]
         return [False for _ in self._get_indices(indices)]
 
     def close(self) -> None:
-        """Do nothing: there are no resources to release."""
+        """Close the batch of environments."""
         self.tasks.close()
 
 

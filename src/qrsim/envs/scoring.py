@@ -95,7 +95,7 @@ def neutral(play: Play, axis: Axis) -> float:
 
 
 def maker(policy: str | object, play: Play) -> Callable[[Play, int], Policy]:
-    """Return a function (play, seed) -> policy for an episode, from a policy's name, file, class or function.
+    """Return a function (play, seed) -> policy for an episode, from a built-in policy's name, a class or a function.
 
     Args:
         policy: one of ``BUILT_IN``; a class that is called with both and has ``act(seen)``; or a function of ``seen``.
@@ -365,7 +365,7 @@ def score_task(
 
 
 def _no_answers(batch: Batch) -> Floats:
-    """Return zeros in the shape of all agents' answers, to be filled in."""
+    """Return zeros in the shape of all agents' answers, for a policy that gives none."""
     return np.zeros((len(batch.functional.agents), *batch.answer_shape))
 
 

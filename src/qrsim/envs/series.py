@@ -142,7 +142,7 @@ class Series:
 
 
 def mode_of(given: AutoresetMode | str) -> AutoresetMode:
-    """Return Gymnasium's autoreset mode from the mode itself or its name; raise UsageError for others.
+    """Return Gymnasium's autoreset mode from the mode itself, its name or its value; raise UsageError for others.
 
     Raises:
         UsageError: there is none such.

@@ -140,7 +140,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
         return None if self._drawing is None else self._drawing.frame()
 
     def hand_in(self, samples: object) -> None:
-        """Store the agent's answer, such as a plume's map; the last one is scored at the episode's end.
+        """Store the agent's answer (``answer_space``); the last one of an episode is scored at its end.
 
         Whoever hands in nothing is scored as if it were zeros.
 

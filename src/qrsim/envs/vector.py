@@ -79,7 +79,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, object] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start episodes in all environments or those of ``options["reset_mask"]``; return observations and infos.
+        """Start all episodes, or those of ``options["reset_mask"]`` (num_envs,) bool; return observations and infos.
 
         Args:
             seed: one for environment 0, those of the others follow; or one for each. None: the next episodes of the

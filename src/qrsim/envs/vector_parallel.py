@@ -138,7 +138,7 @@ class VectorParallelTask:
         """Store answers by agent, (num_envs, ...) each, of all environments or those in ``mask``.
 
         Raises:
-            UsageError: as of that, or there is no such agent.
+            UsageError: as of ``VectorTask.hand_in``, or there is no such agent.
         """
         rows = self._series.rows(mask, "mask")
         for agent, answers in samples.items():

@@ -85,7 +85,7 @@ def all_fly(state: State) -> Array:
 
 
 def estimate_of(state: FleetState) -> Estimate:
-    """Return each vehicle's latest sensor readings as an Estimate (n,), with its filter's values for missing ones."""
+    """Return each vehicle's estimate (n,) from its sensors, with its controller's estimate for missing readings."""
     measured, known = measured_quantities(state.readings), state.estimate
     position, velocity = (
         measured.get("position_ned", known.position_ned),
@@ -115,5 +115,5 @@ BELIEVED = (
 
 
 def square(vector: Vec3) -> Array:
-    """Return the squared length of each vector (n,)."""
+    """Return the squared length of each vector."""
     return vector.dot(vector)

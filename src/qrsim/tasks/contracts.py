@@ -90,7 +90,7 @@ class Task(Protocol):
 
     @abstractmethod
     def judge(self, memory: Any, world: World, state: State, step: Array, steps: int) -> tuple[object, object]:
-        """Return the memory after step number ``step`` of ``steps``, and the reward (n,) while all vehicles fly."""
+        """Return the memory after step ``step`` () of ``steps``, from 1, and the reward (n,) while all vehicles fly."""
 
     def crashed(self, memory: Any, world: World, state: State, steps: int) -> Array:
         """Return the reward, () for the team or (n,), of the step in which a vehicle stops, such as after a crash."""
@@ -110,7 +110,7 @@ class Task(Protocol):
 
     @abstractmethod
     def sees(self, world: World) -> Any:
-        """Describe the O values of an observation by name, unit and range; for a dict, each of its parts."""
+        """Describe the O values of an observation by name, unit and range; for a dict, its described parts."""
 
     def later(self, world: World) -> dict[str, tuple[int, ...]]:
         """Return name -> shape (n, ...) of large parts of an observation, such as pictures, that ``look`` computes.

@@ -22,7 +22,7 @@ class Land(ReachWaypoint):
     airborne: Array = parameter(default=1.0, unit="1/s", doc="cost per second off the ground", minimum=0.0)
 
     def cost_rate(self, model: Fleet, fleet: FleetState) -> Array:
-        """Return each vehicle's cost per second (n,): of its commands, and ``airborne`` until it has landed."""
+        """Return each vehicle's cost per second (n,): of its commands, and ``airborne`` while it is off the ground."""
         effort: Array = ReachWaypoint.cost_rate(self, model, fleet)
         stands = on_ground(model, fleet)
         return effort + (self.airborne if stands is None else jnp.where(stands, 0.0, self.airborne))

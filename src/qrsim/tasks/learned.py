@@ -136,7 +136,7 @@ class View:
         return None
 
     def _turned_back(self, output: Any, columns: Any) -> Any:
-        """Return the network's outputs (N, len(flown)), the pair ``turned`` rotated from the heading to north, east."""
+        """Return the network's outputs (N, len(flown)), the pair ``turned`` rotated from ``ahead`` to north, east."""
         cos, sin = self._turn(columns)
         parts: list[Any] = list(output.T)
         first, second = self.turned or (0, 0)
@@ -228,7 +228,7 @@ class PolicyFile:
         return lambda play, seed=0: self.pilot(len(play.agents), play.task.period)
 
     def pilot(self, agents: int, period: float) -> LearnedPolicy:
-        """Return this policy as an object that acts for ``agents`` agents, with ``period`` [s] between actions.
+        """Return this policy as an object that acts for ``agents`` agents, at the start of their episodes.
 
         Args:
             agents: how many (n).
@@ -319,7 +319,7 @@ def observed_names(play: Play) -> tuple[str, ...]:
 
 
 def _check_shapes(view: View, scaling: Scaling, layers: Layers) -> None:
-    """Raise ValueError if the sizes of a policy's inputs, scaling and network layers differ."""
+    """Raise ValueError if parts of a policy do not fit each other: sizes, indices, finite or positive numbers."""
     sizes = [view.inputs, *(weights.shape[1] for weights, _ in layers)]
     fits = [scaling.mean.shape == scaling.deviation.shape == (view.inputs,), bool(layers), sizes[-1] == len(view.flown)]
     for size, (weights, offset) in zip(sizes, layers, strict=False):

@@ -206,7 +206,7 @@ class Play:
         return select(fleet.violation.code != 0, before, self.task.shot(self.world, state))
 
     def look(self, progress: Progress, to: dict[str, Array]) -> dict[str, Array]:
-        """Compute the large parts of an observation, such as pictures; stopped agents keep their last ones.
+        """Compute the parts of an observation that ``task.later`` names; stopped agents keep their last ones.
 
         Args:
             progress: at the end of a step.
@@ -256,7 +256,7 @@ class Play:
         return after, Step(seen, found.reward, ~fly, fly & (number >= self.steps), found.gone)
 
     def rewarded(self, episode: Episode) -> Judged:
-        """Return reward, task memory, whether the episode goes on, and agents that left, after a step's last tick."""
+        """Return task memory, reward, whether the episode goes on, and agents that left, after a step's last tick."""
         memory, worth = self.task.judge(episode.memory, self.world, episode.state, episode.step + 1, self.steps)
         reward = of_all(self.sides, worth)
         if not self.task.leave:
@@ -285,13 +285,13 @@ class Play:
         return in_units(self.sides, action)
 
     def truth(self, episode: Episode) -> dict[str, Array]:
-        """Return the true values of the agents, name -> (n,), which they do not observe."""
+        """Return the true values of the agents, name -> (n, ...), which they do not observe."""
         each = [self._fleet_truth(episode, fleet) for fleet in self.task.fleets]
         own = each[0] if len(each) == 1 else {name: jnp.concatenate([one[name] for one in each]) for name in each[0]}
         return own | self.task.truth(episode.memory, self.world, episode.state)
 
     def _fleet_truth(self, episode: Episode, name: str) -> dict[str, Array]:
-        """Return the true values of a fleet's vehicles, name -> (n,)."""
+        """Return the true values of a fleet's vehicles, name -> (n, ...)."""
         model, fleet = fleet_of(self.world, episode.state, name)
         vehicle = model.vehicle.pose(fleet.vehicle)
         return {

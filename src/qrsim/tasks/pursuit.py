@@ -108,7 +108,7 @@ class Pursuit(Task):
         return {self.fleet: of_cats, self.prey: self._seen(world, state, self.prey, self.fleet, sensing=False)}
 
     def _seen(self, world: World, state: State, own_fleet: str, others_fleet: str, sensing: bool) -> Array:
-        """Return the observations (n, O) of a fleet; ``sensing``: its sensors' readings in place of all offsets.
+        """Return the observations (n, O) of one side, in the order of ``observe`` [m, m/s].
 
         Args:
             world, state: those of the flight.

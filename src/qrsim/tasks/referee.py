@@ -128,7 +128,7 @@ class Referee:
         return self._play.task.hands_in
 
     def watch(self, history: Ticks) -> None:
-        """Take the states of the world after the next ticks, and judge them in chunks."""
+        """Take the states after the next ticks, to judge in chunks; the first call begins with the first tick."""
         if len(history.ticks) == CHUNK:
             # As a flight without a policy of its own comes: nothing is copied.
             self._judge_all()

@@ -77,7 +77,7 @@ class Search(Task):
     def judge(
         self, memory: SearchMemory, world: World, state: State, step: Array, steps: int
     ) -> tuple[SearchMemory, Array]:
-        """Return the memory and each vehicle's reward (n,) for the persons found in a step."""
+        """Return the memory and each vehicle's reward (n,): persons found in a step; if none, -1 / ``steps``."""
         found = jnp.sum(state.contents.persons.found_tick >= 0).astype(jnp.int32)
         fresh = found - memory.found
         yaw = memory.yaw
@@ -109,14 +109,14 @@ class Search(Task):
         return self.observe_early(memory, world, state) | {"ratio": jnp.where(jnp.isfinite(ratio), ratio, 0.0)}
 
     def later(self, world: World) -> dict[str, tuple[int, ...]]:
-        """Return {"ratio": (n, R, C)}, the pictures' shape; {} without pictures, or if a subclass makes its own."""
+        """Return {"ratio": (n, R, C)}; {} without pictures, or if a subclass overrides ``observe`` or ``picture``."""
         if self.observes != "picture" or (type(self).observe, type(self).picture) != (Search.observe, Search.picture):
             return {}
         lens = self.lens(world)
         return {"ratio": (world.fleets[number_of(world, self.fleet)].size, lens.most_rows, lens.most_columns)}
 
     def observe_early(self, memory: SearchMemory, world: World, state: State) -> dict[str, Array]:
-        """Return the observations without the pixels ("ratio") of the pictures."""
+        """Return the observations without the log-likelihood ratios ("ratio") of the pictures."""
         _, fleet = fleet_of(world, state, self.fleet)
         world = world.with_drawn(state.drawn)
         taking, reading, _ = film(world, state, number_of(world, self.fleet), self.camera)

@@ -254,7 +254,7 @@ class KeepSpot(Commanded):
         return square(fleet.vehicle.position_ned - self.goal(memory.start_ned, world))
 
     def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
-        """Return the largest possible cost (n,): of commands for ``duration`` [s], and of the distance at the end."""
+        """Return the largest possible cost (n,): of commands for ``duration`` [s], and the area's farthest corner."""
         effort: Array = Commanded.highest_cost(self, memory, world, duration)
         return effort + world.area.farthest_squared(self.goal(memory.start_ned, world))
 
@@ -298,7 +298,7 @@ class KeepVelocity(Commanded):
         return self.effort.rate(fleet.command) + square(error)
 
     def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
-        """Return the largest possible cost (n,): of commands for ``duration`` [s], and of velocity errors."""
+        """Return the largest cost (n,) in ``duration`` [s]: of commands, and of velocity errors within the limits."""
         fleet = world.fleets[number_of(world, self.fleet)]
         error = math.sqrt(3.0) * fleet.limits.velocity + jnp.sqrt(square(self._target_velocity()))
         return Commanded.highest_cost(self, memory, world, duration) + error * error * duration

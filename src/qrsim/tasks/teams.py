@@ -136,7 +136,7 @@ def of_all(sides: tuple[Side, ...], values: Any) -> Array:
 
 
 def part_of(sides: tuple[Side, ...], seen: Any, number: int) -> Any:
-    """Return a copy of agent ``number``'s observation, leaves (B, ...), from those of all (B, n, ...)."""
+    """Return a copy of agent ``number``'s observation, leaves (B, ...), from all (B, n, ...), by fleet if several."""
     side = side_of(sides, number)
     mine = seen if len(sides) == 1 else seen[side.fleet]
     return jax.tree.map(lambda leaf: leaf[:, number - side.rows.start].copy(), mine)

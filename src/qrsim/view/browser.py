@@ -110,7 +110,7 @@ class Browser:
         self._profile.cleanup()
 
     def _connect(self) -> None:
-        """Connect to the browser's debugging port, open a page and start the thread that reads messages."""
+        """Wait for the browser's debugging port, connect to its page and start the thread that reads messages."""
         from urllib.request import urlopen
 
         note = Path(self._profile.name) / "DevToolsActivePort"
@@ -148,7 +148,7 @@ class Browser:
         return result
 
     def _send(self, method: str, parameters: Mapping[str, object], **more: str) -> int:
-        """Send a command of the DevTools protocol without waiting, and return its number; None if closed."""
+        """Send a command of the DevTools protocol, and return its number at once; a closed browser is ignored."""
         with self._arrived:
             self._number += 1
             number = self._number

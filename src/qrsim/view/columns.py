@@ -57,7 +57,7 @@ class Columns:
                     self._vectors[name][rows, :, part] = batch.arrays[column][chosen]
 
     def at(self, name: str, time: Any) -> Floats:
-        """Return the last logged values (..., n, k) of a vector at or before times (...) [s]; NaN before the first."""
+        """Return last logged values (..., n, k) of a vector up to times (...) [s], else the first; NaN if unknown."""
         shape = (*np.shape(time), self._size, 3)
         if name not in self._vectors or not len(self.time):
             return np.full(shape, np.nan, np.float32)

@@ -82,7 +82,9 @@ def _of_fleet(fleet: Any, state: FleetState) -> dict[str, Floats]:
 
 
 class RecordedDetails:
-    """The details of a recorded run; each stream is read when it is first asked for, with a warning if it is damaged.
+    """The details of a recorded run; each stream is read when it is first asked for.
+
+    Estimates that are damaged are left out, with a warning.
 
     Args:
         run: what was recorded.

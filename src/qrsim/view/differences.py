@@ -15,7 +15,7 @@ class Differences(Layer):
 
 
 def difference_layers(stage: Stage) -> list[Layer]:
-    """Return a list with the layer of lines between the same vehicles of several runs; [] for a single run."""
+    """Return a list with the layer of lines between the same vehicles of runs; [] if none is in two runs."""
     return [Differences(stage)] if pairs_of(stage) else []
 
 

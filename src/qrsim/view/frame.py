@@ -175,7 +175,7 @@ class Cast:
 
     @property
     def extent(self) -> float:
-        """Diagonal [m] of the box around all vehicles, routes and area, and the ground below."""
+        """Diagonal [m] of the box around all that the initial view contains, and the ground below."""
         corners = np.vstack([self._seen, self._seen * [1.0, 1.0, 0.0]])
         return max(10.0, float(np.linalg.norm(np.ptp(corners, axis=0))))
 
@@ -195,7 +195,7 @@ class Cast:
 
     @property
     def centre(self) -> Floats:
-        """Centre (3,) NED [m] of the box around all vehicles, routes and area."""
+        """Centre (3,) NED [m] of the box around all that the initial view contains."""
         middle: Floats = 0.5 * (self._seen.min(axis=0) + self._seen.max(axis=0))
         return middle
 

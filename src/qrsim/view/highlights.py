@@ -38,7 +38,7 @@ EXTREMES: tuple[tuple[str, bool, str], ...] = (
 
 
 def highlights_of(runs: Sequence[Series]) -> list[Highlight]:
-    """Return the notable moments (time [s], text) of runs, such as extremes; unlogged quantities are skipped."""
+    """Return (time [s] or None, text) of notable moments of runs, such as extremes; unlogged quantities are skipped."""
     found = [
         line for name, most, words in EXTREMES for own in runs for line in _guarded(_extreme, own, name, most, words)
     ]

@@ -146,7 +146,7 @@ def _decoded(data: Any) -> NumpyArray:
 
 
 def _elsewhere(own: Bounds, wanted: Bounds) -> UsageError:
-    """Return the error for an image with bounds that do not contain the wanted ones."""
+    """Return the error for an image that shows another place than the wanted bounds."""
     return UsageError(f"it shows another place, {_place(own)}; the run is at {_place(wanted)}")
 
 

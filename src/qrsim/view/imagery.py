@@ -92,7 +92,7 @@ def read_imagery(path: Path, cast: Cast, world: World | None) -> Imagery:
 
 
 def _outline(cast: Cast, world: World | None) -> Floats:
-    """Return two opposite corners (2, 2) [m] of the ground to cover with an image: the scene, or the area's terrain."""
+    """Return two corners (2, 2) [m] of the ground that an image covers: around the scene; on terrain, in the area."""
     around = AROUND * cast.extent
     low, high = cast.centre[:2] - around, cast.centre[:2] + around
     found = None if world is None or world.ground.at_zero else corners_of(world.area)

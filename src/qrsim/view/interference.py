@@ -55,7 +55,7 @@ class Interference(Layer):
 
 
 def fence() -> shapes.Mesh:
-    """Return the mesh of an upright cylindrical band of radius 1 and height 1, from the origin upwards."""
+    """Return the mesh of an upright cylindrical band of radius 1 and height 1, centred on the origin."""
     angles = np.arange(CORNERS) * 2.0 * math.pi / CORNERS
     rim = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     corners = np.concatenate([np.column_stack([rim, np.full(CORNERS, z)]) for z in (-0.5, 0.5)])

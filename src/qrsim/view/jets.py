@@ -71,7 +71,7 @@ class Wakes(Layer):
 
 
 def _flow(wake: Wake, thrust: Array, down: Vec3, relative: Vec3) -> tuple[Vec3, Array, Array]:
-    """Return wakes' axes, lengths (n,) [m] to speed ``SLOWEST``, half widths (n,) [m]; ``relative``: air velocity."""
+    """Return wakes' axes, lengths (n,) down to speed ``SLOWEST``, half widths at the rotors (n,) [m]."""
     push = thrust * jet_share(wake, thrust, down, relative)
     # The speed on the axis is the strength over the half width, which grows by SPREAD.
     end = jet_strength(push) * (1.0 / (SLOWEST * SPREAD))

@@ -46,7 +46,7 @@ class LabelStates(Layer):
 
 
 def lines_of(frame: Frame, found: Details, vehicle: int, waypoints: int) -> list[str]:
-    """Return the lines of a vehicle's label, such as speed; ``waypoints``: number of its waypoints."""
+    """Return the lines of a vehicle's label; unknown quantities are left out. ``waypoints``: number of its own."""
     speed, height = float(np.linalg.norm(found.velocity_ned[vehicle])), -float(frame.position_ned[vehicle, 2])
     lines = [f"{speed:.1f} m/s, {height:z.1f} m high"] if np.isfinite(speed + height) else []
     charge = float(found.charge[vehicle])

@@ -274,12 +274,12 @@ class Ghosts(Layer):
     most = MANY
 
     def begin(self) -> None:
-        """Add one pale body for each vehicle to the scene, for its estimated position."""
+        """Add one pale body for each vehicle to the scene, for its GNSS position."""
         several = self.stage.cast.run_of is not None
         self._bodies = Bodies(self, self.stage.colours if several else GHOST_COLOUR, opacity=0.4)
 
     def draw(self, frame: Frame) -> None:
-        """Move the pale bodies to the estimated positions of a frame; those without an estimate are hidden."""
+        """Move the pale bodies to the GNSS positions of a frame; those without a fix are hidden."""
         fixed = np.isfinite(frame.ghost_ned).all(axis=1)
         place = _finite(frame.ghost_ned, frame.position_ned)
         self._bodies.place(place, frame.attitude, np.where(fixed, self.stage.span, 0.0))

@@ -236,7 +236,7 @@ class LiveView:
             due = self._pace(due)
 
     def _pace(self, due: float) -> float:
-        """Wait until the time ``due`` [s] of a frame, and return the next one's; late frames are dropped."""
+        """Wait until one frame after the time ``due`` [s], and return that time; late frames are dropped."""
         due, now = due + FRAME_S, time.perf_counter()
         if now > due:
             self._overtaken += int((now - due) / FRAME_S)

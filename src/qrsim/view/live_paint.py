@@ -63,7 +63,7 @@ class LivePaints:
         return self._made(0.0, 1.0)
 
     def note(self, frame: Frame, shown: Paint | None) -> Paint | None:
-        """Keep a frame's values; return new colours if values exceed the range of ``shown``, else None.
+        """Keep a frame's values; return new colours at first, and for values beyond ``shown``'s range; else None.
 
         Args:
             frame: the newest one.

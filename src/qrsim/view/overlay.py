@@ -234,7 +234,7 @@ def _row(kind: str, own: Any, text: str, layer: str) -> dict[str, Any]:
 
 
 def _plain(values: object) -> Any:
-    """Return an array of colours as nested lists for JSON."""
+    """Return colours, an array or a dict of arrays, as lists for JSON."""
     if isinstance(values, dict):
         return {name: list(own) for name, own in values.items()}
     return np.asarray(values).tolist()

@@ -312,7 +312,7 @@ class Page:
                     self._come(client)
 
     def add_colours(self, names: list[str], paint: Callable[[str], Paint], chosen: str | None = None) -> None:
-        """Add a menu of quantities ``names``; the one chosen colours vehicles and true paths by ``paint(name)``."""
+        """Add a menu of quantities ``names``, at first ``chosen``; ``paint(name)`` colours vehicles and true paths."""
         with self.layers_folder:
             by = self.server.gui.add_dropdown(
                 "Colour", (BY_VEHICLE, *names), initial_value=chosen or BY_VEHICLE, hint="of vehicles and true paths"

@@ -126,12 +126,12 @@ class Paths(Layer):
         self._changed = set(range(len(self._points)))
 
     def _segments(self, number: int) -> Floats:
-        """Return the path of vehicle ``number`` as line segments (corners, 2, 3) NED [m]."""
+        """Return piece ``number`` of all vehicles' paths as line segments (corners * n, 2, 3) NED [m]."""
         points = self._points[number]
         return np.stack([points[:-1], points[1:]], axis=2).reshape(-1, 2, 3)
 
     def _colours(self, number: int) -> Any:
-        """Return one colour for all segments of a vehicle's path, or a colour for each end of each segment."""
+        """Return one colour for all segments of piece ``number``, or a colour for each end of each segment."""
         if self.paints and self.stage.paint is not None:
             own = shapes.linear(self.stage.paint.colours(self._stamps[number]))
             return np.stack([own[:-1], own[1:]], axis=2).reshape(-1, 2, 3)
@@ -171,5 +171,5 @@ class EstimatedPaths(Paths):
         return frame.estimate_ned
 
     def _colours(self, number: int) -> Any:
-        """Return one colour for all estimated paths; with several runs, that of the vehicle's run."""
+        """Return one colour for the estimated paths of all vehicles; with several runs, those of the runs."""
         return ESTIMATE_COLOUR if self.stage.cast.run_of is None else super()._colours(number)

@@ -25,7 +25,7 @@ SCENE_ONLY = """
 
 
 def check_name(path: Path) -> None:
-    """Raise UsageError if the suffix of a picture's file name is not supported."""
+    """Raise UsageError if a picture's name does not end in .png or its folder is missing."""
     if path.suffix.lower() != ".png":
         raise UsageError(f"--screenshot {path}: the name has to end in .png")
     if not path.parent.is_dir():

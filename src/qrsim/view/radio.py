@@ -90,5 +90,5 @@ def _filled(rows: Floats, room: int, filler: Floats) -> Floats:
 
 
 def radio_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return a list with the layer of radio links, [] if no vehicle has a radio."""
+    """Return a list with the layer of radio links, [] in a world without a radio or with one vehicle."""
     return [RadioLinks(stage)] if world.radio is not None and stage.cast.size > 1 else []

@@ -90,7 +90,7 @@ class Rays(Layer):
         return np.concatenate(segments), np.array(received)
 
     def _met(self, place: Floats, ways: Floats, reach: float) -> Floats:
-        """Return the distance (K,) [m] from a position along directions (K, 3) to an obstacle, else ``reach``."""
+        """Return the distance (K,) [m] from a position along ways (K, 3) to an obstacle or ground, else ``reach``."""
         # One shape for any number of satellites, so that it is compiled once.
         room = np.zeros((64, 3), np.float32)
         room[:, 2] = -1.0

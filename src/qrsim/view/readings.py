@@ -61,7 +61,7 @@ class Excerpts:
         self._kept: dict[tuple[int, str], tuple[float, float, Floats, dict[str, Floats]]] = {}
 
     def of(self, vehicle: int, stream: str, start: float, end: float) -> tuple[Floats, dict[str, Floats]]:
-        """Return times (T,) [s] and column -> values (T,) of a vehicle's log stream from ``start`` to ``end`` [s]."""
+        """Return times (T,) [s] and column -> values (T,) of a vehicle that cover ``start`` to ``end`` [s], cached."""
         kept = self._kept.pop((vehicle, stream), None)
         if kept is None or start < kept[0] or end > kept[1]:
             kept = self._read(vehicle, stream, start, end + AHEAD_S)
@@ -84,7 +84,7 @@ class Excerpts:
 
 
 def _numbers(run: Run, stream: str) -> list[str]:
-    """Return the names of a log stream's numeric columns."""
+    """Return the names of a log stream's floating-point columns."""
     return [column.name for column in run.describe(stream)[len(INDEX) :] if column.dtype.startswith("float")]
 
 

@@ -117,7 +117,7 @@ def _weathers(run: Run, world: World) -> Iterator[tuple[int, World]]:
 
 
 def rebuilt(run: Run, world: World | None) -> Rebuilt | None:
-    """Return a recomputation of what logs lack (contents, pictures, wind field); None if there is nothing of it."""
+    """Return a recomputation of what logs lack (contents, pictures, wind); None if the world has none or is unknown."""
     if world is None:
         return None
     parts = world.contents.random

@@ -26,7 +26,7 @@ _Script.__name__ = _PageScript.__name__ = RunJavascriptMessage.__name__
 
 
 def run_script(to: Any, kind: str, source: str, exported: bool = True) -> None:
-    """Run JavaScript ``source`` in all browsers of a server, or in one client; it replaces the last of its ``kind``."""
+    """Run JavaScript in all browsers, or one client's; the last script of a ``kind`` also runs in later browsers."""
     script = (_Script if exported else _PageScript)(f"{{{source}}}")
     script.kind = kind
     (to._websock_server if hasattr(to, "_websock_server") else to._websock_connection).queue_message(script)

@@ -286,7 +286,7 @@ def _origin(run: Run) -> tuple[float, float, float] | None:
 
 
 def _notes(member: Member, first: Run, far: float) -> Iterator[str]:
-    """Yield text lines on how a run differs from the first, as in site (``far``: distance [m]) or version."""
+    """Yield lines if a run has not ended, and on how it differs from the first (``far``: distance of sites [m])."""
     run, letter = member.recording.run, f"{member.letter} ({member.recording.run.folder})"
     yield from (f"{letter}: {note}" for note in member.recording.notes)
     if run is first:

@@ -117,7 +117,7 @@ def car() -> Mesh:
 
 
 def plane() -> Mesh:
-    """Return the mesh of an aeroplane of span 1 in body axes (x ahead, y right, z down), with an inverted V tail."""
+    """Return the mesh of an aeroplane of span 1 in body axes (x ahead, y right, z down): inverted V tail, two booms."""
     wing = (
         np.array(
             [

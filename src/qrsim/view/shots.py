@@ -84,7 +84,7 @@ class Camera:
 
 
 def _corners(scene: Scene, world: World | None) -> NumpyArray:
-    """Return the corners (K, 3) NED [m] of the area if it is a known box, else of the box around the starts."""
+    """Return corners (2, 3) NED [m] of the area if it is a known box; else the vehicles' starts (n, 3)."""
     area = None if world is None else world.area
     if area is None or not area.is_box:
         return scene.cast.start_ned
@@ -105,7 +105,7 @@ def parsed_size(text: str) -> tuple[int, int]:
 
 
 def parsed_layers(text: str, shown: dict[str, bool]) -> dict[str, bool]:
-    """Return layer -> whether it is shown, from a list of names: only those, or with "-" before it, all but those.
+    """Return layer -> whether it is shown: only the named ones, or all shown at first but those after "-".
 
     Args:
         text: such as "vehicles, true paths", "-poles, -gusts" or "all".

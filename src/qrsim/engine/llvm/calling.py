@@ -201,7 +201,7 @@ class Program:
             yield first, count - first
 
     def each(self, table: NumpyArray, scratch: int, tick: int, count: int) -> None:
-        """Advance one world for each row of a table of buffer addresses, uint64 (rows, 2 per input), contiguous."""
+        """Advance the worlds of each row of a table of buffer addresses, uint64 (rows, 2 per input), contiguous."""
         begin = perf_counter()
         self._call_each(table.ctypes.data, len(table), scratch, tick, count)
         if self._quick:

@@ -53,7 +53,7 @@ def vector_bytes() -> int:
 
 @lru_cache(maxsize=1)
 def machine_name() -> str:
-    """Return a text that identifies the machine code: processor, its features, compiler version."""
+    """Return a text of all that machine code depends on: processor, its features, compiler version."""
     version = ".".join(map(str, llvm.llvm_version_info))
     return f"{llvm.get_host_cpu_name()} {_cpu_features().flatten()} llvm {version}"
 

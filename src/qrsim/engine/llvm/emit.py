@@ -345,7 +345,7 @@ class Emitter(Loops):
         self.start_block(f"{label}.after")
 
     def _branch_by_world(self, step: Step, taken: str, label: str, stored: set[int]) -> None:
-        """Emit a conditional that differs by world; the names ``taken`` and ``label``: of its flags and LLVM block."""
+        """Emit a conditional by world: each branch is run, with a mask, if any world takes it (``taken``: flags)."""
         mask = vector("i1", self.lanes)
         # A branch that no world takes is still skipped.
         others = self.emit(f"xor {mask} {taken}, {splat('true', 'i1', self.lanes)}")

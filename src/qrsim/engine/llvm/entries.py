@@ -113,7 +113,7 @@ def _loaded(name: str, kind: str, seat: str = "%seat") -> list[str]:
 
 
 def for_each(pointers: int) -> list[str]:
-    """Return the LLVM function that advances one world per row of a table of ``pointers`` buffer addresses each.
+    """Return the LLVM function that advances the worlds of each row of a table of ``pointers`` buffer addresses.
 
     In Python the way from one vector of worlds to the next takes as long as a tick of them does.
     """

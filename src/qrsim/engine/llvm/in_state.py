@@ -122,7 +122,7 @@ class InState:
                 self._assign(output, place)
 
     def _begin(self, at: int, output: Node, handed: list[Access]) -> None:
-        """Compute a branch's result (of ``handed``) of the conditional at step ``at`` in the place of ``output``."""
+        """Place a node of ``handed``, which the conditional at step ``at`` returns unchanged, where ``output`` lies."""
         place = self.places.get(output.number)
         if place not in self.lying:
             return

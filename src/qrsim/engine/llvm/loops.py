@@ -60,7 +60,7 @@ class Loops(Writer):
 
     @contextmanager
     def over(self, axes: Sequence[int], domain: Shape, lane_axis: int | None, together: int = 1) -> Iterator[None]:
-        """Emit nested loops over axes of ``domain``: vectors along ``lane_axis``, or unrolled by ``together``."""
+        """Emit nested loops over axes of ``domain``: vectors along ``lane_axis``, the last other one unrolled."""
         if not axes:
             yield
             return

@@ -376,7 +376,7 @@ def _row_major(shape: Shape, element: int) -> tuple[int, ...]:
 
 
 def _whole(extent: int, lanes: int) -> int:
-    """Return an extent rounded up to leave room for a vector that begins at the last element."""
+    """Return an extent rounded up to a multiple of ``lanes``, for whole vectors."""
     return -(-extent // lanes) * lanes
 
 

@@ -34,7 +34,7 @@ def along(access: Access, reader: Node) -> bool:
 
 
 def together(waiting: dict[int, Node], loops: Callable[[Node], bool], reads: Reads) -> list[Node]:
-    """Return nodes of ``waiting`` for one loop over a last axis, in order; ``loops(node)``: it may share a loop.
+    """Return nodes that one loop over a last axis can compute, in order; [] if no reduction has a reader there.
 
     Args:
         waiting: nodes that are not yet computed, in an order in which they can be.

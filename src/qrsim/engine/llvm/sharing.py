@@ -132,7 +132,7 @@ class Sharing:
 
     @contextmanager
     def part(self, extent: int) -> Iterator[tuple[str, str]]:
-        """Emit a condition around each thread's part of an axis; yield the names of its begin and end."""
+        """Emit a condition around each thread's part of an axis, run if not empty; yield its begin and end."""
         self._cut = True
         (low, high), label = self._range(extent), self.writer.name("part")[1:]
         some = self.emit(f"icmp ult i64 {low}, {high}")
@@ -203,7 +203,7 @@ class SharedNeighbours(Neighbours):
 
 
 def _kind_of(step: Step) -> str:
-    """Return the threads that compute a step: "scalars" (each one), "nearest" (all together), "alone" (the first)."""
+    """Return the threads for a step outside groups: "scalars" (each), "nearest" (all together), "alone" (first)."""
     if step.kind == "loop" and step.domain == ():
         return "scalars"
     return "nearest" if step.kind == "nearest" else "alone"

@@ -258,7 +258,7 @@ class Lifetimes:
         )
 
     def end(self, node: Node, at: int, local: bool) -> int:
-        """Return the last step that needs the value made by step ``at``; ``local``: only its group reads it."""
+        """Return the step after which memory of a node of step ``at`` is free; ``local``: only its group reads it."""
         last = max(at, *(i for i, _, _ in self._read.get(node.number, ())), at)
         if node.number in self._kept or last >= len(self._until):
             return len(self._until)
@@ -278,7 +278,7 @@ def _independent(late: Sequence[Late], places: Mapping[int, Place]) -> bool:
 
 
 def strip_pointer(group: int, element: int) -> str:
-    """Return the name of the pointer to a thread's strip of a group, for arrays with elements of ``element`` bytes."""
+    """Return the name of a pointer to a thread's strip, offset as for element 0 (of ``element`` bytes) of the array."""
     return f"%local{group}.{element}"
 
 
@@ -289,7 +289,7 @@ def _made(step: Step, extent: int) -> set[int]:
 
 
 def _reads(node: Node) -> Iterator[tuple[Access, Shape, bool]]:
-    """Yield each access of a node, the shape of the reading loop, and whether it is indexed along the last axis."""
+    """Yield each access of a node, the shape of the reading loop, and whether it picks along the last axis."""
     if node.op == "concatenate":
         for access, shape in zip(node.args, node.attributes[2], strict=True):
             yield access, shape, False

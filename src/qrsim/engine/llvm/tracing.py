@@ -217,7 +217,7 @@ class Tracer(Indexing):
         return self._reduced("min", chosen, out, axes)
 
     def broadcast_in_dim(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Add graph nodes for JAX's broadcast_in_dim: the array with further axes, along which it repeats."""
+        """Return a view for JAX's broadcast_in_dim: the array with further axes, along which it repeats."""
         if len(inputs) != 1:
             raise UnsupportedError("a shape that the program computes")
         operand, to = inputs[0], parameters["broadcast_dimensions"]
@@ -225,22 +225,22 @@ class Tracer(Indexing):
         return operand.moved({axis: grows.get(axis) for axis in range(len(operand.shape))}, tuple(out.shape))
 
     def squeeze(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Add graph nodes for JAX's squeeze: the array without some axes of length 1."""
+        """Return a view for JAX's squeeze: the array without some axes of length 1."""
         return self.without_unit_axes(inputs[0], tuple(out.shape))
 
     def transpose(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Add graph nodes for JAX's transpose: the array with permuted axes."""
+        """Return a view for JAX's transpose: the array with permuted axes."""
         moves: dict[int, int | None] = {axis: i for i, axis in enumerate(parameters["permutation"])}
         return inputs[0].moved(moves, tuple(out.shape))
 
     def slice(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Add graph nodes for JAX's slice: a part of an array at constant begin and end, without strides."""
+        """Return a view for JAX's slice: a part of an array at constant begin and end, without strides."""
         if any(stride != 1 for stride in parameters["strides"] or ()):
             raise UnsupportedError("a slice in strides")
         return inputs[0].shifted(parameters["start_indices"], tuple(out.shape))
 
     def split(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Add graph nodes for JAX's split: consecutive parts of an array along an axis."""
+        """Return views for JAX's split: consecutive parts of an array along an axis."""
         axis, begin, parts = parameters["axis"], 0, []
         for size in map(int, parameters["sizes"]):
             shape = tuple(size if i == axis else extent for i, extent in enumerate(inputs[0].shape))
@@ -249,7 +249,7 @@ class Tracer(Indexing):
         return parts
 
     def unstack(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Add graph nodes for JAX's unstack: the slices of an array along an axis, without this axis."""
+        """Return views for JAX's unstack: the slices of an array along an axis, without this axis."""
         (view,), axis = inputs, parameters["axis"] % len(inputs[0].shape)
         parts = []
         for begin in range(view.shape[axis]):

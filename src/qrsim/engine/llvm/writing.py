@@ -104,7 +104,7 @@ class Writer:
         return name
 
     def once(self, text: str) -> str:
-        """Return the name of an instruction's result; the same instruction is emitted once per block."""
+        """Return the name of the result of an instruction without side effects, emitted at most once per block."""
         if text not in self._written:
             self._written[text] = self.emit(text)
         return self._written[text]
@@ -331,7 +331,7 @@ class Writer:
         return 1 if self.scope.lane_axis is None else self.lanes
 
     def _gathered(self, node: Node, place: Place, index: list[tuple[str | None, int]], across: list[int]) -> str:
-        """Emit a load of elements apart in memory, lanes along axes ``across``, as a vector; return its name."""
+        """Emit a load of elements apart in memory as a vector; lanes past the end repeat the last element."""
         element = scalar_type(node.dtype)
         of, result = vector(element, self.lanes), "poison"
         axis = self.scope.lane_axis

@@ -175,7 +175,7 @@ class Algorithm:
         return Decision(features, outputs, density, self.view.action(outputs.clip(-LIMIT, LIMIT), seen))
 
     def _improve(self, learner: Learner, scaling: Pair, samples: Samples, orders: Array) -> tuple[Learner, Array]:
-        """Train on an iteration's samples in minibatches ``orders``; return learner, divergence from the old policy."""
+        """Train on an iteration's samples in minibatches ``orders``; return learner, last pass's mean divergence ()."""
         samples = samples._replace(inputs=_scaled(scaling, samples.inputs))
         settings, rows = self.settings, _rows_of(learner.weights, samples, self.settings)
 

@@ -69,7 +69,7 @@ class Chasing:
 
     @staticmethod
     def _fan(offset: NumpyArray, heading: float) -> NumpyArray:
-        """Return unit vectors (n, 2) from the mouse to the cats' goals, a fan behind it as it runs at ``heading``."""
+        """Return unit vectors (n, 2) from a mouse that runs at ``heading`` to its cats' goals, a fan in their order."""
         count = len(offset)
         side = _wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - heading)
         rank = np.argsort(np.argsort(side))

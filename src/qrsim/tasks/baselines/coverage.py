@@ -53,7 +53,7 @@ class Coverage:
         return np.where(self._wanted, np.clip(1.0 - self._seen / ENOUGH, 0.0, 1.0), 0.0)
 
     def heading(self, i: int, places: NumpyArray, velocity: NumpyArray, swath: float, yaw: float) -> NumpyArray:
-        """Return the unit vector (2,) in which vehicle ``i``, which sees ``swath`` [m], gains missing evidence fastest.
+        """Return the unit vector (2,) in which vehicle ``i`` gains missing evidence fastest; 0 if none is missing.
 
         Args:
             i: which of the vehicles.

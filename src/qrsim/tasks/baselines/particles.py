@@ -77,7 +77,7 @@ class Guess:
         return Guess(**{name: value.copy() for name, value in vars(self).items()})
 
     def where(self, taken: NumpyArray, other: Guess) -> Guess:
-        """Replace the particles selected by the mask ``taken`` (N,) with those of another guess, in place."""
+        """Return these particles, those selected by the mask ``taken`` (N,) replaced with another guess's."""
 
         def either(own: NumpyArray, others: NumpyArray) -> NumpyArray:
             """Return the rows of ``others`` selected by the mask ``taken``, else those of ``own``."""
@@ -281,7 +281,7 @@ class Particles:
         self._accept_moves(self._replaced())
 
     def _accept_moves(self, proposed: Guess) -> None:
-        """Accept or reject each proposed particle by the Metropolis rule, in place."""
+        """Accept or reject each proposed particle by the Metropolis rule."""
         likely = self._likelihood(proposed)
         taken = np.log(self._random.uniform(1e-30, 1.0, len(likely))) < likely - self._likely
         self.guess = self.guess.where(taken, proposed)

@@ -82,7 +82,7 @@ class WindPlume:
         return self.rates[0] == self.rates[1]
 
     def spread(self, along: NumpyArray) -> NumpyArray:
-        """Return the variance [m^2] of a plume's cross-section at a distance ``along`` [m] downwind."""
+        """Return a plume's spread [m^2] at a distance ``along`` [m] downwind: twice the variance along an axis."""
         return np.asarray(2.0 * self.factor * np.exp(self.exponent * np.log(np.maximum(along, 1e-3))))
 
     def along_across(self, place: NumpyArray, bearing: NumpyArray, points: NumpyArray) -> tuple[NumpyArray, NumpyArray]:
@@ -126,7 +126,7 @@ class WindPlume:
         return np.asarray(reach * np.mean(area * self._inside(place, bearing, along, radius), axis=-1))
 
     def _inside(self, place: NumpyArray, bearing: NumpyArray, along: NumpyArray, radius: NumpyArray) -> NumpyArray:
-        """Return the share of a plume's circular cross-sections of this radius that lies inside the area's box."""
+        """Return the share inside the area's box of the level diameter of a plume's cross-sections (``radius``)."""
         first, last = -radius, radius
         sine, cosine = np.sin(bearing)[..., None], np.cos(bearing)[..., None]
         for i, (way, side) in enumerate(((cosine, -sine), (sine, cosine))):
