@@ -75,7 +75,7 @@ def _advance_function(function: Function, few: bool) -> Any:
 
 @lru_cache(maxsize=KEPT)
 def _record_function(function: Function, few: bool, capacity: int) -> Any:
-    """Return the jitted function that records every state of one world, at most ``capacity`` of them."""
+    """Return the jitted function that records at most ``capacity`` states of one world; ``few``: compile quickly."""
 
     def record(layouts: _Layouts, shared: Buffers, own: Any, state: Buffers, tick: Any, count: object) -> Any:
         """Run ``count`` <= capacity ticks from ``tick``; return the packed state, and those after each tick."""

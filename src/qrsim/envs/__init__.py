@@ -75,7 +75,7 @@ def gymnasium_id(scenario: str) -> str:
 
 
 def learner_id(scenario: str) -> str:
-    """Return the Gymnasium id of a scenario's environment with the learner's inputs and reward, "...-learner-v0"."""
+    """Return the Gymnasium id of a scenario in the form for learners, such as "qrsim/keep_spot-learner-v0"."""
     return f"qrsim/{scenario.replace('/', '_')}-learner-v{VERSION}"
 
 

@@ -93,7 +93,7 @@ class VectorParallelTask:
     def reset(
         self, seed: int | list[int | None] | None = None, options: dict[str, object] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """Start episodes in all environments or those of ``options["reset_mask"]``; return observations, infos.
+        """Start all episodes, or those of ``options["reset_mask"]``, as ``VectorTask.reset``; return what agents see.
 
         Returns:
             By agent what it sees, (num_envs, ...), and what is really the case, by name (num_envs, ...).

@@ -128,7 +128,7 @@ class Task(Protocol):
         raise NotImplementedError
 
     def look(self, world: World, state: State, shot: Any, to: dict[str, Array]) -> dict[str, Array]:
-        """Compute the large parts of an observation, such as pictures; ``to``: zeros of their names and shapes.
+        """Compute the parts of an observation that ``later`` names; ``to``: zeros of their names and shapes.
 
         Args:
             world: where.

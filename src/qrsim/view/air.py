@@ -110,7 +110,7 @@ class Air(Contents):
         return (self._offsets + np.array([corner[0], corner[1], -self.height])).astype(np.float32)
 
     def _asked(self, beside: Beside, time: float, places: Floats) -> tuple[Floats, Floats, Floats]:
-        """Compute mean wind, gusts (k, 3) [m/s], heights above ground (k,) [m] at ``places`` (k, 3) NED [m]."""
+        """Compute mean wind, gusts (k, 3) [m/s], heights above ground (k,) [m] at a time [s], places (k, 3) NED [m]."""
         tick = np.int32(round(time / self.world.time_step))
         with jax.enable_x64(self._dtype == np.float64):
             found = self._ask(beside.world, beside.drawn, beside.field, tick, places.astype(self._dtype))

@@ -73,7 +73,7 @@ class Cover(Contents):
 
 
 def plate(there: Floats, low: Floats, high: Floats) -> shapes.Mesh:
-    """Return a flat mesh of the True cells of ``there`` (N, M), a grid between the corners ``low`` and ``high`` (2,).
+    """Return a flat mesh of the True cells of ``there`` (N, M), a grid between corners ``low``, ``high`` (2,) [m].
 
     Neighbours share their corners, so nothing shows through between them.
     """

@@ -97,7 +97,7 @@ class Ground(Layer):
 
 
 def arrow_of(cast: Cast, span: float, length: float) -> tuple[float, float, float]:
-    """Return (north, east [m] of the north arrow's start, its length [m], at most ``length``)."""
+    """Return (north, east, length) [m]: start of the north arrow, and its length, at most ``length``."""
     places = np.vstack([cast.start_ned, cast.ways])[:, :2]
     # West of all vehicles and routes, which it would cover, and short beside them.
     length = min(length, max(2.0 * span, 0.2 * float(np.ptp(places, axis=0).max())))

@@ -324,7 +324,7 @@ class Emitter(Loops):
         return self.emit(f"call i1 @{name}({mask} {flags})")
 
     def _branching(self, step: Step, stored: set[int]) -> None:
-        """Emit a conditional of two branches, taken by all worlds or by a mask (``stored``: nodes in memory)."""
+        """Emit a conditional of two branches: one for all worlds, or one for each by a mask (``stored``: in memory)."""
         cond = step.nodes[0]
         self.scope = Scope((), [], None, {}, {})
         which, lanes = self.value(cond.args[0])

@@ -166,7 +166,7 @@ class Grouping:
         return all(self._own(access, shape, extent, made, moved) for access, shape, moved in _reads(node))
 
     def _own(self, access: Access, shape: Shape, extent: int, made: set[int], moved: bool = False) -> bool:
-        """Return whether a loop over ``shape`` reads its own element, or an array unchanged by its group."""
+        """Return whether a loop over ``shape`` reads its own element of the last axis, or an unchanged array."""
         last = len(shape) - 1
         followed = [axis for axis, _ in access.index]
         along = (

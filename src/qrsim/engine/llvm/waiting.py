@@ -84,7 +84,7 @@ class Waiting:
         return found
 
     def loop(self, first: Node, left_out: Collection[int]) -> tuple[list[Node], tuple[int, ...]]:
-        """Return nodes for the loop of the node ``first``, without those in ``left_out``, and the axes it reduces.
+        """Return nodes for the loop of ``first``, in order, without those in ``left_out``, and the axes it reduces.
 
         Args:
             first: one that could be computed.

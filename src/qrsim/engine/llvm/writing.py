@@ -158,7 +158,7 @@ class Writer:
         return pointer if fixed == 0 else self.once(f"getelementptr i8, ptr {pointer}, i64 {fixed}")
 
     def _moved(self, pointer: str, variable: str, stride: int) -> str:
-        """Emit the pointer that is ``variable`` times ``stride`` bytes further, and return its name."""
+        """Emit, at most once, the pointer that is ``variable`` times ``stride`` bytes further, and return its name."""
         key = (pointer, variable, stride)
         # What lies in one row is read from one address, which is computed once.
         if key not in self.scope.offsets:

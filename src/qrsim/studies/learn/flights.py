@@ -62,7 +62,7 @@ class Flights:
         return found
 
     def decide(self, outputs: Floats, action: Floats) -> Decided:
-        """Advance by actions (N, A), made of the network's ``outputs`` (N, K); call ``follow`` for episodes that ended.
+        """Advance all episodes by actions (N, A) of ``outputs`` (N, K); call ``follow`` for episodes that ended.
 
         Raises:
             RunError: a reward of the task is not finite.

@@ -229,7 +229,7 @@ def _advantages(reward: Array, value: Array, after: Array, ended: Array, setting
     error = reward + settings.discount * after - value
 
     def back(later: Array, row: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Return a row's discounted sum of temporal-difference errors from that of the row after it (``later``)."""
+        """Return a row's discounted sum of temporal-difference errors, with ``later`` ones of the same episode."""
         error, ended = row
         now = error + jnp.where(ended, 0.0, settings.discount * settings.trace) * later
         return now, now
