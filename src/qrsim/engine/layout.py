@@ -109,7 +109,7 @@ class Packer:
 
 
 def struct(shape: tuple[int, ...], dtype: DType) -> jax.ShapeDtypeStruct:
-    """Return a cached ShapeDtypeStruct for a shape and dtype."""
+    """Return a ShapeDtypeStruct for a shape and dtype."""
     return jax.ShapeDtypeStruct(shape, dtype)
 
 

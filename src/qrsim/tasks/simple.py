@@ -254,7 +254,7 @@ class KeepSpot(Commanded):
         return square(fleet.vehicle.position_ned - self.goal(memory.start_ned, world))
 
     def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
-        """Return the largest cost (n,): of commands for ``duration`` [s], and ending in the area's farthest corner."""
+        """Return the largest cost (n,): of commands for ``duration`` [s], and of ending at the farthest corner."""
         effort: Array = Commanded.highest_cost(self, memory, world, duration)
         return effort + world.area.farthest_squared(self.goal(memory.start_ned, world))
 

@@ -100,7 +100,7 @@ class Persons(Contents):
         self._handle: Any = None
 
     def look(self, beside: Beside, time: float) -> None:
-        """Draw a pin for each person on the ground, in another colour once the person is found at ``time`` [s]."""
+        """Draw a pin for each person on the ground, in another colour if it has been found by ``time`` [s]."""
         persons = beside.contents.persons
         there, found = np.asarray(persons.there), np.asarray(persons.found_tick) >= 0
         colours = shapes.linear(np.where(found[:, None], FOUND_COLOUR, MISSING_COLOUR))

@@ -94,7 +94,7 @@ class LiveView:
         return len(self._server.get_clients())
 
     def wait_for(self, what: str) -> None:
-        """Show on a page without a simulation what the program waits for, such as "autopilot"."""
+        """Show on a page without a simulation what the program waits for, such as "a browser"."""
         if self._page is not None:
             return
         if self._waiting is None:

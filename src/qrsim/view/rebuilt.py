@@ -166,7 +166,7 @@ class _Camera:
 
 
 def _cameras(run: Run, world: World) -> dict[tuple[int, int], _Camera]:
-    """Return (fleet number, sensor number) -> recorded readings, for all cameras."""
+    """Return (fleet number, sensor number) -> recorded readings, for all cameras that were logged."""
     found, first = {}, 0
     for number, fleet in enumerate(world.fleets):
         for index in (index for place, index in camera_places(world) if place == number):
