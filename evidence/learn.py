@@ -50,7 +50,7 @@ SEEDS = 10
 # What training changes of a task [s].
 SHORTER = {PURSUIT: ("duration=200",)}
 # A mouse that is an agent: decisions, and seeds.
-BOTH, MOUSE_STEPS, MOUSE_SEEDS = "task.mouse=agent", 500_000, 3
+BOTH, MOUSE_STEPS, MOUSE_SEEDS = "task.mouse=agent", 320_000, 3
 NEAR = 3.0
 # Those whose curves are drawn.
 DRAWN = ("keep_velocity", "land_on_pad", PURSUIT)
@@ -91,7 +91,7 @@ def run(full: bool, parts: tuple[str, ...] = PARTS) -> dict[str, Any]:
     for seed in range(MOUSE_SEEDS):
         if MICE[1 + seed] in parts:
             overrides = (*SHORTER[PURSUIT], BOTH)
-            plan = plan_of(PURSUIT, overrides, seed=seed, steps=MOUSE_STEPS, fleet="mice", start=None)
+            plan = plan_of(PURSUIT, overrides, seed=seed, steps=MOUSE_STEPS, fleet="mice")
             found[f"mouse_seed_{seed}"] = trained(plan, TRIALS)
     if CURVES in parts:
         known = found if len(parts) > 1 else json.loads(REPORT.read_text("utf-8"))["results"]
