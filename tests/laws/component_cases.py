@@ -180,7 +180,7 @@ EXAMPLES: dict[tuple[str, str], dict[str, Any]] = {
     # The vehicles of ``inputs`` are slower than a pitot tube tells by default.
     ("SENSORS", "airspeed"): {"speed_min": 0.0},
     ("TASKS", "pursuit"): {"fleet": "a", "prey": "a"},
-    ("TASKS", "keep_formation"): {"fleet": "a", "leader": "a"},
+    ("TASKS", "keep_formation"): {"fleet": "a", "leader": "b"},
     ("OBSTACLES", "prism"): {"corners_ned": [[-6.0, -9.0], [-2.0, 8.0], [7.0, 3.0]], "z_min": -12.0},
     # Two levels at two times, the second of which are higher.
     ("WINDS", "profile"): {

@@ -343,6 +343,10 @@ def scenario_with(group: str, part: Any) -> dict[str, Any]:
         fleet["controller"] = {"type": "offboard"}
         sensors |= {"camera": {"type": "camera"}, "concentration": {"type": "concentration"}}
         world |= {"persons": {"type": "lying"}, "plume": {"type": "gaussian"}}
+    leads = part.get("type") == "keep_formation"
+    if leads:
+        world["radio"] = {"preset": "sphere"}
+    still = {"controller": {"type": "waypoint", "feed": "truth"}, "vehicles": [{"position_ned": [0.0, 0.0, -20.0]}]}
     if group == "UPDRAFTS":
         # Wide enough for the widest thermals, over hills for ridges, and with a mast that has a wake.
         side = 1000.0 if part["type"] == "ridge_lift" else 2000.0
@@ -354,7 +358,7 @@ def scenario_with(group: str, part: Any) -> dict[str, Any]:
         "name": "x",
         "duration": 1.0,
         "world": world,
-        "fleets": {"a": fleet},
+        "fleets": {"a": fleet} | ({"b": still} if leads else {}),
     }
     *way, last = SLOTS[group].split(".")
     target: Any = content

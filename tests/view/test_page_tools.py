@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.view.test_first_sight import Shown, eventually, look, rectangles, settled
+from tests.view.test_first_sight import Shown, eventually, look, rectangles
 
 from qrsim.view import shapes
 from qrsim.view.browser import INSTALL, Browser, find_browser
@@ -62,12 +62,12 @@ def map_from_the_top(browser: Watched, shown: Shown) -> None:
     middle, size = np.array([[30.0, -10.0, -7.5]]), np.array([[20.0, 20.0, 15.0]])
     scene.layers["obstacles"].several("boxes", unit, middle, shapes.linear((150, 140, 130)), size)
     browser.evaluate("window.qrsim.tools.go('Top')")
-    eventually(lambda: browser.evaluate("!!window.qrsim.state.lens"))
-    settled(browser)
 
     def pixel(*ned: float) -> np.ndarray:
         return np.array(ask(browser, f"{PIXEL}({[float(value) for value in ned]})"))
 
+    # Once it is drawn from there, what is over each other is at one pixel.
+    eventually(lambda: np.abs(pixel(100, 0, 0) - pixel(100, 0, -10)).max() < 1.0)
     origin, north, east, high = pixel(0, 0, 0), pixel(100, 0, 0), pixel(0, 100, 0), pixel(100, 0, -60)
     per_metre = (origin[1] - north[1]) / 100.0
     assert abs(north[0] - origin[0]) < 0.1

@@ -7,8 +7,8 @@ const solidsIn = (host) => {
   // Solids of a node: their triangles, where instances are and how large, and the box around each: six numbers.
   const solidsOf = (node) => {
     const props = node.message.props, old = read.get(node.message.name);
-    if (old && old.key === props.vertices) return old.found;
-    const points = floats(props.vertices), faces = ints(props.faces), found = [];
+    if (old && old.key === props.vertices) return old.own;
+    const points = floats(props.vertices), faces = ints(props.faces), found = [], bounds = [];
     const at = props.batched_positions && floats(props.batched_positions), size = props.batched_scales && floats(props.batched_scales);
     const add = (first, last, offset, scale) => {
       const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
@@ -16,26 +16,27 @@ const solidsIn = (host) => {
         const value = points[3 * faces[f] + axis] * scale[axis] + offset[axis];
         low[axis] = Math.min(low[axis], value); high[axis] = Math.max(high[axis], value);
       }
-      found.push({ points, faces, first, last, offset, scale, low, high });
+      found.push({ points, faces, first, last, offset, scale, low });
+      bounds.push(...low, ...high);
     };
     const count = faces.length / 3;
     if (at) for (let k = 0; k < at.length / 3; k++) add(0, count, [...at.subarray(3 * k, 3 * k + 3)], size ? [...size.subarray(3 * k, 3 * k + 3)] : [1, 1, 1]);
     else for (let first = 0; first + FACES <= count; first += FACES) add(first, first + FACES, [0, 0, 0], [1, 1, 1]);
-    read.set(node.message.name, { key: props.vertices, found });
-    return found;
+    const own = { solids: found, boxes: Float64Array.from(bounds) };
+    read.set(node.message.name, { key: props.vertices, own });
+    return own;
   };
   const every = () => {
     const tree = nodes();
     if (!data.obstacles || !shown(tree, data.obstacles)) return [];
     return Object.keys(tree).filter((name) => name.startsWith(data.obstacles + "/") && tree[name]?.message?.props?.faces).map((name) => solidsOf(tree[name]));
   };
-  // Distance [m] at which a ray meets the box of a solid; Infinity: it does not.
-  const box = (solid, eye, way) => {
+  // Distance [m] at which a ray meets a box; Infinity: it does not. A part of a direction is never 0 (`cast`), so nothing is 0 / 0.
+  const meets = (boxes, k, eye, way) => {
     let near = 0, far = Infinity;
     for (let axis = 0; axis < 3; axis++) {
-      const a = (solid.low[axis] - eye[axis]) / way[axis], b = (solid.high[axis] - eye[axis]) / way[axis];
-      if (Number.isNaN(a + b)) continue;
-      near = Math.max(near, Math.min(a, b)); far = Math.min(far, Math.max(a, b));
+      const a = (boxes[6 * k + axis] - eye[axis]) / way[axis], b = (boxes[6 * k + 3 + axis] - eye[axis]) / way[axis];
+      if (a < b) { if (a > near) near = a; if (b < far) far = b; } else { if (b > near) near = b; if (a < far) far = a; }
     }
     return near <= far ? near : Infinity;
   };
@@ -54,11 +55,12 @@ const solidsIn = (host) => {
     return u >= -1e-9 && v >= -1e-9 && u + v <= 1 + 1e-9 && s > 0 ? s : Infinity;
   };
   // The first solid on a ray, and how far it is [m]; null: none.
-  const cast = (eye, way) => {
+  const cast = (eye, direction) => {
     let best = null;
-    for (const solids of every()) for (const solid of solids) {
-      if (box(solid, eye, way) >= (best?.far ?? Infinity)) continue;
-      const { offset, scale } = solid, from = eye.map((v, axis) => (v - offset[axis]) / scale[axis]), to = way.map((v, axis) => v / scale[axis]);
+    const way = direction.map((value) => value || 1e-12);
+    for (const { solids, boxes } of every()) for (let k = 0; k < solids.length; k++) {
+      if (meets(boxes, k, eye, way) >= (best?.far ?? Infinity)) continue;
+      const solid = solids[k], { offset, scale } = solid, from = eye.map((v, axis) => (v - offset[axis]) / scale[axis]), to = way.map((v, axis) => v / scale[axis]);
       for (let f = solid.first; f < solid.last; f++) {
         const far = triangle(solid, f, from, to);
         if (far < (best?.far ?? Infinity)) best = { solid, far };

@@ -77,13 +77,14 @@ const toolsIn = (host) => {
       const own = rayOf(x + 0.7 * NEAR * dx, y + 0.7 * NEAR * dy, box);
       return solids.cast(own.eye, own.way);
     });
-    let best = null;
-    for (const solid of new Set(seen.map((hit) => hit?.solid))) for (const corner of solid ? solids.corners(solid) : []) {
-      const spot = host.pixelOf(host.at3(...corner), box), off = spot && Math.hypot(spot.x - x, spot.y - y);
-      // Of two corners over each other the upper one is seen.
-      if (spot && off < NEAR && (!best || off < best.off - 0.5 || (off < best.off + 0.5 && corner[2] < best.ned[2])) && !hides(corner, 0.05)) best = { ned: corner, off, what: "corner" };
-    }
-    if (best) return best;
+    const close = [...new Set(seen.map((hit) => hit?.solid))].flatMap((solid) => (solid ? solids.corners(solid) : [])).flatMap((ned) => {
+      const spot = host.pixelOf(host.at3(...ned), box), off = spot && Math.hypot(spot.x - x, spot.y - y);
+      return spot && off < NEAR ? [{ ned, off }] : [];
+    });
+    // Of two corners over each other the upper one is seen.
+    close.sort((a, b) => (Math.abs(a.off - b.off) < 0.5 ? a.ned[2] - b.ned[2] : a.off - b.off));
+    const corner = close.find(({ ned }) => !hides(ned, 0.05));
+    if (corner) return { ned: corner.ned, what: "corner" };
     const hit = seen[0], far = farOf(ray);
     if (hit && hit.far < far) {
       const ned = along(ray, hit.far);
