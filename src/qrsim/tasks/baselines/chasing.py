@@ -106,7 +106,7 @@ class Chasing:
         return NEAREST + (FAR - NEAREST) * part, np.maximum(room, ROOM * length)
 
     def _way(self, mouse: NumpyArray) -> NumpyArray:
-        """Return the heading (..., 1) [rad] in which to drive the mouse at (..., 1, 2) [m], so that it stays near the middle."""
+        """Return the heading (..., 1) [rad] in which to drive the mouse at (..., 1, 2) [m], to stay near the middle."""
         offset = mouse - self._middle
         distance = np.linalg.norm(offset, axis=-1)
         outward = np.arctan2(offset[..., 1], offset[..., 0])
