@@ -25,38 +25,30 @@ typedef uint32_t U __attribute__((vector_size(BYTES)));
 INLINE F all(float x) { return F{} + x; }
 INLINE F as_float(I x) { return (F)x; }
 
+#if defined(__AVX512DQ__) || defined(__AVX2__)
 #if defined(__AVX512DQ__)
-INLINE F smaller(F a, F b) { return (F)_mm512_min_ps((__m512)a, (__m512)b); }
-INLINE F larger(F a, F b) { return (F)_mm512_max_ps((__m512)a, (__m512)b); }
-INLINE F root(F x) { return (F)_mm512_sqrt_ps((__m512)x); }
-INLINE F nearest(F x) { return (F)_mm512_roundscale_ps((__m512)x, 8); }
+typedef __m512 R;
+#define OF(name) _mm512_##name
+#define ESTIMATE(name) _mm512_##name##14_ps
+INLINE F nearest(F x) { return (F)_mm512_roundscale_ps((R)x, 8); }
 INLINE bool any(I mask) { return _mm512_movepi32_mask((__m512i)mask) != 0; }
-template <int N>
-INLINE U turned(U x) { return (U)_mm512_rol_epi32((__m512i)x, N); }
-// One Newton step on the 14-bit estimate: relative error below 2e-7, for normal x > 0.
+#else
+typedef __m256 R;
+#define OF(name) _mm256_##name
+#define ESTIMATE(name) _mm256_##name##_ps
+INLINE F nearest(F x) { return (F)_mm256_round_ps((R)x, 8); }
+INLINE bool any(I mask) { return _mm256_movemask_ps((R)mask) != 0; }
+#endif
+INLINE F smaller(F a, F b) { return (F)OF(min_ps)((R)a, (R)b); }
+INLINE F larger(F a, F b) { return (F)OF(max_ps)((R)a, (R)b); }
+INLINE F root(F x) { return (F)OF(sqrt_ps)((R)x); }
+// One Newton step on an estimate of 14 or 12 bits: relative error below 2e-7 or 3e-7, for normal x > 0.
 INLINE F inverse_root(F x) {
-  F y = (F)_mm512_rsqrt14_ps((__m512)x);
+  F y = (F)ESTIMATE(rsqrt)((R)x);
   return y * (1.5f - 0.5f * x * y * y);
 }
 INLINE F inverse(F x) {
-  F y = (F)_mm512_rcp14_ps((__m512)x);
-  return y * (2.0f - x * y);
-}
-#elif defined(__AVX2__)
-INLINE F smaller(F a, F b) { return (F)_mm256_min_ps((__m256)a, (__m256)b); }
-INLINE F larger(F a, F b) { return (F)_mm256_max_ps((__m256)a, (__m256)b); }
-INLINE F root(F x) { return (F)_mm256_sqrt_ps((__m256)x); }
-INLINE F nearest(F x) { return (F)_mm256_round_ps((__m256)x, 8); }
-INLINE bool any(I mask) { return _mm256_movemask_ps((__m256)mask) != 0; }
-template <int N>
-INLINE U turned(U x) { return (x << N) | (x >> (32 - N)); }
-// One Newton step on the 12-bit estimate: relative error below 3e-7, for normal x > 0.
-INLINE F inverse_root(F x) {
-  F y = (F)_mm256_rsqrt_ps((__m256)x);
-  return y * (1.5f - 0.5f * x * y * y);
-}
-INLINE F inverse(F x) {
-  F y = (F)_mm256_rcp_ps((__m256)x);
+  F y = (F)ESTIMATE(rcp)((R)x);
   return y * (2.0f - x * y);
 }
 #else
@@ -75,12 +67,12 @@ INLINE bool any(I mask) {
   for (int i = 0; i < LANES; i++) found |= mask[i];
   return found != 0;
 }
-template <int N>
-INLINE U turned(U x) { return (x << N) | (x >> (32 - N)); }
 INLINE F inverse_root(F x) { return 1.0f / root(x); }
 INLINE F inverse(F x) { return 1.0f / x; }
 #endif
 
+template <int N>
+INLINE U turned(U x) { return (x << N) | (x >> (32 - N)); }
 INLINE F clip(F x, float low, float high) { return smaller(larger(x, all(low)), all(high)); }
 INLINE F magnitude(F x) { return as_float((I)x & 0x7fffffff); }
 INLINE F flipped(F x, I sign) { return as_float((I)x ^ (sign << 31)); }

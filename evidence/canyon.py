@@ -184,8 +184,6 @@ def flight(duration: float, draw: bool) -> dict[str, Any]:
         step = np.linalg.norm(np.diff(error, axis=0), axis=1)
         found[name] = {
             "street_r50_m": float(np.nanmedian(horizontal[streets_])),
-            "street_r95_m": float(np.nanquantile(horizontal[streets_], 0.95)),
-            "street_largest_m": float(np.nanmax(horizontal[streets_])),
             "largest_step_m": float(np.nanmax(step)),
             "fix": float(np.isfinite(horizontal).mean()),
         }
@@ -225,7 +223,6 @@ def run(full: bool) -> dict[str, Any]:
     return {
         "buildings": BUILDINGS,
         "places": count,
-        "times_of_day": times,
         "heights": {name: by_height(name, count, times) for name in (("m8n", "f9p_single") if full else ("m8n",))},
         "classed_otherwise_percent": classed((4.0, 2.0, 1.0) if full else (4.0,), 100 if full else 10),
         "flight": flight(90.0 if full else 20.0, draw=full),

@@ -94,7 +94,6 @@ def run(full: bool, parts: tuple[str, ...] = PARTS) -> dict[str, Any]:
         results[name] = {
             "largest_m": float(apart.max()),
             "rms_m": float(np.sqrt(np.mean(np.square(apart)))),
-            "at_end_m": float(apart[-1]),
             "largest_m_s": float(faster.max()),
         }
     return results

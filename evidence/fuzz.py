@@ -194,8 +194,6 @@ def summed_up(entries: list[dict[str, Any]]) -> dict[str, Any]:
         **{outcome: total[outcome] for outcome in OUTCOMES},
         "limit_s": LIMIT_S,
         "limit_bytes": LIMIT_BYTES,
-        "slowest_s": max(entry["s"] for entry in entries if entry["kind"] != "flight"),
-        "largest_bytes": max(entry.get("bytes", 0) for entry in entries),
         "kinds": kinds,
     }
 

@@ -120,7 +120,6 @@ def in_wind(speed: float, names: Sequence[str], worlds: int, left_out: float, du
             row |= {
                 "from_square_m": _rms(from_square(own[:, square, :2])),
                 "reached_least": int(reached.min()),
-                "reached_mean": float(reached.mean()),
             }
         else:
             tilt = np.degrees(np.arccos(np.clip(flown.recorded["upright"][:, held, i], -1.0, 1.0)))
@@ -128,7 +127,6 @@ def in_wind(speed: float, names: Sequence[str], worlds: int, left_out: float, du
                 "horizontal_m": _rms(np.hypot(own[:, held, 0], own[:, held, 1])),
                 "height_m": _rms(own[:, held, 2]),
                 "tilt_mean_deg": float(tilt.mean()),
-                "tilt_max_deg": float(tilt.max()),
                 "gnss_m": _rms(flown["gnss_horizontal_rms_m"][:, i]),
             }
         found[name] = row
@@ -154,7 +152,6 @@ def patrol(seeds: int, duration: float) -> dict[str, Any]:
         "speed_20ft": PATROL_WIND,
         "stopped": int((flown["reason"] != 0).sum()),
         "waypoints_least": int(reached.min()),
-        "waypoints_mean": float(reached.mean()),
     }
 
 

@@ -185,7 +185,7 @@ def _coverage(
 ) -> dict[str, Any]:
     """Return, of each constant, in how many vehicles it was identified, and how those estimates lie about the truth."""
     constants: dict[str, Any] = {}
-    total = inside_total = in_band = 0
+    total = inside_total = 0
     for name in DRAWN:
         found = [(i, r) for i, r in enumerate(results) if name in r.estimated]
         if not found:
@@ -211,12 +211,10 @@ def _coverage(
             "half_width_percent": 100.0 * float(np.median(np.diff(spans, axis=1)[:, 0] / 2.0 / np.abs(truth))),
         }
         total, inside_total = total + len(found), inside_total + inside
-        in_band += bool(band[0] <= inside)
     late = np.array([r.nuisances[0]["delay"] for r in results]) - DT * delays
     return {
         "constants": constants,
         "coverage_percent": 100.0 * inside_total / max(total, 1),
-        "constants_in_band": in_band,
         "missed_unsaid": sum(
             _misses(r, values, i, name) and name not in effective[i]
             for i, r in enumerate(results)
@@ -272,7 +270,6 @@ def _recording(log: FlightLog, question: Question) -> dict[str, Any]:
         "wall_s": found.wall_s,
         "delay_s": found.answer.nuisances[0]["delay"],
         "constants": constants,
-        "held_by_prior": len(found.answer.left),
         "held_out": {key: value for key, value in scores.items() if value},
         # Open loop from the first held-out row; that over horizons of 5 s is in velocity_5_s.
         **({"horizontal_lower_percent": 100.0 * (1.0 - horizontal[1] / horizontal[0])} if horizontal[0] else {}),

@@ -112,7 +112,6 @@ def at_rest(name: str, hours: float, chips: int, period: float, seed: int = SEED
         true = {key: float(getattr(sensor, f"{kind}_{key}")) for key in fit}
         found[kind] = {
             **row.row(),
-            "lowest_over_0_664_b": float(np.sqrt(row.variance.min()) / (0.6643 * true["bias_instability"])),
             "fitted_over_true": {key: fit[key] / true[key] for key in fit},
             "true": true,
         }

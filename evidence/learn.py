@@ -2,8 +2,9 @@
 
 Each policy then flies 200 episodes that nothing was learned from and that no policy was chosen by; so do hovering and
 the baseline. A vehicle within ``NEAR`` of the waypoint at the end has reached it, on the pad it must stand too, and a
-cat must be as near to where it catches the mouse. Cats learn in short episodes and are tried in whole ones. Times are
-of one process with one thread, programs loaded; the processor's time does not depend on what else the machine does.
+cat must be as near to where it catches the mouse. Cats learn in short episodes and are tried in whole ones. Mice learn
+against the baseline's cats, and their return is compared with that of mice that flee by the script. Times are of one
+process with one thread, programs loaded; the processor's time does not depend on what else the machine does.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ import json
 import time
 from typing import Any
 
-import jax
 import numpy as np
 
 from evidence import IMAGES, ROOT
@@ -21,12 +21,14 @@ from evidence.tasks import summary
 from qrsim.envs.batch import Batch
 from qrsim.envs.functional import Functional
 from qrsim.envs.objective import objective_of
+from qrsim.envs.one_side import OneSide
 from qrsim.envs.scoring import HOVER, maker
 from qrsim.envs.viewing import batch_of, view_of
 from qrsim.runs.picture import new_figure, save_picture
 from qrsim.studies.learn.flights import Flights
 from qrsim.studies.learn.suited import plan_of
 from qrsim.studies.learn.training import Plan, Training
+from qrsim.tasks.baselines.many import Many
 from qrsim.tasks.learned import forward
 
 DOC = "policies of qrsim train on the simple tasks and in a pursuit, several seeds each, against the baseline"
@@ -40,13 +42,15 @@ STEPS = {
     "goto_waypoint": 2_000_000,
     "keep_velocity": 1_200_000,
     "land_on_pad": 2_000_000,
-    PURSUIT: 5_000_000,
+    PURSUIT: 1_400_000,
     "keep_formation": 3_000_000,
     SEARCH: 1_000_000,
 }
 SEEDS = 10
 # What training changes of a task [s].
 SHORTER = {PURSUIT: ("duration=200",)}
+# A mouse that is an agent: decisions, and seeds.
+BOTH, MOUSE_STEPS, MOUSE_SEEDS = "task.mouse=agent", 320_000, 3
 NEAR = 3.0
 # Those whose curves are drawn.
 DRAWN = ("keep_velocity", "land_on_pad", PURSUIT)
@@ -63,7 +67,8 @@ def key(task: str) -> str:
 EACH = tuple(f"{key(task)}_{part}" for task in STEPS for part in ("compared", *range(SEEDS)))
 # The figure, of what the other parts have found.
 CURVES = "curves"
-PARTS = (*EACH, CURVES)
+MICE = ("mouse_compared", *(f"mouse_{seed}" for seed in range(MOUSE_SEEDS)))
+PARTS = (*EACH, *MICE, CURVES)
 
 Values = np.ndarray[Any, Any]
 
@@ -81,6 +86,13 @@ def run(full: bool, parts: tuple[str, ...] = PARTS) -> dict[str, Any]:
             if f"{key(task)}_{seed}" in parts:
                 plan = plan_of(task, SHORTER.get(task, ()), seed=seed, steps=steps)
                 found[f"{key(task)}_seed_{seed}"] = trained(plan, TRIALS)
+    if MICE[0] in parts:
+        found["mouse"] = {"steps": MOUSE_STEPS, "baseline": fleeing()}
+    for seed in range(MOUSE_SEEDS):
+        if MICE[1 + seed] in parts:
+            overrides = (*SHORTER[PURSUIT], BOTH)
+            plan = plan_of(PURSUIT, overrides, seed=seed, steps=MOUSE_STEPS, fleet="mice")
+            found[f"mouse_seed_{seed}"] = trained(plan, TRIALS)
     if CURVES in parts:
         known = found if len(parts) > 1 else json.loads(REPORT.read_text("utf-8"))["results"]
         save_picture(lambda: draw(known), IMAGE)
@@ -95,8 +107,8 @@ def trained(plan: Plan, trials: int) -> dict[str, Any]:
     wall, processor = time.perf_counter() - wall, time.process_time() - processor
     assert training.best is not None
     policy, _ = training.best
-    whole = () if plan.overrides == SHORTER.get(plan.task, ()) else plan.overrides
-    batch = batch_of(plan.task, trials, list(whole), training.view)
+    whole = [each for each in plan.overrides if each not in SHORTER.get(plan.task, ())]
+    batch = training.side_of(batch_of(plan.task, trials, whole, training.view))
     flights = Flights(batch, training.view, objective_of(batch, plan.settings.discount))
     total, alive = flights.fly(lambda seen: forward(policy.layers, policy.scaling.scaled(seen)), np.arange(trials))
     return {
@@ -115,22 +127,37 @@ def compared(task: str) -> dict[str, Any]:
     for name, changes in ((HOVER, []), ("baseline", []), *((("pictures", PICTURES),) if task == SEARCH else ())):
         batch = batch_of(task, TRIALS, changes, view)
         play = batch.functional.play
-        make = maker("baseline" if changes else name, play)
-        policies = [make(play, seed) for seed in range(TRIALS)]
-
-        def act(_: int, seen: Values, policies: list[Any] = policies) -> Values:
-            """Return the actions of all."""
-            rows = [jax.tree.map(lambda leaf, i=i: leaf[i], seen) for i in range(TRIALS)]
-            return np.stack([policy.act(each) for policy, each in zip(policies, rows, strict=True)])
-
-        total, alive = fly(batch, act)
+        total, alive = fly(batch, flown_by("baseline" if changes else name, play))
         found[name] = summary(total, alive)
         if not changes:
             found[name]["near"] = float(np.mean(alive & near(batch)))
     return found
 
 
-def near(batch: Batch) -> Values:
+def flown_by(name: str, play: Any) -> Any:
+    """Return a function of a step and the observations of all episodes that returns a built-in policy's actions."""
+    if name == HOVER:
+        still = maker(HOVER, play)(play, 0).act(None)
+        return lambda _, seen: still
+    many = Many(play, TRIALS)
+    many.begin()
+    return lambda _, seen: many.act(seen)
+
+
+def fleeing() -> dict[str, Any]:
+    """Return how mice that flee as the script does, once a second, do against the baseline's cats."""
+    batch = Batch(PURSUIT, TRIALS, [BOTH])
+    mice = OneSide(batch, "mice")
+    mice.reset(np.arange(TRIALS))
+    total, alive = np.zeros(TRIALS), np.ones(TRIALS, bool)
+    for _ in range(batch.functional.play.steps):
+        reward, terminated, _ = mice.step(mice.baseline())
+        total += np.where(alive, reward[:, 0].astype(np.float64), 0.0)
+        alive &= ~terminated
+    return summary(total, alive)
+
+
+def near(batch: Any) -> Values:
     """Return for each episode (B,) whether all agents are near their goals now, or have the wanted velocity."""
     errors = objective_of(batch, 0.98)
     errors.begin(batch)

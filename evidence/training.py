@@ -67,7 +67,6 @@ def example(full: bool) -> dict[str, Any]:
         "iterations": iterations,
         "episodes": episodes,
         "trials": trials,
-        "steps_of_an_episode": env.play.steps,
         "confidence": CONFIDENCE,
         "hover": scored(pilot, ppo.hover(), trials),
     }

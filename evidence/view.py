@@ -183,7 +183,6 @@ def reach(full: bool) -> dict[str, Any]:
     for count in counts:
         fast, slow = live(count, seconds, 1.0, 2), live(count, slow_seconds, 1.0, 1, SLOW_BITS_PER_SECOND)
         found[f"vehicles_{count}"] = {name: fast[name] for name in names} | {
-            "slow_link_frames_per_second": slow["frames_per_second"],
             "slow_link_oldest_frame_s": slow["oldest_frame_s"],
         }
     return {"reach": found}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import signal
@@ -135,13 +136,28 @@ def heeded() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
+@contextlib.contextmanager
+def as_for_users() -> Iterator[None]:
+    """Have XLA compile as it does for users."""
+    before = jax.config.values["jax_disable_most_optimizations"]
+    jax.config.update("jax_disable_most_optimizations", False)
+    try:
+        yield
+    finally:
+        jax.config.update("jax_disable_most_optimizations", before)
+
+
 @pytest.fixture
 def optimised() -> Iterator[None]:
     """Have XLA compile as it does for users, in a test that compares its programs with others."""
-    before = jax.config.values["jax_disable_most_optimizations"]
-    jax.config.update("jax_disable_most_optimizations", False)
-    yield
-    jax.config.update("jax_disable_most_optimizations", before)
+    with as_for_users():
+        yield
+
+
+@pytest.fixture(scope="session")
+def optimising() -> Callable[[], contextlib.AbstractContextManager[None]]:
+    """Return the same as a context, for a fixture with a loop that runs for longer than it takes to optimise."""
+    return as_for_users
 
 
 @pytest.fixture

@@ -133,7 +133,7 @@ def test_scenario_can_be_flown(name: str, text: str, tmp_path: Path, monkeypatch
     """Those that the nightly tier flies are read, checked and built."""
     monkeypatch.chdir(tmp_path)
     Path("example.yaml").write_text(text, "utf-8")
-    assert qrsim.load_scenario("example.yaml").world().size > 0
+    assert qrsim.load_scenario("example.yaml").world().fleets
 
 
 def stopped(source: str, seeds: int) -> set[str]:

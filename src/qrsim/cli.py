@@ -90,7 +90,7 @@ class Version:
     """
 
     def run(self) -> None:
-        """Print the versions of qrsim, Python and JAX, one in a line."""
+        """Print the versions of qrsim, Python, JAX, jaxlib and NumPy, and the platform, one in a line."""
         import platform
         from importlib.metadata import version
 
@@ -232,8 +232,8 @@ def _dispatch(arguments: list[str]) -> int:
 def _parse(
     arguments: list[str], commands: Mapping[str, type[Command] | Group], program: str, description: str
 ) -> Command:
-    """Parse the arguments to one of ``commands`` with its options; raises SystemExit once tyro has printed help or an
-    error."""
+    """Parse the arguments to one of ``commands`` with its options; raises SystemExit once tyro has printed something,
+    such as help."""
     name = arguments[0] if arguments else ""
     entry = commands.get(name)
     if isinstance(entry, Group):
@@ -286,7 +286,8 @@ def _with_the_only(commands: Mapping[str, type[Command] | Group], description: s
 
 
 def _help_text(docstring: str) -> str:
-    """Lay out a docstring as help text for the terminal, with its Example section kept."""
+    """Lay out a docstring as help text for the terminal, because tyro drops Example sections, joins lines and does not
+    wrap."""
     import shutil
     import textwrap
 

@@ -353,7 +353,7 @@ def test_without_out_the_folders_are_numbered(tmp_path, monkeypatch, capsys):
 def crashed(fly):
     """The lowest vehicle starts at 20 m, sinks a little under the published controller, and meets a floor at 19.5 m."""
     published = "fleets.pelicans.controller={type: waypoint, tilt_limit: 0.6}"
-    return fly("--duration", "10", "--set", "world.area.z_max=-19.5", "--set", published)
+    return fly("--duration", "10", "--no-figure", "--set", "world.area.z_max=-19.5", "--set", published)
 
 
 def test_a_crash_is_in_the_table_and_in_the_events(crashed):

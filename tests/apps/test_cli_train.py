@@ -25,6 +25,7 @@ def _there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("full").mkdir()
     Path("full/notes.txt").write_text("mine")
+    Path("full/damaged.npz").write_bytes(b"PK")
 
 
 @pytest.mark.parametrize(
@@ -38,6 +39,22 @@ def _there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (["keep_spot", "--minutes", "nan"], "--minutes nan: expected a positive number"),
         (["keep_spot", "--seed", "-1"], "--seed -1: expected 0 to 2**32 - 1"),
         (["keep_spot", "--out", "full"], "full exists and is never overwritten; choose another --out, or add --resume"),
+        (
+            ["keep_spot", "--start", "basline"],
+            "--start basline: expected baseline, nothing or a policy file (.npz); did you mean 'baseline'?",
+        ),
+        (["keep_spot", "--start", "none.npz"], "none.npz: cannot be read: No such file"),
+        (["keep_spot", "--start", "full/damaged.npz"], "is no NumPy archive of numbers, or it is damaged"),
+        (["keep_spot", "--others", "none.npz"], "--others none.npz: all agents of keep_spot learn"),
+        (["keep_spot", "--fleet", "pelican"], "--fleet pelican: keep_spot has agents of pelicans only"),
+        (
+            ["cats_and_mouse/1A", "--set", "task.mouse=agent"],
+            "cats_and_mouse_1A: agents are of the fleets cats, mice; choose the one that learns by --fleet",
+        ),
+        (
+            ["cats_and_mouse/1A", "--set", "task.mouse=agent", "--fleet", "mouse"],
+            "no fleet of agents is called 'mouse'; known: cats, mice",
+        ),
         (
             ["plume_mapping/3A"],
             "plume_mapping_3A: its score is of an answer that agents hand in, which a learned policy does not give",

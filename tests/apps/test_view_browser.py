@@ -208,7 +208,7 @@ def test_time_goes_on_and_stops(watched: Watched):
     eventually(lambda: watched.replay.time > 0.5)
     watched.press("pause")
     eventually(lambda: not watched.clock.playing)
-    time.sleep(0.3)
+    eventually(lambda: f"t = {watched.replay.time:.2f} s (paused)" in watched.text())
     stopped = watched.replay.time
     time.sleep(1.0)
     assert watched.replay.time == stopped < DURATION

@@ -147,6 +147,19 @@ def test_a_far_site_and_a_damaged_run(flown: Flight, copy: Path, tmp_path: Path)
     assert "is missing" in lines[0]
 
 
+def test_a_damaged_stream_of_estimates_leaves_the_vehicles(copy: Path):
+    for part in sorted((copy / "commands").glob("part-*.parquet")):
+        part.write_bytes(b"damaged")
+    found, lines = open_several([copy], open_run)
+    assert lines == []
+    details = found.frame(2.0).details
+    assert details is not None
+    with pytest.warns(UserWarning, match=r"estimates are not shown: .*commands.part-.* cannot be read"):
+        shown = details()
+    assert np.isnan(shown.believed_ned).all()
+    assert np.isfinite(shown.velocity_ned).all()
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

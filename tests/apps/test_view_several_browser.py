@@ -62,6 +62,14 @@ def replay(flown: Flight, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     server.stop()
 
 
+def search(browser: Browser, words: str) -> None:
+    """Add the first quantity that fits some words."""
+    browser.evaluate(
+        f"{{const box = {DOCK}.querySelector('.bar input'); box.value = '{words}';"
+        "box.dispatchEvent(new Event('input')); box.dispatchEvent(new KeyboardEvent('keydown', {key: 'Enter'}))}"
+    )
+
+
 def test_runs_and_plots_on_one_page(replay: Replay):
     with Watching(1280, 800) as browser:
         browser.call("Runtime.enable")
@@ -79,10 +87,7 @@ def test_runs_and_plots_on_one_page(replay: Replay):
         eventually(lambda: browser.evaluate(f"{DOCK}.querySelectorAll('canvas').length") == 1)
         eventually(lambda: text("#qrsim-plots .line").count("north, ") == 8)
         # A quantity that is searched for, by its meaning; a click on its extreme goes to its time.
-        browser.evaluate(
-            f"{{const box = {DOCK}.querySelector('.bar input'); box.value = 'mean wind and gusts together';"
-            "box.dispatchEvent(new Event('input')); box.dispatchEvent(new KeyboardEvent('keydown', {key: 'Enter'}))}"
-        )
+        search(browser, "mean wind and gusts together")
         eventually(lambda: "wind_speed" in text("#qrsim-plots .line"))
         wind = f"[...{DOCK}.querySelectorAll('.line')].find(e => e.textContent.includes('wind_speed'))"
         peak = f"[...{wind}.querySelectorAll('button')].find(e => e.textContent.startsWith('max'))"
@@ -100,6 +105,38 @@ def test_runs_and_plots_on_one_page(replay: Replay):
             lambda: all(
                 1.0 <= float(t) <= 2.0 for t in re.findall(r"at ([\d.]+) s", str(browser.evaluate(f"{peak}.title")))
             )
+        )
+        # The time is the same, to the hundredth, in the bar, the panel and the table of both runs' vehicles.
+        replay.seek(7.78)
+        clock = "document.getElementById('qrsim-timeline').innerText"
+        eventually(lambda: "00:07.78 / 00:10.00" in str(browser.evaluate(clock)))
+        browser.evaluate("window.dispatchEvent(new KeyboardEvent('keydown', {key: 't', bubbles: true}))")
+        eventually(lambda: "t = 7.78 s, 10 vehicles" in text(".qrsim-table-bar"))
+        eventually(lambda: "t = 7.78 s" in str(browser.evaluate("document.body.innerText")))
+        assert "B pelicans_0" in text(".qrsim-table tbody")
+        # A line is replaced in its place; a plot that is added is seen, and one that is removed is gone.
+        names = "JSON.stringify(window.qrsimPlots.state.panels.map(panel => panel.names))"
+        browser.evaluate(f"{DOCK}.querySelector('.line button.name').click()")
+        search(browser, "derived.height")
+        eventually(lambda: browser.evaluate(names) == '[["derived.height"]]')
+        for quantity in ("derived.speed", "derived.estimate_error ", "derived.nearest"):
+            browser.evaluate(f"[...{DOCK}.querySelectorAll('button')].find(e => e.textContent == 'New plot').click()")
+            search(browser, quantity)
+        scrolled = f"{DOCK}.querySelector('.panels').scrollTop"
+        eventually(lambda: browser.evaluate(scrolled) > 100)
+        # Where the plots were scrolled to, they stay while the time moves and another vehicle is chosen.
+        browser.evaluate(f"{scrolled} = 70")
+        replay.seek(3.0)
+        replay.page.choose(4)
+        eventually(lambda: "pelicans_4" in text("#qrsim-plots select option:checked"))
+        eventually(lambda: browser.evaluate(scrolled) == 70)
+        browser.evaluate(f"{DOCK}.querySelector('.panel .close').click()")
+        eventually(lambda: '"derived.height"' not in browser.evaluate(names))
+        # The filter of the list of events stays in view.
+        browser.evaluate(f"{DOCK}.querySelector('.events').scrollTop = 500")
+        top = "document.querySelector('#qrsim-plots {}').getBoundingClientRect().top"
+        assert browser.evaluate(f"{top.format('.events input')} - {top.format('.events')}") == pytest.approx(
+            0.0, abs=1.0
         )
         # On a small screen nothing is cut off.
         browser.call("Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=True)

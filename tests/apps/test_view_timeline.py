@@ -67,9 +67,8 @@ def test_keys_and_the_mouse_in_a_browser(replay: Any):
     with Browser(800, 600) as browser:
         browser.open(f"{address(replay.page.server)}/?fixedDpr=1")
         eventually(lambda: bool(browser.evaluate("!!document.getElementById('qrsim-timeline')")))
-        time.sleep(2.0)
-        width = browser.evaluate("document.getElementById('qrsim-timeline').getBoundingClientRect().width")
-        assert width == 800
+        whole = "document.getElementById('qrsim-timeline').getBoundingClientRect().width"
+        eventually(lambda: browser.evaluate(whole) == 800)
 
         def press(key: str) -> None:
             browser.evaluate(f"window.dispatchEvent(new KeyboardEvent('keydown', {{key: '{key}', bubbles: true}}))")

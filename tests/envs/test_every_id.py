@@ -139,6 +139,7 @@ def test_stable_baselines_finds_nothing_wrong(name: str) -> None:
     check_env(made(name).unwrapped, skip_render_check=True)
 
 
+@pytest.mark.long
 @every(SINGLE)
 def test_it_is_recorded(name: str, tmp_path: Any) -> None:
     pytest.importorskip("moviepy", reason="needs moviepy: pip install moviepy")

@@ -103,6 +103,7 @@ def test_an_interrupted_flight_is_unfinished(tmp_path: Path) -> None:
     assert (found["outcome"], found["steps"], found["of_steps"]) == ("unfinished", 101, 3000)
 
 
+@pytest.mark.long
 def test_a_reward_that_is_not_finite_loses_no_flight(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = (CLIMB / "climb.py").read_text(encoding="utf-8")
     paid = "-jnp.abs(self.height + position.z) * self.period"

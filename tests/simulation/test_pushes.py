@@ -80,7 +80,8 @@ def test_a_free_vehicle_gains_acceleration_times_time() -> None:
     np.testing.assert_array_equal(flown(simulation, 3, level)[:, 0, 6:8], 0.0)
 
 
-@pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_live_scheduled_and_replayed_are_the_same_to_the_bit(precision: str, tmp_path: Path) -> None:
     live = loaded(content({"injectable": {"body": True}}), precision)
     rows = flown(live, 20)

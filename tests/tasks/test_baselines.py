@@ -49,6 +49,41 @@ def test_points_that_move_as_asked_keep_a_fleeing_mouse_in_the_area_and_end_near
         assert np.linalg.norm(place[:3] - place[3], axis=1).max() < 10.0
 
 
+def test_cats_of_many_episodes_fly_as_those_of_each() -> None:
+    game = play("cats_and_mouse/1A")
+    short: Any = SimpleNamespace(world=game.world, task=game.task, agents=game.agents, axes=game.axes, steps=60)
+    seen = np.random.default_rng(4).normal(0.0, 20.0, (40, 2, 3, 10))
+    alone, many = [Chasing(short), Chasing(short), Chasing(short)], Chasing(short)
+    many.begin(2)
+    for step, both in enumerate(seen):
+        if step == 30:
+            many.begin(2, np.array([1]))
+        # The second row begins its next episode at step 30.
+        expected = np.stack([alone[0].act(both[0]), alone[1 if step < 30 else 2].act(both[1])])
+        np.testing.assert_array_equal(many.act(both), expected)
+
+
+def test_cats_without_a_clock_are_near_while_the_mouse_is_led() -> None:
+    game = play("cats_and_mouse/1A")
+    # The mouse is 45 m north of the middle, where it is to run east; the cats are west of it, in their fan.
+    mouse, angle = np.array([45.0, 0.0]), 0.8 * np.array([-1.0, 0.0, 1.0])
+    way = -np.stack([np.sin(angle), np.cos(angle)], axis=1)
+
+    def asked(behind: float, timeless: bool) -> float:
+        """Return how fast the cat in the middle, so far behind, runs after the mouse [m/s]."""
+        cats = mouse + np.array([[12.0], [behind], [12.0]]) * way
+        seen = np.concatenate([cats, np.tile([0.0, 3.0], (3, 1)), mouse - cats, np.zeros((3, 4))], axis=1)
+        north, east = 3.0 * Chasing(game, timeless=timeless).act(seen)[1]
+        assert abs(north) < 0.01
+        return float(east)
+
+    # It is to be 4.4 m behind, and closes half of what it lacks in a second, up to its limit: 3.6 - 0.5 * 1.4.
+    assert asked(6.0, timeless=True) == pytest.approx(3.0)
+    assert asked(3.0, timeless=True) == pytest.approx(2.9)
+    # With the whole episode before it, it is to be 9 m behind a mouse of 3 m/s: 3 - 0.7 * 3.
+    assert asked(6.0, timeless=False) == pytest.approx(0.9)
+
+
 @pytest.mark.long
 def test_a_searcher_goes_down_where_windows_speak_for_a_person() -> None:
     """The windows that show one place say so again and again; after a hover there it goes on."""

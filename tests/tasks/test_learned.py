@@ -61,6 +61,17 @@ def test_a_pursuer_sees_and_moves_relative_to_the_mouse() -> None:
     np.testing.assert_array_equal(chasing.action(output, seen * 0.0), [[0.0, 0.0]])
 
 
+def test_an_output_is_that_of_its_action() -> None:
+    chasing = dataclasses.replace(
+        VIEW, acts=("velocity_north", "velocity_east"), centre=(0.5, 0.0), reach=(1.0, 2.0), ahead=(0, 1), turned=(0, 1)
+    )
+    # 0.3 north and 0.4 east of a centre at 0.5 and 0, east in units of 2, towards 3 m north and 4 m east.
+    seen = np.array([[3.0, 4.0, 0.0]], np.float32)
+    found = chasing.output(np.array([[0.8, 0.8]], np.float32), seen)
+    np.testing.assert_allclose(found, [[0.5, 0.0]], atol=1e-6)
+    np.testing.assert_allclose(VIEW.output(np.array([[0.5, 0.0, 1.0]], np.float32), seen), [[1.0, -1.0]])
+
+
 def test_an_integral_grows_and_turns_with_the_heading_and_is_limited() -> None:
     view = dataclasses.replace(VIEW, kept=(0, 1, 3, 4), pairs=((0, 1), (3, 4)), summed=(0, 1))
     assert (view.inputs, view.remembered) == (6, 4)

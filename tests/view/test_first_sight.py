@@ -99,8 +99,10 @@ def pixels(browser: Browser) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(browser.picture())).convert("RGB")).astype(int)
 
 
-def settled(browser: Browser) -> np.ndarray:
-    """Return the picture once it no longer changes."""
+def settled(browser: Browser, other: np.ndarray | None = None) -> np.ndarray:
+    """Return the picture once it is another one than before, and no longer changes."""
+    if other is not None:
+        eventually(lambda: not np.array_equal(pixels(browser), other))
     end, before = time.monotonic() + PATIENCE_S, pixels(browser)
     while True:
         time.sleep(0.5)
@@ -135,8 +137,7 @@ def test_all_vehicles_are_seen_at_first(count: int, show: Callable[..., Shown], 
     )
     with_them = settled(browser)
     shown.page.scene.show("vehicles", False)
-    time.sleep(1.0)
-    without = settled(browser)
+    without = settled(browser, with_them)
     rows, columns = np.nonzero(np.abs(with_them - without).sum(axis=2) > 60)
     box = np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
     left, top, right, bottom = found["free"]
@@ -164,8 +165,7 @@ def test_the_route_of_one_vehicle_is_seen_at_first(show: Callable[..., Shown], b
     )
     with_it = settled(browser)
     shown.page.scene.show("routes", False)
-    time.sleep(1.0)
-    rows, columns = np.nonzero(np.abs(with_it - settled(browser)).sum(axis=2) > 60)
+    rows, columns = np.nonzero(np.abs(with_it - settled(browser, with_it)).sum(axis=2) > 60)
     left, top, right, bottom = found["free"]
     assert columns.min() >= left
     assert columns.max() < right
@@ -223,8 +223,7 @@ def test_dark_and_light(show: Callable[..., Shown], browser: Browser):
     light = settled(browser)
     press = "[...document.querySelectorAll('.qrsim-tools button')].find(b => b.innerText == 'Dark').click()"
     browser.evaluate(press)
-    time.sleep(1.0)
-    dark = settled(browser)
+    dark = settled(browser, light)
     for part in (np.s_[60:300, :800], np.s_[620:780, 300:800], np.s_[760:800, 1000:1270]):
         assert light[part].mean() > 180
         assert dark[part].mean() < 90
@@ -256,9 +255,8 @@ def test_each_browser_has_its_own_camera_choice_and_follows(show: Callable[..., 
         shown.move(2, (30.0, 0.0, 0.0))
         # As far as the vehicle; the other browser's camera stays.
         eventually(lambda: not np.allclose(json.loads(browser.evaluate(eye)), was, atol=1.0))
-        time.sleep(1.0)
-        moved = np.array(json.loads(browser.evaluate(eye))) - was
-        assert np.linalg.norm(moved) == pytest.approx(30.0, abs=0.1)
+        moved = lambda: np.linalg.norm(np.array(json.loads(browser.evaluate(eye))) - was)  # noqa: E731
+        eventually(lambda: moved() == pytest.approx(30.0, abs=0.1))
         np.testing.assert_allclose(json.loads(other.evaluate(eye)), before, atol=1e-3)
         chosen = "document.querySelector('.qrsim-chosen')?.innerText"
         names = shown.page.scene.cast.names

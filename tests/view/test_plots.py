@@ -13,6 +13,7 @@ import pytest
 
 from qrsim.models.scene.area import BoxArea
 from qrsim.runs import Column, RunInfo, RunWriter, open_run
+from qrsim.runs.layout import Event
 from qrsim.view import highlights
 from qrsim.view.derived import nearest, to_fence
 from qrsim.view.highlights import highlights_of
@@ -94,12 +95,45 @@ def test_highlights_say_who_and_when(plots: Plots, monkeypatch: pytest.MonkeyPat
         (0.0, "estimate first outside its 95 % band: <b>"),
     ]
     # The first one's error is 3 m = 1.5 standard deviations.
-    for band, told in ((1.0, "first outside its 95 % band: a_0; then <b> 0.0 s"), (9.0, "never outside its 95 % band")):
+    outside = "first outside its 95 % band: a_0; then <b> 0.00 s"
+    for band, told in ((1.0, outside), (9.0, "never outside its 95 % band")):
         monkeypatch.setattr(highlights, "BAND", band)
         assert plots.highlights()[-1][1] == f"estimate {told}"
     data = plots.answer({"number": 3, "lines": [], "highlights": True})
     assert data is not None
     assert json.loads(data[4:])["highlights"][0] == [0.0, "closest to another vehicle: a_0, 5.00 m"]
+
+
+@pytest.mark.parametrize(
+    ("past", "stops", "told"),
+    [
+        # The first vehicle is at the fence at 7.5 s, and 0.1 m beyond it from the next tick on.
+        ([], {}, (7.6, "outside the fence: a_0 from 7.60 s on")),
+        # Back inside at 9 s, and the second one outside at 8 s.
+        (
+            [(90, 200, 0, 3.0), (80, 100, 1, -1.0)],
+            {},
+            (7.6, "outside the fence: a_0 from 7.60 s to 9.00 s; then <b> 8.00 s"),
+        ),
+        # It stopped there: its log has the last place inside for good, so that many ticks are equally near.
+        ([(75, 200, 0, 0.001)], {0: 7.52}, (7.52, "outside the fence: a_0 from 7.52 s on")),
+        # Never outside: the closest approach, at its first tick.
+        ([(75, 200, 0, 0.001)], {}, (7.5, "closest to the fence: a_0, 0.00 m")),
+    ],
+)
+def test_beyond_a_fence_the_first_time_counts(
+    plots: Plots, past: list[Any], stops: dict[int, float], told: tuple[float, str], monkeypatch: pytest.MonkeyPatch
+):
+    member = plots._recording.members[0]
+    events = [(Event(at, 376, "a_0", "out_of_area", None, None, ""), vehicle) for vehicle, at in stops.items()]
+    monkeypatch.setattr(member.recording, "stops", events)
+    series = Series(member, member)
+    values = np.stack([7.5 - np.arange(TICKS) * STEP, np.full(TICKS, 5.0)], axis=1)
+    for first, last, vehicle, value in past:
+        values[first:last, vehicle] = value
+    series.quantities[highlights.FENCE] = series.quantities["derived.height"]
+    series._kept[highlights.FENCE] = (np.arange(TICKS) * STEP, values)
+    assert list(highlights._extreme(series, *highlights.EXTREMES[0])) == [(pytest.approx(told[0]), told[1])]
 
 
 @pytest.mark.filterwarnings("ignore:.*cannot be built:UserWarning")

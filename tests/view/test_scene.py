@@ -112,3 +112,22 @@ def test_each_kind_of_vehicle_is_drawn_as_what_it_is():
     finally:
         server.stop()
     assert clicked == [3, 1, None]
+
+
+def test_two_runs_may_have_several_kinds_of_vehicles():
+    """A quadrotor of the first run; a rover and a quadrotor of the second, which are drawn as its ghosts."""
+    rover = Outline(kind="car", size=1.0)
+    both = replace(
+        cast(PLACES),
+        fleets=np.array([0, 1, 2]),
+        outlines=(None, rover, None),
+        run_of=np.array([0, 1, 1]),
+        runs=("A", "B"),
+    )
+    server = start_server(0)
+    found = Scene(server, both, None).vehicles.bodies.batches
+    assert [(members.tolist(), handle.batched_opacities.tolist()) for members, handle in found] == [
+        ([0, 2], [1.0, pytest.approx(0.6)]),
+        ([1], [pytest.approx(0.6)]),
+    ]
+    server.stop()

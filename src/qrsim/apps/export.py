@@ -108,7 +108,7 @@ class Export:
         self._report(written, every)
 
     def _write_policy(self) -> None:
-        """Write a learned policy of --policy as a C file or an ONNX model.
+        """Write the learned policy of a file as C source or an ONNX model.
 
         Raises:
             UsageError: another format, options of runs, or no policy.

@@ -101,7 +101,8 @@ class Ros2:
     """End after this simulated time."""
 
     def run(self) -> None:
-        """Run ``qrsim ros2``: check the scenario, compile it, and serve ROS 2 until interrupted."""
+        """Run ``qrsim ros2``: check the scenario, compile it, and serve ROS 2 until interrupted or --duration has
+        passed."""
         self._check()
         domain = self._domain()
         require("ros2", "'qrsim ros2'")

@@ -124,7 +124,7 @@ class Score:
         return False
 
     def _tell(self, task: str, found: list[Scored], kept: Path | None) -> None:
-        """Print the policies' scores as a table or JSON; ``kept``: folder of the results."""
+        """Print the policies' scores as a table or JSON; ``kept``: folder of the dataset, if one was written."""
         rows = [_row(each, found[0]) for each in found]
         if self.json:
             import json
@@ -206,8 +206,8 @@ def _span(row: Mapping[str, object]) -> str:
 
 @contextmanager
 def _progress(policies: int, steps: int) -> Iterator[Callable[[str, int], None]]:
-    """Show a progress bar of the flights while the context lasts; yield its update function (policy's name, steps
-    done)."""
+    """Show a progress bar of the flights in the context, on a terminal only; yield its update function (policy's name,
+    steps done)."""
     with progress_bar("", policies * steps) as update:
         names: list[str] = []
 

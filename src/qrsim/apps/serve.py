@@ -101,7 +101,7 @@ class Serve:
     is needed to view and control the page; nothing is encrypted."""
 
     def run(self) -> None:
-        """Run ``qrsim serve``: check the scenarios, compile them, and serve clients until interrupted."""
+        """Run ``qrsim serve``: check the scenarios, compile them, and serve until interrupted or told to quit."""
         options = self._options()
         scenario = self._scenario()
         import asyncio

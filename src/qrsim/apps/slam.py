@@ -217,7 +217,7 @@ class SlamCommand:
 
 
 def _draw(found: Study, swept: Sweep | None, folder: Path) -> None:
-    """Save a study's figures in a folder; ``swept``: of several noise levels, if any."""
+    """Save a study's figures in a folder; ``swept``: results by correlation time of the GNSS error, if any."""
     from qrsim.runs.picture import save_picture
     from qrsim.studies.slam import figures
 

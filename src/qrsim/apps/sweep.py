@@ -189,8 +189,8 @@ def _simulated(plan: Plan) -> float:
 
 @contextmanager
 def _progress(plan: Plan, before: int) -> Iterator[Callable[[Batch], None]]:
-    """Show a progress bar while the context lasts; yield its update function (a batch). ``before``: episodes done
-    earlier."""
+    """Show a bar of episodes and real-time factor in the context, on a terminal only; yield a function that adds a
+    batch. ``before``: episodes done earlier."""
     begun, simulated = time.perf_counter(), 0.0
     texts = "{task.completed:.0f} of {task.total:.0f} episodes", "{task.fields[factor]}"
     with progress_bar(plan.study.spec.name, plan.episodes, *texts, completed=before, factor="starting") as update:

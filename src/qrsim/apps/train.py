@@ -12,13 +12,15 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from qrsim.apps import Repeated, progress_bar
-from qrsim.errors import UsageError
+from qrsim.errors import UsageError, did_you_mean
 from qrsim.extras import require
 
 if TYPE_CHECKING:
     from qrsim.studies.learn.board import Board
     from qrsim.studies.learn.training import Plan, Training, Tried
 
+NOTHING = "nothing"
+STARTS = ("baseline", NOTHING)
 MOST_ENVS, MOST_STEPS = 65_536, 10**12
 
 
@@ -27,10 +29,10 @@ class Train:
     """Train a policy for a task by proximal policy optimisation.
 
     Many episodes are flown side by side, all agents with the same policy. Training has cycles of the length of an
-    episode. After each cycle the policy flies 64 episodes that it does not learn from; their mean return and the part
-    flown to the end are printed. The best policy is kept in DIR/policy.npz, for 'qrsim score', 'qrsim run' and 'qrsim
-    check'. DIR/curve.csv has a row for each cycle. Ctrl-C ends a training, and --resume continues it from its last
-    cycle.
+    episode. After each cycle the policy flies 64 episodes that it does not learn from, or 200 with --start. Their mean
+    return and the part flown to the end are printed. The best policy is kept in DIR/policy.npz, for 'qrsim score',
+    'qrsim run' and 'qrsim check'. DIR/curve.csv has a row for each cycle. Ctrl-C ends a training, and --resume
+    continues it from its last cycle.
 
     Example:
       qrsim train keep_spot --steps 1000000
@@ -46,6 +48,15 @@ class Train:
     """Decisions of all agents, after which the training ends."""
     minutes: Annotated[float | None, tyro.conf.arg(help_behavior_hint="(default: no limit)")] = None
     """Wall time, after which the training ends earlier."""
+    start: Annotated[
+        str | None,
+        tyro.conf.arg(metavar="START", help_behavior_hint="(default: nothing; in a pursuit baseline)"),
+    ] = None
+    """First policy: 'baseline' imitates the task's baseline, a policy file goes on from it, 'nothing' is random."""
+    fleet: Annotated[str | None, tyro.conf.arg(help_behavior_hint="(default: the only one)")] = None
+    """Fleet of agents that learns, in a task with agents of several; the task's baseline flies the others."""
+    others: Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Policy file that flies another fleet of agents, in place of the baseline."""
     envs: Annotated[int | None, tyro.conf.arg(help_behavior_hint="(default: as suits the task, 64 to 512)")] = None
     """Number of episodes side by side, 1 to 65536."""
     set: Annotated[Repeated, tyro.conf.arg(metavar="PATH=VALUE", help_behavior_hint="(default: none)")] = field(
@@ -77,6 +88,7 @@ class Train:
         from qrsim.studies.learn.training import Training
 
         seconds = None if self.minutes is None else 60.0 * self.minutes
+        started = {} if self.start is None else {"start": None if self.start == NOTHING else self.start}
         plan = plan_of(
             self.task,
             tuple(self.set),
@@ -85,11 +97,14 @@ class Train:
             steps=self.steps,
             seconds=seconds,
             integral=self.integral,
+            fleet=self.fleet,
+            others=self.others,
+            **started,
         )
         folder = self.out or Path("runs") / f"{_name_of(plan)}-policy-seed{self.seed}"
         if folder.exists() and not self.resume and not (folder.is_dir() and not any(folder.iterdir())):
             raise UsageError(f"{folder} exists and is never overwritten; choose another --out, or add --resume")
-        training = Training(plan)
+        training = Training(plan, begins=not self.resume)
         if not self.resume:
             make_folder(folder)
         elif warning := restore(training, folder):
@@ -132,6 +147,9 @@ class Train:
             raise UsageError(f"--steps {self.steps}: expected 1 to {MOST_STEPS}")
         if self.minutes is not None and not (math.isfinite(self.minutes) and self.minutes > 0.0):
             raise UsageError(f"--minutes {self.minutes:g}: expected a positive number")
+        if self.start not in (None, *STARTS) and not self.start.endswith(".npz"):
+            hint = did_you_mean(self.start, STARTS)
+            raise UsageError(f"--start {self.start}: expected {', '.join(STARTS)} or a policy file (.npz){hint}")
         if self.envs is not None and not 1 <= self.envs <= MOST_ENVS:
             raise UsageError(f"--envs {self.envs}: expected 1 to {MOST_ENVS}")
 

@@ -157,8 +157,8 @@ def _check_folder(folder: Path) -> None:
 
 @contextmanager
 def _progress(parts: list[Part]) -> Iterator[Callable[[Part], None] | None]:
-    """Show which part of the validation runs while the context lasts; yield the function that marks a part as done, or
-    None."""
+    """Show which part of the validation runs in the context, on a terminal only; yield the function that marks a part
+    as done, or None."""
     if not sys.stderr.isatty():
         yield None
         return

@@ -114,7 +114,7 @@ class View:
             self._film(recording, self.video, self.at or 0.0)
 
     def _opened(self) -> Recording | Several:
-        """Open the recorded runs, print which options do not fit them, and add image and colours."""
+        """Open the recorded runs, print warnings about what is not shown as flown, and add image and colours."""
         from qrsim.runs import open_run
         from qrsim.view.several import open_several
 
@@ -197,7 +197,7 @@ class View:
                 frame = recording.frame(time)
                 remember_paths(scene, recording, frame.time)
                 scene.draw(frame)
-                return f"{recording.heading}, {frame.time:.1f} s"
+                return f"{recording.heading}, {frame.time:.2f} s"
 
             record_video(server, path, times, self._pixels, draw, lambda done: update(completed=done, total=len(times)))
         print(path)
@@ -211,7 +211,8 @@ class View:
 
     @contextmanager
     def _staged(self, recording: Recording | Several, time: float) -> Iterator[tuple[ViserServer, Scene]]:
-        """In the context, serve a 3-D scene of the recording at a time [s]; yield its server and scene."""
+        """In the context, serve a 3-D scene of the recording at a time [s], with the options' camera, layers, colour
+        and image; yield its server and scene."""
         from qrsim.view.replay import remember_paths
         from qrsim.view.scene import Scene
         from qrsim.view.server import start_server
@@ -247,8 +248,6 @@ class View:
         """Serve the 3-D page of the runs until Ctrl-C; the page shows a note while they are being loaded."""
         from qrsim.view.clock import SPEEDS, Clock
         from qrsim.view.loading import show_loading
-        from qrsim.view.page import Page
-        from qrsim.view.replay import Replay
         from qrsim.view.server import address, start_server
 
         # Options can be wrong for these runs, which is an error before there is a page.
@@ -265,6 +264,10 @@ class View:
                 if sys.stdout.isatty():
                     print(f"loading {names}: {address(server)}", flush=True)
                 recording = self._opened()
+            # These take most of the time of a start, which the page is there for already.
+            from qrsim.view.page import Page
+            from qrsim.view.replay import Replay
+
             page = Page(server, recording.cast, recording.world, recording.heading, clock, recording.imagery)
             replay = Replay(recording, page, clock, self.at or 0.0, self.colour)
             stop = threading.Event()

@@ -62,24 +62,42 @@ def sincos_ratio(x: Array, rounding: Rounding = freely) -> tuple[Array, Array, A
     """
     if x.dtype != jnp.float32:
         return jnp.sin(x), jnp.cos(x), jnp.ones_like(x)
+    quadrant, sine, cosine, scale = _reduced(x, rounding)
+    swap = (quadrant & 1) == 1
+    sin_part, cos_part = jnp.where(swap, cosine, sine), jnp.where(swap, sine, cosine)
+    sin_part = jnp.where((quadrant & 2) == 2, -sin_part, sin_part)
+    cos_part = jnp.where(((quadrant + 1) & 2) == 2, -cos_part, cos_part)
+    return sin_part, cos_part, scale
+
+
+def sine_ratio(x: Array, quarters: Array, rounding: Rounding = freely) -> tuple[Array, Array]:
+    """Return (a, c) with sin(x + quarters pi/2) = a/c of float32 x; to the bit those of ``sincos_ratio``.
+
+    Args:
+        x: (...) [rad].
+        quarters: (...) int32 quarter turns; with 1 it is the cosine.
+        rounding: see ``rounded``.
+    """
+    quadrant, sine, cosine, scale = _reduced(x, rounding)
+    turned = quadrant + quarters
+    part = jnp.where((turned & 1) == 1, cosine, sine)
+    return jnp.where((turned & 2) == 2, -part, part), scale
+
+
+def _reduced(x: Array, rounding: Rounding) -> tuple[Array, Array, Array, Array]:
+    """Return the quadrant (int32) of float32 x [rad], and sine and cosine of the angle in it with their denominator."""
     # Added to a number below 2**22, this leaves the nearest whole one in the last bits; quicker than to convert it.
     shifted = lax.stop_gradient(rounding(x * (2.0 / math.pi)) + _SHIFT)
     # Marked, or XLA takes a number plus another minus the same for itself.
     turns = rounded(shifted) - _SHIFT
     half = 0.5 * (((x - turns * _PIO2_HIGH) - turns * _PIO2_MID) - turns * _PIO2_LOW)
-    quadrant = lax.bitcast_convert_type(shifted, jnp.int32)
     z = half * half
     # Chebyshev fit of tan(y)/y on |y| <= pi/8, relative error 2e-9.
     t = rounding(
         half * _polynomial(z, (0.025671956095, 0.05343703505, 0.133363104741, 0.333332753321, 1.000000001803), rounding)
     )
     square = rounding(t * t)
-    sine, cosine = t + t, 1.0 - square
-    swap = (quadrant & 1) == 1
-    sin_part, cos_part = jnp.where(swap, cosine, sine), jnp.where(swap, sine, cosine)
-    sin_part = jnp.where((quadrant & 2) == 2, -sin_part, sin_part)
-    cos_part = jnp.where(((quadrant + 1) & 2) == 2, -cos_part, cos_part)
-    return sin_part, cos_part, 1.0 + square
+    return lax.bitcast_convert_type(shifted, jnp.int32), t + t, 1.0 - square, 1.0 + square
 
 
 def _sincos(x: Array) -> tuple[Array, Array]:

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from jax import Array, lax
 
-from qrsim.core.fastmath import exp, log, log_f32, rounded, sincos_ratio
+from qrsim.core.fastmath import exp, log, log_f32, rounded, sincos_ratio, sine_ratio
 from qrsim.core.primitives import Kernel
 from qrsim.core.tree import quantity, record, setting
 
@@ -84,19 +84,32 @@ def _box_muller(words: tuple[Array, Array], dtype: jnp.dtype) -> tuple[Array, Ar
 
 def _normals(*words: Array, dtype: jnp.dtype) -> tuple[Array, Array]:
     """Return two independent standard normals from two random uint32 words, by the Box-Muller transform."""
-    # Shifted to 31 bits because signed conversion is one vector instruction everywhere.
-    uniform = ((words[0] >> 1).astype(jnp.int32).astype(dtype) + 0.5) * 2.0**-31
-    # The angle lies in [-pi, pi): all 32 bits, read as a signed number.
-    angle = rounded(lax.bitcast_convert_type(words[1], jnp.int32).astype(dtype) * (math.pi * 2.0**-31))
-    logarithm = log_f32(uniform, rounded) if dtype == jnp.float32 else log(uniform)
-    radius = jnp.sqrt(jnp.maximum(-2.0 * logarithm, 0.0))
+    radius, angle = _polar(*words, dtype=dtype)
     sine, cosine, scale = sincos_ratio(angle, rounded)
     # Divisions last, because XLA on a CPU repeats anything cheaper inside every consumer of the result: with
     # multiplications a step would compute its words some thirty times over.
     return radius * cosine / scale, radius * sine / scale
 
 
+def _polar(*words: Array, dtype: jnp.dtype) -> tuple[Array, Array]:
+    """Return the radius and the angle [rad] of two normals from two random words."""
+    # Shifted to 31 bits because signed conversion is one vector instruction everywhere.
+    uniform = ((words[0] >> 1).astype(jnp.int32).astype(dtype) + 0.5) * 2.0**-31
+    # The angle lies in [-pi, pi): all 32 bits, read as a signed number.
+    angle = rounded(lax.bitcast_convert_type(words[1], jnp.int32).astype(dtype) * (math.pi * 2.0**-31))
+    logarithm = log_f32(uniform, rounded) if dtype == jnp.float32 else log(uniform)
+    return jnp.sqrt(jnp.maximum(-2.0 * logarithm, 0.0)), angle
+
+
+def _one_normal(first: Array, second: Array, quarters: Array) -> tuple[Array]:
+    """Return a tuple of the first (quarters 1) or second (0) of the two float32 normals of two random words."""
+    radius, angle = _polar(first, second, dtype=jnp.dtype(jnp.float32))
+    part, scale = sine_ratio(angle, quarters, rounded)
+    return (radius * part / scale,)
+
+
 _NORMALS = Kernel("normals", ("uint32",) * 2, ("float32",) * 2, partial(_normals, dtype=jnp.dtype(jnp.float32)))
+_NORMAL = Kernel("one_normal", ("uint32", "uint32", "int32"), ("float32",), _one_normal)
 
 
 @lru_cache(maxsize=1024)
@@ -212,9 +225,13 @@ class Stream:
         """Return two independent standard normals (K, n) at a tick for each draw number in ``pairs`` (K,) uint32."""
         return _box_muller(self._words_of(tick, pairs), dtype)
 
-    def normals_of(self, tick: Array, pairs: Array, dtype: jnp.dtype) -> tuple[Array, Array]:
-        """Return two standard normals (...) at a tick for each draw number in ``pairs`` (...), of a one-id stream."""
-        return _box_muller(self.words(tick, pairs), dtype)
+    def normals_of(self, tick: Array, pairs: Array, second: Array, dtype: jnp.dtype) -> Array:
+        """Return the first or ``second`` normal (...) of each draw number in ``pairs`` (...), of a one-id stream."""
+        words = self.words(tick, pairs)
+        if dtype != jnp.float32:
+            return jnp.where(second, *_box_muller(words, dtype)[::-1])
+        normal: Array = _NORMAL(*words, jnp.where(second, 0, 1))[0]
+        return normal
 
     def uniform_pairs(self, tick: Array, pairs: Array, dtype: jnp.dtype) -> tuple[Array, Array]:
         """Return two uniform numbers (K, n) of mean 0 and variance 1 for each draw number in ``pairs`` (K,) uint32.

@@ -241,8 +241,10 @@ class LlvmProgram:
         if self._program is None or self._program.own.count != count:
             self._program = self._make(own=Lanes(self._own_layout, count, self._mode))
         own = self._program.own
-        own.fill(leaves if worlds is not None else [leaf[None] for leaf in leaves])
-        if worlds is None:
+        if worlds is not None:
+            own.fill(leaves)
+        else:
+            own.fill_only(leaves)
             # A command for one world is handed over at every step, where a copy leaf by leaf would count.
             self._flat = own.flat
 

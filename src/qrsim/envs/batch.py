@@ -73,6 +73,7 @@ class Batch:
 
     Attributes:
         functional: what is played.
+        agents: names of the n agents.
         sides: the agents by fleet.
         axes: the numbers of an action of each agent (n,).
         width: how many numbers an action has in an array of all agents (A), the largest number of axes.
@@ -94,6 +95,8 @@ class Batch:
             raise UsageError(f"num_envs: {size!r} is not a positive whole number")
         use_compilation_cache()
         self.functional = self._full = Functional.of(scenario, overrides, precision)
+        # Kept, because to find them takes a quarter of a step of many episodes.
+        self.agents = self.functional.agents
         self.sides: tuple[Side, ...] = self.functional.play.sides
         self.axes: tuple[tuple[Axis, ...], ...] = axes_of_agents(self.sides)
         self.width, self.size = self.functional.play.width, int(size)
@@ -235,12 +238,12 @@ class Batch:
         """Return text that says which agent, episode and step a wrong value of a task comes from."""
         task = type(self.functional.play.task).__name__
         series = f"episode {self.numbers[row]} of seed {self.seeds[row]}"
-        agents = self.functional.agents
+        agents = self.agents
         return f"{self.functional.name}: task {task}: step {self._steps[row]}, {series}, '{agents[agent]}'"
 
     def checked(self, action: object, who: str) -> Floats:
         """Return actions as an array (B, n, A); raises UsageError for a wrong shape or value."""
-        agents = self.functional.agents
+        agents = self.agents
         shape = (self.size, len(agents), self.width)
         try:
             array = np.asarray(numbers(action, who, shape), self.dtype)
@@ -314,12 +317,12 @@ class Batch:
             raise UsageError("the environment has not started: call reset() first")
         checked = self._answer(answers, (len(rows), len(agents)))
         if self._answers is None:
-            self._answers = np.zeros((self.size, len(self.functional.agents), *self.answer_shape), self.dtype)
+            self._answers = np.zeros((self.size, len(self.agents), *self.answer_shape), self.dtype)
         self._answers[np.ix_(rows, agents)] = checked
 
     def scores(self, rows: Floats) -> Floats:
         """Return the scores (b, n) of the stored answers of episodes; missing answers count as zeros."""
-        agents = len(self.functional.agents)
+        agents = len(self.agents)
         if not self.functional.play.task.hands_in:
             return np.zeros((len(rows), agents))
         nothing = np.zeros((agents, *self.answer_shape), self.dtype)
@@ -333,7 +336,7 @@ class Batch:
             UsageError: another shape, or something that is not finite.
             RunError: the score is NaN or infinite.
         """
-        array = self._answer(answer, (len(self.functional.agents),))
+        array = self._answer(answer, (len(self.agents),))
         with self._precision_context():
             found = score(self.functional.play, self.episodes.episode(row), array)
         if not np.isfinite(found).all():

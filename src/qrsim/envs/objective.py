@@ -11,7 +11,8 @@ Searches by numbers: of the distance to the nearest missing person, and ``MISSIN
 Formations: of the distance from the place in it.
 Pursuits: of the distance beyond that of a catch; less room than ``ROOM`` to the mouse or a cat costs too, and a mouse
 far from the middle of the area lowers the potential. Half of it is each cat's own and half the mean of all cats. A
-decision of 1 s counts as one, so a crash costs more, and the unit is smaller.
+decision of 1 s counts as one, so a crash costs more, and the unit is smaller. A mouse that is an agent gains what the
+distances to all cats cost these, in the mean, and pays for the same places and for the same lack of room.
 Other tasks: the task's reward over the running standard deviation of its discounted sum.
 """
 
@@ -23,9 +24,9 @@ import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.envs.batch import Batch
+from qrsim.envs.one_side import OneSide
 from qrsim.tasks.formation import KeepFormation
 from qrsim.tasks.landing import Land
-from qrsim.tasks.learned import observed_names
 from qrsim.tasks.pursuit import Pursuit
 from qrsim.tasks.search import Search
 from qrsim.tasks.simple import KeepSpot, KeepVelocity
@@ -60,10 +61,10 @@ LARGEST = 10.0
 class Objective(Protocol):
     """Reward of the learner."""
 
-    def begin(self, batch: Batch, ended: Floats | None = None) -> None:
+    def begin(self, batch: Batch | OneSide, ended: Floats | None = None) -> None:
         """Store the batch's values at the start of episodes, in rows ``ended`` (N,) or, for None, in all."""
 
-    def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
+    def reward(self, batch: Batch | OneSide, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
         """Return the learner's rewards (N,) for a step with the task's rewards (B, n) and ends (B,)."""
 
     def state(self) -> dict[str, Floats]:
@@ -73,7 +74,7 @@ class Objective(Protocol):
         """Set the state that ``state`` returned."""
 
 
-def objective_of(batch: Batch, discount: float) -> Objective:
+def objective_of(batch: Batch | OneSide, discount: float) -> Objective:
     """Return the learner's reward for a task."""
     task = batch.functional.play.task
     if isinstance(task, Land):
@@ -86,6 +87,8 @@ def objective_of(batch: Batch, discount: float) -> Objective:
         return InFormation(batch, discount)
     if isinstance(task, Search):
         return Searched(batch, discount)
+    if isinstance(task, Pursuit) and task.mouse == "agent" and batch.agents == batch.functional.play.sides[-1].names:
+        return Escaped(batch, discount)
     if isinstance(task, Pursuit) and not task.senses:
         return Caught(batch, discount)
     return Scaled(batch, discount)
@@ -100,33 +103,38 @@ class Reached:
 
     crash, pull, longest, scale = CRASH, PULL, LONGEST, SCALE
 
-    def __init__(self, batch: Batch, discount: float):
+    def __init__(self, batch: Batch | OneSide, discount: float):
         self._discount = discount
         # Of longer decisions too, as values are sums over decisions.
         self._seconds = min(batch.functional.play.task.period, self.longest)
         self._potential = np.zeros(0)
 
-    def begin(self, batch: Batch, ended: Floats | None = None) -> None:
+    def begin(self, batch: Batch | OneSide, ended: Floats | None = None) -> None:
         """Store the agents' potentials at the start of episodes."""
         self._potential = self.potential(batch, self.errors(batch))
 
-    def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
+    def reward(self, batch: Batch | OneSide, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
         """Return the rewards (N,) of a step."""
         before, error = self._potential, self.errors(batch)
         now = self._potential = self.potential(batch, error)
         crashed = np.repeat(terminated, reward.shape[1])
         effort = EFFORT * np.square(outputs).sum(axis=1)
         potential = before - self._discount * np.where(crashed, 0.0, now)
-        cost = self._seconds * (np.log1p(error * error) + self.pull * error + effort + self.crowding(batch))
+        cost = self._seconds * (self.cost(error) + effort + self.crowding(batch))
         found: Floats = (self.scale * (potential - cost - self.crash * crashed)).astype(np.float32)
         return self.shared(found, reward.shape[1])
 
-    def potential(self, batch: Batch, error: Floats) -> Floats:
+    def cost(self, error: Floats) -> Floats:
+        """Return the cost (N,) of errors (N,) per second."""
+        found: Floats = np.log1p(error * error) + self.pull * error
+        return found
+
+    def potential(self, batch: Batch | OneSide, error: Floats) -> Floats:
         """Return minus the potentials (N,) for errors (N,)."""
         found: Floats = POTENTIAL * error
         return found
 
-    def crowding(self, batch: Batch) -> Floats | float:
+    def crowding(self, batch: Batch | OneSide) -> Floats | float:
         """Return the cost of each agent's lack of room per second, (N,) or 0."""
         return 0.0
 
@@ -134,7 +142,7 @@ class Reached:
         """Return the rewards (N,) unchanged: each agent's own."""
         return reward
 
-    def errors(self, batch: Batch) -> Floats:
+    def errors(self, batch: Batch | OneSide) -> Floats:
         """Return the agents' true distances (N,) from their goals [m]."""
         goal = batch.seen[..., 9:12] + batch.seen[..., 0:3]
         return _length(goal - batch.truth["position_ned"])
@@ -150,21 +158,21 @@ class Reached:
 class Steady(Reached):
     """Reward for a small true error of velocity, and a small drift: an error that lasts leads out of the area."""
 
-    def __init__(self, batch: Batch, discount: float):
+    def __init__(self, batch: Batch | OneSide, discount: float):
         super().__init__(batch, discount)
-        self._drift = np.zeros((batch.size * len(batch.functional.agents), 3))
+        self._drift = np.zeros((batch.size * len(batch.agents), 3))
 
-    def begin(self, batch: Batch, ended: Floats | None = None) -> None:
+    def begin(self, batch: Batch | OneSide, ended: Floats | None = None) -> None:
         """Store the agents' errors, and set the drift of new episodes to zero."""
         self._drift[slice(None) if ended is None else ended] = 0.0
         super().begin(batch, ended)
 
-    def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
+    def reward(self, batch: Batch | OneSide, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
         """Return the rewards (N,), after the drift of this step."""
         self._drift += batch.functional.play.task.period * _lacking(batch)
         return super().reward(batch, reward, terminated, outputs)
 
-    def errors(self, batch: Batch) -> Floats:
+    def errors(self, batch: Batch | OneSide) -> Floats:
         """Return the agents' true errors (N,) of velocity, and ``DRIFT`` of the integral of each [m/s]."""
         found: Floats = _length(_lacking(batch)) + DRIFT * _length(self._drift)
         return found
@@ -175,7 +183,7 @@ class Landed(Reached):
 
     crash = CRASH_IN_LANDING
 
-    def errors(self, batch: Batch) -> Floats:
+    def errors(self, batch: Batch | OneSide) -> Floats:
         """Return the true distances (N,) from the pad [m], ``OFF_GROUND`` more for a vehicle that moves."""
         moves = _length(batch.truth["velocity_body"]) > 0.0
         found: Floats = Reached.errors(self, batch) + OFF_GROUND * moves
@@ -185,7 +193,7 @@ class Landed(Reached):
 class InFormation(Reached):
     """Reward for a small true distance from a place in a formation."""
 
-    def errors(self, batch: Batch) -> Floats:
+    def errors(self, batch: Batch | OneSide) -> Floats:
         """Return the agents' true distances (N,) from their places [m]."""
         return _length(batch.truth["to_place_ned"])
 
@@ -195,11 +203,11 @@ class Searched(Reached):
 
     crash = CRASH_IN_LANDING
 
-    def __init__(self, batch: Batch, discount: float):
+    def __init__(self, batch: Batch | OneSide, discount: float):
         super().__init__(batch, discount)
         self._reach = float(cast(Any, batch.functional.play.world.contents.persons).found_distance)
 
-    def errors(self, batch: Batch) -> Floats:
+    def errors(self, batch: Batch | OneSide) -> Floats:
         """Return the distances (N,) [m] beyond that of finding, ``MISSING`` more for each other missing person."""
         missing = batch.truth["missing"].ravel()
         away = np.maximum(_length(batch.truth["to_person_ned"]) - self._reach, 0.0) + UNFOUND
@@ -212,11 +220,12 @@ class Caught(Reached):
 
     crash, pull, longest, scale = CRASH_IN_PURSUIT, PULL_IN_PURSUIT, LONGEST_IN_PURSUIT, SCALE_IN_PURSUIT
 
-    def __init__(self, batch: Batch, discount: float):
+    def __init__(self, batch: Batch | OneSide, discount: float):
         super().__init__(batch, discount)
         play = batch.functional.play
         task, area = cast(Any, play.task), cast(Any, play.world.area)
-        self._mice = sum(name.startswith("mouse_") for name in observed_names(play)) // 2
+        sizes = {fleet.name: fleet.size for fleet in play.world.fleets}
+        self._opponents = sizes[self.opponents(task)]
         self._catch = float(task.reach) * float(play.world.collision_distance)
         # Of areas of other shapes no middle is known.
         self._middle, self._inner = np.zeros(2), np.inf
@@ -224,25 +233,34 @@ class Caught(Reached):
             low, high = np.array([[area.x_min, area.y_min], [area.x_max, area.y_max]], float)
             self._middle, self._inner = 0.5 * (low + high), INNER * 0.5 * float((high - low).min())
 
-    def errors(self, batch: Batch) -> Floats:
+    def errors(self, batch: Batch | OneSide) -> Floats:
         """Return the observed distances (N,) [m] to the nearest mouse less that of a catch, at least 0."""
-        found: Floats = np.maximum(self._distances(batch)[:, : self._mice].min(axis=1) - self._catch, 0.0)
+        found: Floats = np.maximum(self._distances(batch)[:, : self._opponents].min(axis=1) - self._catch, 0.0)
         return found
 
-    def potential(self, batch: Batch, error: Floats) -> Floats:
+    def potential(self, batch: Batch | OneSide, error: Floats) -> Floats:
         """Return minus the potentials (N,) for errors (N,), and the mouse's places."""
-        mouse = batch.seen[..., 0:2] + batch.seen[..., 4:6] - self._middle
-        outside = np.maximum(np.sqrt(np.square(mouse).sum(axis=-1)).ravel() - self._inner, 0.0)
-        found: Floats = super().potential(batch, error) + OUTWARD * outside
+        found: Floats = super().potential(batch, error) + self._outside(batch.seen[..., 0:2] + batch.seen[..., 4:6])
         return found
 
-    def crowding(self, batch: Batch) -> Floats:
+    @staticmethod
+    def opponents(task: Pursuit) -> str:
+        """Return the name of the fleet to catch."""
+        return task.prey
+
+    def _outside(self, mouse: Floats) -> Floats:
+        """Return the fall of the potential (N,) for places (..., 2) of mice [m]."""
+        away = np.sqrt(np.square(mouse - self._middle).sum(axis=-1)).ravel()
+        found: Floats = OUTWARD * np.maximum(away - self._inner, 0.0)
+        return found
+
+    def crowding(self, batch: Batch | OneSide) -> Floats:
         """Return the cost (N,) of each cat's lack of room per second."""
         lacking = np.maximum(ROOM - self._distances(batch).min(axis=1), 0.0)
         found: Floats = CROWDED * lacking * lacking
         return found
 
-    def _distances(self, batch: Batch) -> Floats:
+    def _distances(self, batch: Batch | OneSide) -> Floats:
         """Return the observed distances (N, m + n - 1) [m] to the mice and the other cats."""
         offsets = batch.seen[..., 4:].reshape(-1, (batch.seen.shape[-1] - 4) // 2, 2)
         found: Floats = np.sqrt(np.square(offsets).sum(axis=-1))
@@ -255,7 +273,30 @@ class Caught(Reached):
         return found
 
 
-def _lacking(batch: Batch) -> Floats:
+class Escaped(Caught):
+    """Reward for mice far from all cats, by the offsets that they observe."""
+
+    @staticmethod
+    def opponents(task: Pursuit) -> str:
+        """Return the name of the fleet to escape from."""
+        return task.fleet
+
+    def errors(self, batch: Batch | OneSide) -> Floats:
+        """Return the observed distances (N, m) [m] to the cats less that of a catch, at least 0."""
+        found: Floats = np.maximum(self._distances(batch)[:, : self._opponents] - self._catch, 0.0)
+        return found
+
+    def cost(self, error: Floats) -> Floats:
+        """Return minus the mean cost (N,) of the cats with errors (N, m) per second."""
+        found: Floats = -super().cost(error).mean(axis=1)
+        return found
+
+    def potential(self, batch: Batch | OneSide, error: Floats) -> Floats:
+        """Return minus the potentials (N,) of the mice's own places."""
+        return self._outside(batch.seen[..., 0:2])
+
+
+def _lacking(batch: Batch | OneSide) -> Floats:
     """Return the wanted velocities minus the true ones, (N, 3) NED [m/s]."""
     wanted = batch.seen[..., 9:12] + batch.seen[..., 3:6]
     found: Floats = (wanted - _velocity_ned(batch.truth)).reshape(-1, 3)
@@ -282,19 +323,19 @@ def _velocity_ned(truth: dict[str, Floats]) -> Floats:
 class Scaled:
     """The task's own reward over the running standard deviation of its discounted sum."""
 
-    def __init__(self, batch: Batch, discount: float):
+    def __init__(self, batch: Batch | OneSide, discount: float):
         self._discount = discount
         self._sum = np.zeros(0)
         # Number of sums, their mean, and the sum of their squared differences from it.
         self._count, self._mean, self._squares = 1e-4, 0.0, 1e-4
 
-    def begin(self, batch: Batch, ended: Floats | None = None) -> None:
+    def begin(self, batch: Batch | OneSide, ended: Floats | None = None) -> None:
         """Allocate the running returns, on the first call."""
-        size = batch.size * len(batch.functional.agents)
+        size = batch.size * len(batch.agents)
         if len(self._sum) != size:
             self._sum = np.zeros(size)
 
-    def reward(self, batch: Batch, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
+    def reward(self, batch: Batch | OneSide, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
         """Return the task's rewards (N,), scaled by the standard deviation of discounted returns."""
         given = reward.astype(np.float64).ravel()
         self._sum = self._discount * self._sum + given

@@ -11,6 +11,7 @@ from qrsim.envs.scoring import neutral
 from qrsim.errors import UsageError
 from qrsim.tasks.learned import View, observed_names
 from qrsim.tasks.search import Search
+from qrsim.tasks.teams import side_of_fleet
 
 # Wanted time between two decisions [s]; a task with longer steps has one for each.
 DECISION = 0.1
@@ -19,6 +20,7 @@ REACHES = {"pitch": 0.3, "roll": 0.3, "throttle": 0.2, "yaw_rate": 0.05}
 # What is commanded in the vehicle's own axes, which makes a policy turn with its heading.
 BODY = ("pitch", "roll")
 # A pursuer sees and moves relative to the direction of the first mouse, as it looks alike from all sides.
+AHEAD_OF_MOUSE = ("cat_0_offset_north", "cat_0_offset_east")
 AHEAD, LEVEL = ("mouse_0_offset_north", "mouse_0_offset_east"), ("velocity_north", "velocity_east")
 # Beginnings of the names of observed errors, whose integral makes up for a constant wind.
 INTEGRATED = ("to_", "wanting_")
@@ -26,27 +28,36 @@ INTEGRATED = ("to_", "wanting_")
 GIVEN = ("battery",)
 
 
-def view_of(functional: Functional, integral: bool = False) -> View:
+def view_of(functional: Functional, integral: bool = False, fleet: str | None = None) -> View:
     """Return the learner's view of a task: inputs, outputs, and the time between decisions.
 
     Args:
         functional: the task.
         integral: the integral of the offset to the goal, or of the missing velocity, is an input too.
+        fleet: name of the one that learns, of several.
 
     Raises:
-        UsageError: a policy of this kind cannot fly the task.
+        UsageError: a policy of this kind cannot fly the task, or it does not say which fleet learns.
     """
     play, name = functional.play, functional.name
     if play.task.hands_in:
         raise UsageError(f"{name}: its score is of an answer that agents hand in, which a learned policy does not give")
+    several = len(play.sides) > 1
+    if several and fleet is None:
+        fleets = ", ".join(side.fleet for side in play.sides)
+        raise UsageError(f"{name}: agents are of the fleets {fleets}; choose the one that learns by --fleet")
+    if not several and fleet is not None:
+        raise UsageError(f"--fleet {fleet}: {name} has agents of {play.sides[0].fleet} only")
+    side = side_of_fleet(play.sides, fleet)
     try:
-        observed = observed_names(play)
+        observed = observed_names(play, fleet)
     except UsageError as error:
         hint = "; task.observes=likeliest gives numbers" if isinstance(play.task, Search) else ""
         raise UsageError(f"{name}: {error}{hint}") from None
-    acts = tuple(axis.name for axis in play.axes)
+    acts = tuple(axis.name for axis in side.axes)
     turns = "yaw" in observed and all(axis in acts for axis in BODY)
-    chases = AHEAD[0] in observed and all(axis in acts for axis in LEVEL)
+    towards = next((pair for pair in (AHEAD, AHEAD_OF_MOUSE) if pair[0] in observed), None)
+    chases = towards is not None and all(axis in acts for axis in LEVEL)
     summed = tuple(number for number, name in enumerate(observed) if name.startswith(INTEGRATED)) if integral else ()
     if integral and not summed:
         raise UsageError(f"{name}: it observes no offset to a goal or velocity that an integral could be taken of")
@@ -70,9 +81,10 @@ def view_of(functional: Functional, integral: bool = False) -> View:
         pairs=pairs,
         yaw=observed.index("yaw") if turns else None,
         flown=flown,
-        centre=tuple(round(neutral(play, axis), 6) for axis in play.axes),
+        centre=tuple(round(neutral(play, axis), 6) for axis in side.axes),
         reach=tuple(REACHES.get(act, 1.0) for act in acts),
-        ahead=(observed.index(AHEAD[0]), observed.index(AHEAD[1])) if chases else None,
+        ahead=(observed.index(towards[0]), observed.index(towards[1])) if chases and towards is not None else None,
+        fleet=fleet if several else None,
         turned=(flown.index(acts.index(LEVEL[0])), flown.index(acts.index(LEVEL[1]))) if chases else None,
         summed=summed,
     )

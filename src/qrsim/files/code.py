@@ -46,8 +46,8 @@ def anchored(source: str, folder: Path) -> str:
 
 
 def load_object(what: str, source: str, words: Sequence[str] = (), *, kind: str = "function") -> Any:
-    """Import ``module:name`` or ``file.py:name`` and return the object; raises UsageError, beginning with ``what``, if
-    that fails.
+    """Import ``module:name``, also from the working folder, or ``file.py:name``, and return the object; raises
+    UsageError, beginning with ``what``, if that fails.
 
     A file that has changed since it was loaded is loaded anew.
 
@@ -178,7 +178,8 @@ def _failed(error: BaseException, files: list[str]) -> str:
 
 
 def _import_file(what: str, path: Path) -> ModuleType:
-    """Import a Python file as a module, and return it; raises UsageError, beginning with ``what``."""
+    """Import a Python file as a module with the file's digest in its name, and return it; raises UsageError, beginning
+    with ``what``."""
     if not path.exists():
         near = [str(other) for other in path.parent.glob("*.py")] if path.parent.is_dir() else []
         hint = did_you_mean(str(path), near)

@@ -137,7 +137,8 @@ class Child:
 
 
 def in_child(function: Callable[..., T], *arguments: object, memory: int = MEMORY, seconds: float = LONGEST_S) -> T:
-    """Call a function in a new child process, with limits on memory [bytes] and time [s], and return its result."""
+    """Call a function in a new child process, with limits on memory [bytes] and time [s], and return its result; errors
+    are those of ``Child``."""
     with Child(memory, seconds) as child:
         return child.call(function, *arguments)
 

@@ -13,8 +13,8 @@ from qrsim.errors import UsageError
 
 
 def read_arrays(file: str, data: bytes, most_numbers: int) -> dict[str, np.ndarray[Any, Any]]:
-    """Return the arrays of an archive by ``numpy.savez``, by name, with at most ``most_numbers`` numbers; ``file``: for
-    messages.
+    """Return the arrays, by name, of an archive by ``numpy.savez`` or ``savez_compressed``, each of at most
+    ``most_numbers`` numbers; ``file``: for messages.
 
     Args:
         file: its name, for messages.

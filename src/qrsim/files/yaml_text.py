@@ -162,7 +162,7 @@ class _Builder:
             self.anchors[anchor] = value, size, _depth(value)
 
     def _of_alias(self, event: Any) -> object:
-        """Return a copy of the value that an alias names; raises an error for an undefined anchor."""
+        """Return an independent copy of the value that an alias names; raises an error for an undefined anchor."""
         name, mark = event.anchor, event.start_mark
         if any(part.anchor == name for part in self.stack) and name not in self.anchors:
             raise _FaultError(f"'*{name}' stands inside of what it stands for", mark)
@@ -175,8 +175,8 @@ class _Builder:
         return _copied(value)
 
     def _place(self, value: object, mark: object, plain: str = "") -> None:
-        """Add a value to the list or mapping that is open, as an element, key or value; ``plain``: its text in the
-        document."""
+        """Store a value as the document's result, or in the open list or mapping as an element, key or value;
+        ``plain``: its text in the document."""
         if not self.stack:
             self.result = value
             return

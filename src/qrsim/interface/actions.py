@@ -276,7 +276,7 @@ class ActionChecker:
 
     def _cast(self, record: T, what: str, size: int) -> T:
         """Return a record with its fields as arrays (``size``,) of the simulation's dtype; raises UsageError, naming
-        ``what``."""
+        ``what``, for other shapes."""
         leaves, structure = jax.tree.flatten(record)
         # The usual case at once: to carry the names of fields along takes as long as a tick.
         if not self.traced and all(_is_row(leaf, size) for leaf in leaves):
@@ -312,8 +312,8 @@ class ActionChecker:
         return self._in_range(kind, [array[:, i] for i in range(len(kind.fields))], names, flying)
 
     def _all_fine(self, kind: CommandKind, array: Floats) -> bool:
-        """Return whether all commands (n, C) are finite and in range, a quick test before the search for a wrong
-        one."""
+        """Return whether all commands (n, C) are finite and, if values are checked, in range: a quick test before the
+        search for a wrong one."""
         if self.values != "checked":
             return bool(np.isfinite(array).all())
         # A field without limits may be anything but infinite.
@@ -380,7 +380,7 @@ def _arrays(record: object) -> object:
 
 
 def _part(flying: Flying, own: slice) -> Floats:
-    """Return which vehicles of a fleet still fly, (n,) bool; ``own``: the fleet's rows in the world."""
+    """Return which vehicles still fly, (n,) bool, for the rows ``own``."""
     return flying()[own]
 
 

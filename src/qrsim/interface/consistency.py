@@ -35,7 +35,7 @@ class Looks:
 
     def update(self, world: World, state: State, tick: Array, flying: Array) -> Looks:
         """Return the sums of normalised squared errors with a sample of the vehicles ``flying`` (n,) added every
-        ``EVERY_S`` [s]."""
+        ``EVERY_S`` [s]; NaN without a reported uncertainty."""
 
         def look() -> Looks:
             """Return the sums with the normalised squared errors at this tick added."""

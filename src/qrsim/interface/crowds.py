@@ -84,7 +84,8 @@ def overfull_of_fleets(world: World, state: State) -> npt.NDArray[np.int32] | No
 
 
 def warn_of_overfull(world: World, state: State) -> bool:
-    """Warn once about each radio, sensor or guidance whose search for neighbours overflowed; return whether any did.
+    """Warn once about each radio, sensor or guidance whose search for neighbours overflowed; return True if there are
+    such searches and none did.
 
     Args:
         world: its parameters.

@@ -104,7 +104,7 @@ def outboxes(say: Say, world: World, names: Sequence[Sequence[str]], dtype: obje
 
 
 def _owned(part: Array, traced: bool) -> Array:
-    """Return an array copied to contiguous memory of its own; a traced array is returned unchanged."""
+    """Return an array in contiguous memory; a traced array is returned unchanged."""
     return part if traced else cast(Array, np.ascontiguousarray(part))
 
 
@@ -128,7 +128,7 @@ def _receivers(to: object, n: int, world: World, library: Library, traced: bool)
 
 def receiver_number(name: object, names: Sequence[str], what: str = "say: to") -> int:
     """Return a vehicle's number in the world for its name or number, -1 for None (all); raises UsageError, beginning
-    with ``what``.
+    with ``what``, for unknown ones.
 
     Raises:
         UsageError: no vehicle has this name or number.

@@ -348,7 +348,8 @@ def _or_else(preferred: Vec3, other: Vec3) -> Vec3:
 
 
 def _distance_from_leg(offset: Vec3, start: Vec3, end: Vec3) -> Array:
-    """Return the distance (n,) [m] of a point from a leg, the segment ``start`` to ``end``, all relative to one origin.
+    """Return the distance (n,) [m] of a point from a leg, the segment ``start`` to ``end``, which may coincide;
+    ``offset``: the point minus ``start``.
 
     Args:
         offset: position minus start.

@@ -37,8 +37,8 @@ class Margin:
         return Margin(Extreme.none(like), jnp.full(like.shape, -1, jnp.int32))
 
     def update(self, distance: Array, leg: Array, tick: Array, position_ned: Vec3, counts: Array) -> Margin:
-        """Return the record with ``distance`` (n,) [m], leg, tick and position taken over where it is smaller and
-        ``counts`` is True."""
+        """Return the record with ``distance`` (n,) [m], leg, tick and position taken over where it is finite and
+        smaller and ``counts`` is True."""
         found = self.extreme.update(-distance, tick, position_ned, counts & jnp.isfinite(distance))
         return Margin(found, jnp.where(found.tick == tick, leg, self.leg))
 

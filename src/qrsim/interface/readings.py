@@ -157,7 +157,7 @@ class Reading(Tabled):
 
     @property
     def fleets(self) -> tuple[str, ...]:
-        """Names of all fleets in the world."""
+        """Names of the fleets that this object covers, or of which it covers a vehicle."""
         every = tuple(fleet.name for fleet in self._world.fleets)
         if self._only is None or self._only in every:
             return every if self._only is None else (self._only,)

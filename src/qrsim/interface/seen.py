@@ -181,7 +181,8 @@ class Seen:
                 return found
 
     def opened(self, numbers: object) -> object:
-        """Return a part of the state as arrays; ``numbers``: the part with each array replaced by its number."""
+        """Return a part of the state as arrays, or, for tuples and states, as a ``Part`` that unpacks on demand;
+        ``numbers``: the part with each array replaced by its number."""
         if isinstance(numbers, tuple | State | FleetState):
             return Part(self, numbers)
         part: object = jax.tree.map(self._leaf, numbers)

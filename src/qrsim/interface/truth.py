@@ -118,7 +118,8 @@ class Truth(Tabled):
 
     @property
     def command(self) -> Floats:
-        """Last command as flown (n, C), in each fleet's own fields, NaN where a fleet has fewer than C."""
+        """Last command as flown (n, C), in each fleet's own fields (quadrotor: pitch, roll, throttle, yaw rate,
+        battery); NaN where another fleet has more."""
         commands = [self._state.fleets[number].command for number in range(len(self._world.fleets))]
         sizes = [fleet.size for fleet in self._world.fleets]
         rows = [

@@ -122,8 +122,7 @@ class VehicleRows(Buffer):
             ) from None
 
     def _wrong_names(self, values: Mapping[str, object]) -> str:
-        """Return the error message that lists columns in ``values`` that are undeclared, and declared ones that are
-        missing."""
+        """Return the error message about the first undeclared column in ``values``; else about all missing columns."""
         for name in values:
             if name not in self.dtypes:
                 return f"stream '{self.stream}': no column '{name}' was declared{did_you_mean(name, self.dtypes)}"

@@ -52,7 +52,7 @@ def share(colour: Iterable[float]) -> tuple[float, float, float]:
 
 
 def on_scale(scale: Floats, part: Floats) -> Floats:
-    """Interpolate in a colour scale (K, 3) at positions (n,), 0 its start, 1 its end; return colours (n, 3), uint8."""
+    """Interpolate in a colour scale (K, 3) at positions (n,), clipped to 0 to 1; return colours (n, 3), uint8."""
     place = np.clip(part, 0.0, 1.0) * (len(scale) - 1)
     steps = np.arange(len(scale))
     return np.stack([np.interp(place, steps, scale[:, i]) for i in range(3)], axis=1).astype(np.uint8)

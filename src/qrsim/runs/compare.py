@@ -84,7 +84,7 @@ class StreamComparison:
 
     @property
     def same(self) -> bool:
-        """Whether no quantity of the stream differs between the runs by more than the tolerance."""
+        """Whether both runs logged the same ticks and quantities of the stream, equal within the tolerance."""
         return not (any(self.ticks_only) or any(self.columns_only) or self.other_units or self.differences)
 
 
@@ -371,7 +371,7 @@ def _injection_key(entry: Content) -> str:
 
 
 def _compare_events(first: Sequence[Event], second: Sequence[Event], tolerance: float) -> EventComparison:
-    """Pair two runs' events of equal time, vehicle, kind and field; return how many agree, and the others."""
+    """Pair two runs' events of equal time, vehicle, kind and field in order; return how many agree, and the others."""
     groups: dict[tuple[int, str, str, str], tuple[list[Event], list[Event]]] = {}
     for side, events in enumerate((first, second)):
         for event in events:

@@ -72,7 +72,7 @@ def named(folders: list[Path]) -> str:
 
 
 def which_one(folder: Path, folders: list[Path]) -> UsageError:
-    """Return the error for a folder of several episodes that was given where a single run is needed."""
+    """Return the error for a folder of episodes, several or none, that was given where a single run is needed."""
     if not folders:
         return UsageError(f"{folder} holds no episodes")
     return UsageError(f"{folder} holds {len(folders)} episodes, each a run folder: take one of {named(folders)}")

@@ -31,7 +31,7 @@ class Headline(NamedTuple):
 
 
 def headlines(run: Run) -> list[Headline]:
-    """Return a run's headline numbers (such as tracking error, energy); those that were not logged are left out.
+    """Return a run's headline numbers in fixed order, NaN for those not logged; [] if the log lacks columns in NEEDED.
 
     RMS values are the root of the mean square over the vehicles.
     """

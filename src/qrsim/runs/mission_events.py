@@ -53,7 +53,8 @@ class MissionWatch:
 
 
 def _progress(state: FleetState, row: int | slice = slice(None)) -> tuple[Array, Array] | None:
-    """Return each vehicle's count of late legs, and whether its mission is finished, (T, n); None without a mission."""
+    """Return each vehicle's count of late legs, and whether its mission is finished, (T, n) or, at one ``row``, (n,);
+    None without a mission."""
     now = state.guidance
     return (now.late[row], now.finished[row]) if isinstance(now, MissionState) else None
 

@@ -297,7 +297,7 @@ def held_places(setpoint: Floats) -> Floats:
 
 
 def _without_repeats(points: Floats) -> Floats:
-    """Return points (L, 2) in the order flown, without later repeats of a point."""
+    """Return the finite points (L, 2) in the order flown, without a point that repeats the one before."""
     points = points[np.isfinite(points).all(axis=1)]
     fresh = np.ones(len(points), bool)
     fresh[1:] = np.any(points[1:] != points[:-1], axis=1)

@@ -47,7 +47,7 @@ class Packets:
         return (self.sender >= 0) & (self.outcome == Outcome.HEARD)
 
     def part(self, rows: NumpyArray) -> Packets:
-        """Return the packets of selected periods, ``rows`` (P,)."""
+        """Return the packets of the periods with indices ``rows``."""
         return Packets(self.time[rows], self.sender[rows], self.outcome[rows], self.rssi[rows], self.flies[rows])
 
     def counts(self) -> tuple[NumpyArray, NumpyArray, NumpyArray]:
@@ -122,7 +122,7 @@ class Connectivity:
 
 
 def connectivity(packets: Packets, bins: int, radios: NumpyArray) -> Connectivity:
-    """Return radio connectivity in ``bins`` of time; two vehicles are linked if both received packets in the bin.
+    """Return radio connectivity in ``bins`` of time; a link is a pair that received packets both ways within a bin.
 
     Args:
         packets: of P periods.

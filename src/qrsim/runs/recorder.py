@@ -211,7 +211,7 @@ def fly(
 
 
 def _referee(scenario: Scenario, simulation: Simulation) -> Referee | None:
-    """Return the scorer of the scenario's task; None for a scenario without a score."""
+    """Return the scorer of the scenario's task; None for a scenario without a task."""
     if not scenario.steps:
         return None
     # Imported here, because most runs have none.

@@ -36,7 +36,7 @@ class Separation:
 
 
 def smallest_separation(run: Run) -> Separation | None:
-    """Return the smallest distance between two vehicles in the run, one of them moving; None without pairs.
+    """Return the smallest distance of any two vehicles, at least one of which moves; None without such pairs.
 
     It is of the logged ticks, and of pairs of which one moves in the run and has not stopped; as in a rollout, the
     other may have.
@@ -56,8 +56,7 @@ def smallest_separation(run: Run) -> Separation | None:
 
 
 def _nearer(position: Floats, active: NumpyArray, best: float) -> Iterator[tuple[float, int, tuple[int, int]]]:
-    """Yield (distance [m], tick, pair) for each pair closer than all before, and than ``best`` [m]; positions (T, n,
-    3).
+    """Yield (distance [m], tick, pair) of ever smaller distances below ``best`` [m] in positions (T, n, 3).
 
     Vehicles are sorted along the axis on which they spread farthest; those that are farther apart than the nearest
     pair along that axis alone are not compared.

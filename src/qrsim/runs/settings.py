@@ -47,7 +47,7 @@ def _differences(path: str, first: object, second: object) -> Iterator[Setting]:
 
 
 def _children(tree: object) -> Mapping[object, object] | None:
-    """Return the children of a nested mapping or list by key or index; None for a leaf."""
+    """Return the children, by key or index, of a mapping or of a list with nested values; None for a leaf."""
     if isinstance(tree, Mapping):
         return tree
     if isinstance(tree, list) and any(isinstance(item, dict | list) for item in tree):

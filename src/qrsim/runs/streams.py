@@ -164,7 +164,7 @@ def _side_by_side(parts: list[NumpyArray]) -> NumpyArray:
 
 
 def _absent(shape: tuple[int, int], column: Column) -> NumpyArray:
-    """Return an array filled with the value logged for a quantity that a fleet lacks: NaN, or 0 for integers."""
+    """Return an array of the value logged for a quantity that a fleet lacks: NaN, or 0 for types without NaN."""
     return np.full(shape, np.nan if column.dtype.startswith("float") else 0, column.dtype)
 
 
@@ -185,7 +185,7 @@ class EventFinder:
 
     @staticmethod
     def _sources() -> dict[str, Callable[[History], Any]]:
-        """Return name -> function of a history that gives an array (T, n), in which each change is an event."""
+        """Return name -> function of a history that gives an array (T, n), in which each increase is an event."""
 
         def together(pick: Callable[[FleetState], Any]) -> Callable[[History], Any]:
             """Return a function of a history that joins the value ``pick`` of all fleets to (T, n)."""
@@ -214,7 +214,7 @@ class EventFinder:
         return [event for _, _, event in found]
 
     def ending(self, history: History) -> list[Content]:
-        """Return the events at the end of a run: unfinished missions, and counts of overflowed neighbour lists."""
+        """Return events at the end of a run: unfinished missions, totals of readings with too many neighbours."""
         found = [event for _, _, event in self._of_missions(history, self.missions.ending(history))]
         for crowd in crowds_of(self.world, history.state):
             looks = int(crowd.looks[-1].sum())

@@ -79,7 +79,7 @@ class Surroundings:
 
     @property
     def places(self) -> Places:
-        """The places of the task (sources, persons, goals), for pictures."""
+        """The places of the task (goals, sources, locations), for pictures."""
         from qrsim.tasks.places import Places
 
         return Places(self.goals, self.sources, self.locations)
@@ -120,7 +120,7 @@ def surroundings_of(run: Run) -> Surroundings:
 
 
 def fixed_parts(world: Content) -> Content:
-    """Return as a dict the attributes of ``Surroundings`` that follow from a scenario's ``world`` alone.
+    """Return as a dict the attributes of ``Surroundings`` that follow from a scenario's ``world`` alone, in NED.
 
     Raises:
         KeyError, TypeError, ValueError: it is of another version of qrsim.
@@ -164,7 +164,7 @@ def _zones(area: Any) -> tuple[Zone, ...]:
 
 
 def _goals(run: Run) -> dict[str, Floats]:
-    """Return {"goals": positions} of a task that gives each vehicle a goal; {} for other tasks."""
+    """Return {"goals": positions} of a task with goals for its vehicles; {} without logged truth or vehicles."""
     from qrsim.core.vectors import Vec3
     from qrsim.tasks.places import goals_of
 

@@ -30,7 +30,7 @@ STILL, LEAST_SPAN = 0.05, 30.0
 
 
 def save_wind_picture(scenario: Scenario, path: Path) -> None:
-    """Draw the mean wind of a scenario over height, at start, middle and end of its run, and save the figure.
+    """Draw a scenario's mean wind at the origin over height, at start, middle and end of its run; save the figure.
 
     Raises:
         UsageError: the name has another ending than .png, .pdf or .svg.

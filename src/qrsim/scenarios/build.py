@@ -122,7 +122,7 @@ def _area(scenario: ScenarioSpec, ground: object) -> Any:
 
 
 def _skyline(scenario: ScenarioSpec, obstacles: Obstacles) -> Any:
-    """Build the obstacle masks of GNSS receivers, with solids if there are jammers; None if not needed."""
+    """Build obstacle masks of GNSS receivers, with obstacles as solids if there are jammers; None if not needed."""
     found = skyline(scenario)
     jams = any(entry.kind == "jammer" for entry in scenario.world.interference)
     return replace(found, solids=obstacles) if found is not None and jams else found

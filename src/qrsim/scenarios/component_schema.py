@@ -50,7 +50,7 @@ def _radians(degrees: object) -> object:
 
 
 def with_default_types(model: type[BaseModel], data: Mapping[str, object]) -> Content:
-    """Return a copy of scenario data in which components without a type get the default type of their field."""
+    """Return a copy of scenario data; components without a type get the field's default type, if it has parameters."""
     found = dict(data)
     for name, field in model.model_fields.items():
         given, default = found.get(name), field.default

@@ -83,7 +83,7 @@ READABLE = {
 
 
 def conformity_problem(kind: str, component: object) -> str | None:
-    """Return the first error of a class as a component of a kind (such as "sensor"); None if it conforms."""
+    """Return a sentence for a class's first error as a component of a kind (such as "sensor"), None if it conforms."""
     if not isinstance(component, type):
         return f"expected a class, found {component!r:.100}"
     checks = [_method_problems] if kind in PLAIN else [_record_problems, _field_problems, _method_problems]

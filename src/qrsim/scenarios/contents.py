@@ -77,7 +77,7 @@ def _plume_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def puffs_in_the_air(plume: Any, area: Any, speed: float) -> int:
-    """Return how many puffs to store per plume source: the mean number in the area plus six deviations."""
+    """Return how many puffs to store per plume source: the mean number in the area plus six standard deviations."""
     across = math.hypot(area.x_max - area.x_min, area.y_max - area.y_min)
     flown = across
     for _ in range(20):

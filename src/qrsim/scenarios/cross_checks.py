@@ -93,7 +93,7 @@ def problems(scenario: ScenarioSpec) -> list[str]:
 
 
 def _path_problems(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec, floor: bool) -> Iterator[str]:
-    """Yield errors of prescribed paths that leave the area (``floor``: by z_max = 0 too) or exceed a fleet's limits."""
+    """Yield an error if a ``moves_on`` path leaves the area (``floor``: by z_max = 0 too) or exceeds fleet limits."""
     path = f"fleets.{fleet_name}.vehicle.moves_on"
     try:
         vehicle = component(fleet.vehicle, known.VEHICLES, scenario).prepared(scenario.duration)

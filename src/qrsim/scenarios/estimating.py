@@ -60,7 +60,7 @@ CURRENT_SHARE, CURRENT_READINGS = 0.1, 20.0
 
 
 def sensed(sensors: Sequence[object], calibration_time: float, errors: object = None) -> Stds:
-    """Return filter parameter -> value, for those that follow from sensors' errors; the first sensor of a kind counts.
+    """Return filter parameter -> value, of those that follow from sensors' errors; the first of several counts.
 
     Args:
         sensors: of a fleet, in its order.
@@ -92,7 +92,7 @@ def left_out(spec: object) -> Iterator[str]:
 
 
 def _imu(imu: Imu, time: float, _: object) -> Stds:
-    """Return filter parameters from an IMU's errors; ``time`` [s] is averaged at rest before flight."""
+    """Return filter parameters from an IMU: noise, walk, bias, scale; ``time`` [s]: average at rest before flight."""
     shaken = imu.vibration != "none"
     levels = imu.vibration_levels
 
@@ -180,7 +180,7 @@ def _barometer(sensor: Barometer, _: float, __: object) -> Stds:
 
 
 def _altimeter(sensor: PressureAltimeter, _: float, __: object) -> Stds:
-    """Return filter parameters from a pressure altimeter: noise and drift [m]; wash and airflow count as drift."""
+    """Return filter parameters from a pressure altimeter: noise, drift [m]; rotor wash and airflow count as drift."""
     ports = sum(np.square(getattr(sensor, f"port_{side}")) for side in ("forward", "backward", "right", "left")) / 4.0
     by_flow = ports * DYNAMIC**2
     felt = np.square(sensor.rotor_wash) + by_flow
@@ -193,7 +193,7 @@ def _altimeter(sensor: PressureAltimeter, _: float, __: object) -> Stds:
 
 
 def _attitude(sensor: AttitudeEstimator, _: float, __: object) -> Stds:
-    """Return filter parameters from an attitude sensor: deviation of yaw [rad], enlarged as errors are correlated."""
+    """Return filter parameters from an attitude sensor: std of yaw [rad], enlarged for correlated errors."""
     # One slow error: readings within its time constant are no more than one.
     readings = 2.0 * np.asarray(sensor.time_constant) / sensor.period
     return {"yaw_std": np.asarray(sensor.std) * np.sqrt(readings)}

@@ -70,7 +70,7 @@ def failsafe_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _flight_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield an error for each failsafe action (such as return or land) that a fleet cannot fly."""
+    """Yield the errors of a fleet that cannot fly its failsafes, cannot land by them, or in which nothing can fail."""
     controller, guidance = known.CONTROLLERS.get(fleet.controller.type), known.GUIDANCE.get(fleet.guidance.type)
     if controller is None or guidance is None:
         return
@@ -104,7 +104,7 @@ def _flies_paths(controller: Any) -> bool:
 
 
 def _level_problems(path: str, fleet: FleetSpec) -> Iterator[str]:
-    """Yield the errors of a failsafe's battery levels: order and range."""
+    """Yield the errors of a failsafe's battery levels: their order, and a battery without a charge."""
     spec: Any = fleet.failsafes
     if spec.COM_LOW_BAT_ACT != "warn" and not known.BATTERIES[fleet.battery.type].drains:
         yield f"{path}.COM_LOW_BAT_ACT: a battery of type '{fleet.battery.type}' has no charge that could be low"

@@ -21,7 +21,7 @@ def _in_a_list(value: object) -> object:
 
 
 def _first_rotors(value: object) -> object:
-    """Return the list of all rotors that may fail, [0, 1, ...], for "all"; any other value unchanged."""
+    """Return [0, 1, ...], as many rotors as may fail at most, for "all"; any other value unchanged."""
     return list(range(MOST_FAILED_ROTORS)) if value == ALL else value
 
 
@@ -173,7 +173,7 @@ _TYPES: dict[str, type[Strict]] = {
 
 
 def _what_fails(fault: object) -> str:
-    """Return the part that a fault in a scenario is of, such as "rotor"; "sensor" if its type is left out."""
+    """Return the type of a fault in a scenario, such as "rotor" or "body"; "sensor" if it is left out."""
     if isinstance(fault, dict):
         fault_type = fault.get("type", "sensor")
         return fault_type if isinstance(fault_type, str) else "sensor"

@@ -87,7 +87,7 @@ def faults(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[F
 
 
 def _draw_alike(one: FaultSpec, other: FaultSpec) -> bool:
-    """Return whether two sensor faults draw the same random numbers: same sensor, vehicle and start."""
+    """Return whether two sensor faults draw the same random numbers: equal sensor, kind, start, a vehicle in common."""
     shared = one.vehicles is None or other.vehicles is None or set(one.vehicles) & set(other.vehicles)
     return bool(shared) and (one.sensor, one.start, kind_of(one.kind)) == (
         other.sensor,
@@ -192,7 +192,7 @@ def drawn_paths(fleet: FleetSpec, number: int, name: str) -> list[tuple[str | in
 
 
 def injectable_of(fleet: FleetSpec, has_radio: bool = True) -> InjectableSpec:
-    """Return the parts of a fleet's vehicles that may fail in flight; ``has_radio``: the world has a radio.
+    """Return the parts of a fleet's vehicles that may fail in flight, all that can if the scenario has "all".
 
     Without ``has_radio``, whether the world has a radio, no radio is among them.
     """

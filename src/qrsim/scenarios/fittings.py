@@ -41,7 +41,7 @@ def fitting_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _given(spec: Any) -> tuple[float, float, list[float] | None, list[float] | None]:
-    """Return (delay [s], jitter [s], position, attitude) of a sensor's mounting; None for parts not given.
+    """Return (delay [periods], jitter [s], position, attitude) of a sensor as given; 0 and None for what is not given.
 
     A sensor from outside may have parameters of these names, which are its own affair; but a delay that is compiled is
     one in periods, as that of a GNSS receiver.
@@ -55,7 +55,7 @@ def _given(spec: Any) -> tuple[float, float, list[float] | None, list[float] | N
 
 
 def fitted(spec: FleetSpec, sensors: Sequence[Any]) -> tuple[tuple[Sensor, ...], tuple[Fitting | None, ...]]:
-    """Build a fleet's sensors' fittings (mounting, delay), None for a sensor without; () if no sensor has one."""
+    """Return a fleet's sensors, and the fitting (mounting, delay) or None of each; () if no sensor has one."""
     found, fittings = [], []
     for sensor, part in zip(sensors, spec.sensors.values(), strict=True):
         delay, jitter, place, turned = _given(part)

@@ -54,7 +54,7 @@ def insert_forecast(content: Mapping[str, object], source: str) -> None:
 
 
 def turbulence_speed(sigma: float, height: float) -> float:
-    """Return the wind speed at 20 ft [m/s] for which gusts at a height [m] have deviation ``sigma`` [m/s].
+    """Return the wind speed at 20 ft [m/s] for which gusts at a height [m] have standard deviation ``sigma`` [m/s].
 
     MIL-F-8785C, low altitude: sigma_u = 0.1 W20/(0.177 + 0.000823 h)^0.4, h in feet.
     """

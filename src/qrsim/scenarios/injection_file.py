@@ -125,7 +125,7 @@ def _entries(path: Path) -> list[object]:
 
 
 def _checked(entry: object, where: str) -> Content:
-    """Return an entry of an injection file unchanged; raises UsageError if a part of it has the wrong type."""
+    """Check an entry, and return it with "rotor 2" for "rotor_2" and "ok" for "clear"; raises UsageError."""
     if not isinstance(entry, dict):
         raise UsageError(f"{where}: expected target, kind, at and others, not {type(entry).__name__}")
     for name in ("target", "kind", "at"):

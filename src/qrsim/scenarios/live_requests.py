@@ -51,7 +51,7 @@ class Request:
 
 
 def wind(speed: float, from_deg: float, over: float = 0.0) -> Request:
-    """Return a request for a mean wind of ``speed`` [m/s] at 20 ft from ``from_deg`` [deg], after ``over`` [s]."""
+    """Return a request for a mean wind of ``speed`` [m/s] at 20 ft from ``from_deg``, reached after ``over`` [s]."""
     later = {"over": over} if over else {}
     return Request(WORLD, WIND, numbers=dict(zip(WIND_NUMBERS, (speed, from_deg), strict=True)) | later)
 

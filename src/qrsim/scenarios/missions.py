@@ -252,7 +252,7 @@ def ways_of(fleet: FleetSpec, vehicle: VehicleSpec, ground: object) -> Iterator[
 
 
 def mission(fleet: FleetSpec, ground: object) -> Mission:
-    """Build the missions of a fleet's vehicles; a vehicle without legs holds its start."""
+    """Build the missions of a checked fleet's vehicles; a vehicle without legs holds its start."""
     limits = limits_of(fleet.guidance)
     plans, again = [], []
     for vehicle in fleet.vehicles:

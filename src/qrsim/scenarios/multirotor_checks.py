@@ -69,7 +69,7 @@ def thrust_to_weight(fleet: FleetSpec, scenario: ScenarioSpec) -> float | None:
 
 
 def _thrust_and_weight(fleet: FleetSpec, density: float) -> tuple[NumpyArray, NumpyArray] | None:
-    """Return maximum thrust and weight [N], each (n,), in air of ``density`` [kg/m^3]; None if list lengths differ."""
+    """Return maximum thrust and weight [N], () or (n,), in air of ``density`` [kg/m^3]; None if list lengths differ."""
     spec = fleet.vehicle
     names = ("thrust_coefficient", "speed_max", "mass", "gravity", "air_density")
     each = [np.asarray(getattr(spec, key), float) for key in names]
@@ -103,7 +103,7 @@ def _lift(path: str, fleet: FleetSpec, density: float) -> Iterator[str]:
 
 
 def _lags(path: str, fleet: FleetSpec, time_step: float) -> Iterator[str]:
-    """Yield an error for rotors with a time constant too short for the integration step, which would be unstable."""
+    """Yield an error for rotors with a lag too short for a substep, with which their speeds would oscillate."""
     longest = min(fleet.vehicle.longest_substep, time_step)
     for name in ("spin_up", "spin_down"):
         least = float(np.min(getattr(fleet.vehicle, name)))

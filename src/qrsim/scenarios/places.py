@@ -183,7 +183,7 @@ class _Places:
         return self.flown[label]
 
     def _vehicle(self, path: str, vehicle: VehicleSpec, mission: bool) -> VehicleSpec:
-        """Return a vehicle with all places in NED [m], errors recorded; ``mission``: its plan becomes legs."""
+        """Return a vehicle with places in NED [m], its plan as legs if ``mission``; record errors and written paths."""
         start, route, legs = vehicle.position_ned, vehicle.waypoints_ned, list(vehicle.legs)
         again = vehicle.repeat_from
         for j, leg in enumerate(legs):

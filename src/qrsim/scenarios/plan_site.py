@@ -81,7 +81,7 @@ def ellipsoidal_height(site: SiteSpec) -> float:
 
 
 def height_of_home(scenario: ScenarioSpec) -> float | None:
-    """Return the altitude above the sea [m] of the first plan's home, if it is near a site without a height; else None.
+    """Return the altitude above mean sea level [m] of the first plan home near a site without a height; else None.
 
     It is that of the first plan with its home near the site; None without one, and for a site that has a height.
     """

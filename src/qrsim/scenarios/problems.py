@@ -45,7 +45,7 @@ _PLAIN = {
 
 
 def describe(error: ValidationError, model: type[BaseModel], data: object) -> list[str]:
-    """Return a sentence for each error of a pydantic validation of scenario content ``data`` by ``model``."""
+    """Return a sentence for each error of ``data`` validated by ``model``; past MOST_PROBLEMS in pydantic's words."""
     found = error.errors(include_url=False)
     told = [_Fault(details, model, data).sentence() for details in found[:MOST_PROBLEMS]]
     # To find the place and the nearest name of a hundred thousand takes many seconds, and nobody reads them.

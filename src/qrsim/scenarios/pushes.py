@@ -38,7 +38,7 @@ def pushes(fleet_name: str, fleet: FleetSpec, scenario: ScenarioSpec) -> tuple[P
 
 
 def _vector(acceleration: list[float] | None) -> Vec3:
-    """Convert an acceleration [north, east, down] [m/s^2] to a vector; zero for None."""
+    """Convert an acceleration of three numbers [m/s^2], NED or body, to a vector; zero for None."""
     return record_of(Vec3, *(acceleration or (0.0, 0.0, 0.0)))
 
 

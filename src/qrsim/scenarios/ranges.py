@@ -121,7 +121,7 @@ def _is_setting(scenario: ScenarioSpec, path: str) -> bool:
 
 
 def _group(parts: list[str]) -> Mapping[str, type] | None:
-    """Return type name -> class of the components that a path of a parameter leads to; None for other paths."""
+    """Return type name -> class of components that a path may have, such as fleets.NAME.battery; None for others."""
     if parts[:2] == ["world", "updrafts"]:
         return known.UPDRAFTS
     if parts[0] == "world":

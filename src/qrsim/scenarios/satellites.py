@@ -89,7 +89,7 @@ def _sky_has_other_readers(scenario: ScenarioSpec) -> bool:
 def slotted_sky(
     scenario: ScenarioSpec, ephemeris: Ephemeris, orbits: Orbits, errors: RangeErrors, site: Site, start: float
 ) -> SlottedSky:
-    """Build the sky for receivers of type gnss, with satellites in view in slots; ``start`` is the run's time."""
+    """Build the sky for receivers of type gnss, with satellites in view in slots, from ``start`` [GPS s] on."""
     masks = [sensor.elevation_mask_rad for sensor in receivers(scenario).values()]
     lowest = math.sin(min(masks, default=MASK_LOWEST))
     return record_of(

@@ -161,7 +161,7 @@ def load_scenario(
     local: bool = True,
     named_code: bool = True,
 ) -> Scenario:
-    """Read and check a scenario by name, path or content; ``quiet``: no warnings of implausible values.
+    """Read and check a scenario by name, path or content; warn of implausible values, raise ScenarioError for errors.
 
     Args:
         source: a built-in name, the path of a YAML file, or the content as a dict.

@@ -113,7 +113,7 @@ class VehicleSpec(Strict):
 
     @property
     def places_ned(self) -> dict[str, list[float]]:
-        """Scenario path -> position NED [m] of each waypoint and leg that the vehicle flies to."""
+        """Path in the vehicle ("legs.2") -> position NED [m] of each waypoint, rally point and leg but landings."""
         routes = {"waypoints_ned": self.waypoints_ned, "rally_ned": self.rally_ned}
         places = {f"{name}.{j}": point for name, points in routes.items() for j, point in enumerate(points)}
         here = self.position_ned

@@ -67,7 +67,7 @@ def _close_pairs(points: NumpyArray, distance: float) -> list[tuple[int, int, fl
 
 
 def obstacle_problems(scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield an error for each obstacle without an extent, such as x_min above x_max."""
+    """Yield an error for each obstacle without an extent, such as x_min not below x_max."""
     for i, obstacle in enumerate(scenario.world.obstacles):
         for axis in "xyz":
             low, high = vars(obstacle).get(f"{axis}_min"), vars(obstacle).get(f"{axis}_max")

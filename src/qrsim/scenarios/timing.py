@@ -61,6 +61,6 @@ def _bandwidth_problems(path: str, sensor: Any) -> Iterator[str]:
 
 
 def _reads(sensor: str) -> tuple[str, ...]:
-    """Return the names of the true quantities that a type of sensor measures."""
+    """Return the names of the true quantities that a type of sensor reads."""
     cls = known.SENSORS[sensor]
     return tuple(cls.reads)

@@ -104,7 +104,7 @@ def trial_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 
 def _trace_first_tick(scenario: ScenarioSpec, kinds: dict[type, str]) -> None:
-    """Trace a reset and a tick, checking return values of components; ``kinds``: class -> kind. Raises FaultError."""
+    """Trace a reset and a tick with checked components (``kinds``: class -> kind), cached; raises FaultError."""
     world, task = build.build_world(scenario, "float32"), build.build_task(scenario, "float32")
     steps = round(scenario.duration / scenario.task.period) if scenario.task.type != "none" else 0
     key = (tuple(kinds), jax.tree.structure((world, task)), tuple(map(np.shape, jax.tree.leaves((world, task)))))
@@ -160,7 +160,7 @@ def _check_normals(part: Any, kind: str) -> None:
 
 
 def _fewer(drawn: int, name: str, declared: int) -> str:
-    """Return the error for method ``name``, which draws ``drawn`` random normals where ``declared`` are declared."""
+    """Return the error for ``drawn`` random normals where the class attribute ``name`` declares ``declared``."""
     count = f"{drawn or 'no'} normal{'' if drawn == 1 else 's'}"
     return f"it draws {count}, and the class declares {name} = {declared}; expected {name} = {drawn}"
 
@@ -187,7 +187,7 @@ class _Counted:
 
 
 def _trace_tick(world: World, key: Key) -> None:
-    """Trace a reset and a tick of a world without a task; raise FaultError for readings that change their type."""
+    """Trace a reset and a tick of a world without task; raise FaultError for readings that change structure or type."""
     state = jax.eval_shape(ticks.reset, world, key)
     actions = (None,) * len(world.fleets)
     after = jax.eval_shape(

@@ -94,7 +94,7 @@ def limits_of(fleet: FleetSpec, scenario: ScenarioSpec) -> Limits | None:
 
 
 def wind_warnings(path: str, fleet: FleetSpec, scenario: ScenarioSpec) -> Iterator[str]:
-    """Yield a warning if the wind at the highest place of a route exceeds a vehicle's steady airspeed."""
+    """Yield a warning if the wind at the highest place of a route exceeds the airspeed that a vehicle can hold."""
     if not _blows(scenario) or is_outside("vehicle", fleet.vehicle.type):
         return
     limits = limits_of(fleet, scenario)

@@ -42,8 +42,8 @@ R = TypeVar("R")
 
 
 def alone(method: Callable[Concatenate[S, P], R]) -> Callable[Concatenate[S, P], R]:
-    """Let only one thread at a time run the decorated methods of an object, because they change its state (a
-    decorator)."""
+    """Let only one thread at a time run the decorated method of an object, because it changes the object's state; see
+    ``Alone``."""
 
     @wraps(method)
     def called(self: S, /, *arguments: P.args, **named: P.kwargs) -> R:

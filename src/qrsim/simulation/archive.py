@@ -68,8 +68,8 @@ def read_archive(data: bytes, names: Collection[str]) -> dict[str, NumpyArray]:
 
 
 def _check_end(data: bytes, count: int) -> None:
-    """Raise an error if the directory at the end of an archive is damaged, or lists another number of arrays than
-    ``count``."""
+    """Raise DamagedError if the directory at the end of an archive is damaged or too long, and OtherNamesError if it
+    does not list ``count`` arrays."""
     if len(data) < _END.size:
         raise DamagedError("too short")
     signature, _, _, _, entries, size, begin, comment = _END.unpack(data[-_END.size :])

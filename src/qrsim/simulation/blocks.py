@@ -93,7 +93,7 @@ class Engine:
         return state_bytes(begin_function(self.setup.compiled), fixed, layout_of_each((self.varied, keys)))
 
     def fly(self, rows: NumpyArray, seeds: NumpyArray, numbers: NumpyArray) -> tuple[dict[str, NumpyArray], Any]:
-        """Fly the worlds ``rows`` (B,) from their start; return their metrics, each (B, n), and their records."""
+        """Fly the worlds ``rows`` (B,) from their start; return the metrics and records of the distinct ones."""
         real = len(np.unique(rows))
         own = [part[rows] for part in self.varied]
         # On the host: in the program, the keys' own rounds would be compiled into everything that draws.

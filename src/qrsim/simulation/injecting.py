@@ -141,7 +141,7 @@ class Injecting(Alone):
         asked_by: str = "python",
     ) -> int:
         """Push vehicles with an acceleration NED [m/s^2] for ``duration`` [s] from the next tick on; return the push's
-        number.
+        number, by which ``clear`` ends it early.
 
         Args:
             acceleration_ned: north, east, down [m/s^2]: the force per mass. Rovers are pushed along the ground only.
@@ -249,7 +249,8 @@ class Injecting(Alone):
         self.change_weather(WIND, {"speed_20ft": speed, "wind_from_deg": from_deg, "over": over}, asked_by)
 
     def set_gusts(self, times: float, over: float = 0.0, asked_by: str = "python") -> None:
-        """Multiply the random gusts by ``times``; the scenario's ``world.injectable`` has to name ``gusts``.
+        """Multiply the random gusts by ``times`` from the next tick on; the scenario's ``world.injectable`` has to name
+        ``gusts``.
 
         Args:
             times: what the gusts of the scenario are multiplied by.
@@ -262,7 +263,8 @@ class Injecting(Alone):
         self.change_weather(GUSTS, {"times": times, "over": over}, asked_by)
 
     def set_jammer(self, jammer: int, power_w: float, over: float = 0.0, asked_by: str = "python") -> None:
-        """Set the power [W] of jammer number ``jammer``; the scenario's ``world.injectable`` has to name ``jam``.
+        """Set the power [W] of jammer number ``jammer`` from the next tick on; the scenario's ``world.injectable`` has
+        to name ``jam``.
 
         Args:
             jammer: which one of the jammers in ``world.interference``, from 0.

@@ -339,7 +339,7 @@ def _of_fields(
 def _checked(
     slot: FaultSlot, kind: str, numbers: Mapping[str, Any], dt: float, white: Mapping[str, Any] | None
 ) -> FaultNumbers:
-    """Check a fault's numbers, each a single one for all fields; return them as arrays; raises UsageError."""
+    """Check a fault's numbers, each a single one; return them as arrays; raises UsageError for wrong ones."""
     for name in numbers:
         if name not in (*NAMES, "field"):
             raise UsageError(f"{name:.60}: there is no such number{did_you_mean(name, (*NAMES, 'field'))}")

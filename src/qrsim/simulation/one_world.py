@@ -66,7 +66,7 @@ class OneWorld:
 
     def taken(self, command: object) -> bool:
         """Write a command into the inputs of the program bound to its type, for ``advance_bound``; return False if none
-        is bound."""
+        is bound or the command needs the full check."""
         program, slot = self._bound.get(type(command), (None, None))
         if program is None or not (slot is None or slot.take(command)):
             return False
@@ -84,7 +84,7 @@ class OneWorld:
             self._bound[type(command)] = program, slot
 
     def reset(self, keys: WorldKeys) -> tuple[Packer, Buffers]:
-        """Start an episode; return its first state as flat buffers, with their layout."""
+        """Start an episode; return the layout and flat buffers of its first state."""
         program = self._reset.program(keys)
         state: Buffers = program.start()
         layout = program.layout

@@ -47,7 +47,7 @@ class Pilot:
         self._compile()
 
     def _compile(self) -> None:
-        """Compile the policy and estimator that are marked as compiled (``jax.jit``)."""
+        """Prepare compiled versions of the policy and estimator that are marked as compiled."""
         self._compiled = {
             function.what: jax.jit(lambda state, tick, memory, f=function: self._answer(f, state, tick, memory))
             for function in (self.policy, self.estimator)
@@ -72,13 +72,13 @@ class Pilot:
         return self.simulation.record(count, self.command, capacity, estimate)
 
     def advance(self, ticks: int) -> None:
-        """Fly ``ticks`` ticks with calls of the user's functions, without returning states."""
+        """Fly at most ``ticks`` ticks, up to the next call of a user's function, without returning states."""
         count, estimate = self._call_due(ticks)
         self.simulation.advance(self.command, count, estimate)
 
     def _call_due(self, ticks: int) -> tuple[int, Any]:
-        """Call the user's functions that are due; return how many ticks to fly until the next call, and the
-        estimate."""
+        """Call the user's functions that are due; return the number of ticks to fly until the next call, at most
+        ``ticks``, and the estimate."""
         simulation, estimate = self.simulation, None
         if self.policy is not None and simulation.tick % self.policy_ticks == 0:
             self.command = self._call(self.policy)

@@ -17,7 +17,7 @@ from qrsim.world.state import State, World
 
 
 def no_seen_state() -> None:
-    """Return None, in place of a weak reference to a state, before there is one."""
+    """Return None, like a weak reference to a state that no longer exists."""
 
 
 class Radios(Alone):
@@ -42,7 +42,7 @@ class Radios(Alone):
         raise NotImplementedError
 
     def send(self, vehicle: str | int, payload: object, to: str | int | None = None) -> None:
-        """Queue a message at a vehicle's radio, which sends it at its next turn; ``to``: the only receiver (None: all).
+        """Queue a message at a vehicle's radio, which sends it at its next turn (docs/howto/radio.md).
 
         Args:
             vehicle: name or number of the sender.

@@ -135,7 +135,7 @@ def rollout(
     progress: Callable[[int], None] | None = None,
     site: Site | None = None,
 ) -> Rollout:
-    """Fly many worlds from their start, all compiled to one program, and return the metrics of each flight.
+    """Fly many worlds from their start and return the metrics of each flight.
 
     What ``qrsim.rollout`` does with scenarios once they are Worlds; its docstring explains every argument.
 

@@ -15,8 +15,8 @@ from qrsim.world.state import World
 
 
 def program_text(world: World, form: str, what: str = "tick") -> str:
-    """Return the compiled program of one world as text; ``form``: "graph", "steps" or "llvm"; ``what``: "tick" or
-    "start".
+    """Return the compiled program of one world, flown by its own guidance and controllers, as text; ``form``: "graph",
+    "steps" or "llvm"; ``what``: "tick" or "start".
 
     Args:
         world: the parameters.

@@ -323,7 +323,7 @@ class Simulation(Radios, Injecting, Tabled):
 
     @property
     def packed(self) -> tuple[Packer, Buffers]:
-        """Present state in flat buffers, and their layout; copy the buffers before the next step overwrites them."""
+        """Layout and flat buffers of the present state; copy the buffers before the next step overwrites them."""
         return self._running()
 
     @property

@@ -248,7 +248,8 @@ def _finite_leaves(world: World, state: State) -> Iterator[tuple[str, NumpyArray
 
 
 def _without_infinity(fleet: Fleet, state: FleetState) -> Iterator[tuple[str, object]]:
-    """Yield (description for messages, array) of parts of a fleet's state that may be NaN but not infinite."""
+    """Yield (description for messages, array) of parts of a fleet's state that may be NaN but not infinite, of built-in
+    components only."""
     for sensor, memory, reading, true in zip(
         fleet.sensors, state.sensors, state.readings, state.true_readings, strict=True
     ):

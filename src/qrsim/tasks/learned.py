@@ -20,7 +20,9 @@ from qrsim.core.arrays import Floats
 from qrsim.errors import UsageError, readable
 from qrsim.files.numpy_file import read_arrays
 from qrsim.files.user_files import read_bytes
+from qrsim.tasks.baselines.one_of_several import OneOfSeveral
 from qrsim.tasks.play import Play
+from qrsim.tasks.teams import side_of_fleet
 
 SUFFIX = ".npz"
 FORMAT = "qrsim policy 1"
@@ -54,6 +56,7 @@ class View:
         ahead: north and east of the observed offset along which the inputs are turned; None: the heading, ``yaw``.
         turned: which of the network's outputs are ahead and to the right of ``ahead``, and commanded north and east.
         summed: which of the observed numbers are integrated over time, for inputs; the policy remembers the integrals.
+        fleet: name of the fleet that it flies, in a task with agents of several; None: the only one.
     """
 
     task: str
@@ -70,6 +73,7 @@ class View:
     ahead: tuple[int, int] | None = None
     turned: tuple[int, int] | None = None
     summed: tuple[int, ...] = ()
+    fleet: str | None = None
 
     @property
     def remembered(self) -> int:
@@ -122,6 +126,16 @@ class View:
             moved = number in self.flown
             columns.append(neutral + np.float32(reach) * output[:, self.flown.index(number)] if moved else neutral)
         return lib.stack(columns, axis=-1).clip(-1.0, 1.0)
+
+    def output(self, action: Floats, seen: Floats) -> Floats:
+        """Return the outputs (N, len(flown)) of a network that commands actions (N, A) at observations (N, O)."""
+        given = [(action[:, i] - np.float32(self.centre[i])) / np.float32(self.reach[i]) for i in self.flown]
+        if self.turned is not None:
+            cos, sin = self._turn([np.asarray(seen[:, i], np.float32) for i in range(len(self.observed))])
+            first, second = self.turned
+            north, east = given[first], given[second]
+            given[first], given[second] = cos * north + sin * east, cos * east - sin * north
+        return np.stack(given, axis=-1).astype(np.float32)
 
     def _turn(self, columns: Any) -> Any:
         """Return cosine and sine (N,) of the heading by which inputs are rotated; None if the view rotates nothing."""
@@ -190,9 +204,11 @@ class PolicyFile:
     def content(self) -> bytes:
         """Return the policy file's bytes."""
         view = asdict(self.view)
+        # Versions without integrals or fleets read the file too.
         if not self.view.summed:
-            # Versions without integrals read the file too.
             del view["summed"]
+        if self.view.fleet is None:
+            del view["fleet"]
         meta = json.dumps({"format": FORMAT, "view": view, "facts": self.facts}, sort_keys=True)
         arrays: dict[str, Any] = {META: np.frombuffer(meta.encode(), np.uint8)}
         arrays |= {"mean": self.scaling.mean, "deviation": self.scaling.deviation}
@@ -217,15 +233,33 @@ class PolicyFile:
         if (view.task, view.version) != (name, version):
             trained = f"it was trained on {view.task} (version {view.version})"
             raise UsageError(f"policy {self.name}: {trained}; this task is {name} (version {version})")
+        fleets = [side.fleet for side in play.sides]
+        if view.fleet not in (fleets if len(fleets) > 1 else (None, *fleets)):
+            flies = "agents of one fleet" if view.fleet is None else f"fleet '{view.fleet}'"
+            raise UsageError(f"policy {self.name}: it flies {flies}; agents of this task are {', '.join(fleets)}")
+        self.check(play, view.fleet)
+        if len(fleets) == 1:
+            return lambda play, seed=0: self.pilot(len(play.agents), play.task.period)
+        return lambda play, seed=0: OneOfSeveral(self.pilot, view.fleet or "", play, seed)
+
+    def check(self, play: Play, fleet: str | None) -> None:
+        """Raise UsageError unless the agents of a fleet observe and command what this policy does.
+
+        Args:
+            play: the task and its world.
+            fleet: of several; None: the only one.
+
+        Raises:
+            UsageError: they observe or command something else.
+        """
         for what, mine, theirs in (
-            ("observes", view.observed, observed_names(play)),
-            ("commands", view.acts, tuple(axis.name for axis in play.axes)),
+            ("observes", self.view.observed, observed_names(play, fleet)),
+            ("commands", self.view.acts, tuple(axis.name for axis in side_of_fleet(play.sides, fleet).axes)),
         ):
             if mine != theirs:
                 raise UsageError(
                     f"policy {self.name}: it {what} {_shown(mine)}; the task's agents have {_shown(theirs)}"
                 )
-        return lambda play, seed=0: self.pilot(len(play.agents), play.task.period)
 
     def pilot(self, agents: int, period: float) -> LearnedPolicy:
         """Return the policy for ``agents`` agents, at the start of their episodes.
@@ -306,14 +340,20 @@ def policy_of(arrays: dict[str, Any], name: str) -> PolicyFile:
         raise UsageError(f"policy {name}: is no policy that qrsim train has written, or it is damaged") from None
 
 
-def observed_names(play: Play) -> tuple[str, ...]:
+def observed_names(play: Play, fleet: str | None = None) -> tuple[str, ...]:
     """Return the names of the numbers of an observation.
+
+    Args:
+        play: the task and its world.
+        fleet: name of the one that observes, of several; None: the only one.
 
     Raises:
         UsageError: the task observes a dict, or has agents of several fleets.
     """
     axes = play.task.sees(play.world)
-    if len(play.sides) > 1 or isinstance(axes, dict):
+    if len(play.sides) > 1 and fleet is not None:
+        axes = axes[fleet]
+    elif len(play.sides) > 1 or isinstance(axes, dict):
         raise UsageError("a learned policy observes an array of numbers of one fleet; this task gives a dict")
     return tuple(axis.name for axis in axes)
 

@@ -145,3 +145,15 @@ def part_of(sides: tuple[Side, ...], seen: Any, number: int) -> Any:
 def side_of(sides: tuple[Side, ...], number: int) -> Side:
     """Return the side that an agent, by its number among all, belongs to."""
     return next(side for side in sides if number < side.rows.stop)
+
+
+def side_of_fleet(sides: tuple[Side, ...], fleet: str | None) -> Side:
+    """Return the agents of a fleet; None: those of the first, or only one.
+
+    Raises:
+        UsageError: no agents are of that fleet.
+    """
+    names = [side.fleet for side in sides]
+    if fleet is not None and fleet not in names:
+        raise UsageError(f"no fleet of agents is called '{fleet}'{did_you_mean(fleet, names)}")
+    return sides[0 if fleet is None else names.index(fleet)]

@@ -11,7 +11,7 @@ import numpy as np
 from qrsim.control.failsafes import ACTIONS
 from qrsim.core.arrays import Floats
 from qrsim.core.host import on_host
-from qrsim.errors import QrsimError
+from qrsim.errors import QrsimError, warn_user
 from qrsim.models.vehicles.contracts import Charged
 from qrsim.runs import Run
 from qrsim.runs.failsafe_events import ENDS, FAILSAFE
@@ -82,7 +82,7 @@ def _of_fleet(fleet: Any, state: FleetState) -> dict[str, Floats]:
 
 
 class RecordedDetails:
-    """The details of a recorded run; each stream is read when it is first asked for.
+    """The details of a recorded run; each stream is read when it is first asked for, with a warning if it is damaged.
 
     Args:
         run: what was recorded.
@@ -102,10 +102,15 @@ class RecordedDetails:
     @cached_property
     def _commands(self) -> Columns:
         """Return the columns of the estimate and of the waypoint that the vehicle flies to."""
-        columns = self._run["commands"].columns() if "commands" in self._run else ()
         parts = {"believed": "estimate.position_ned", "std": "estimate_std.position_ned"}
-        found = {name: vector(self._run, "commands", of, AXES) for name, of in parts.items()}
-        return Columns(self._run, "commands", found | {"waypoint": ("waypoint",) if "waypoint" in columns else None})
+        try:
+            columns = self._run["commands"].columns() if "commands" in self._run else ()
+            found = {name: vector(self._run, "commands", of, AXES) for name, of in parts.items()}
+            found |= {"waypoint": ("waypoint",) if "waypoint" in columns else None}
+            return Columns(self._run, "commands", found)
+        except QrsimError as error:  # vehicles are shown without their estimates
+            warn_user(f"estimates are not shown: {error}")
+            return Columns(self._run, "commands", {})
 
     @cached_property
     def modes(self) -> list[tuple[float, int, str]]:

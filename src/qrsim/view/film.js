@@ -130,6 +130,8 @@
   };
   window.qrsimFilm = {
     state, show, lines: (wish) => lines(wish),
+    table: async () => state.position && details.table(about.times[Math.max(0, state.frame)], state.position, valuesOf),
+    choose: (vehicle) => { who.value = (vehicle ?? -1) + 1; choose(vehicle ?? -1); },
     wish: (wish) => {
       if ("time" in wish) go(wish.time);
       if ("play" in wish) play(wish.play);

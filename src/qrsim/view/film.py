@@ -272,7 +272,7 @@ class _Film:
             "others": recording.cast.others,
             "fliers": int(recording.cast.fliers.sum()),
             "modes": recording.modes,
-            "waypoints": [max(0, len(route) - 1) for route in recording.cast.routes] or [0] * recording.cast.size,
+            "waypoints": recording.cast.waypoints,
             "rays": rays_of_film(rays) if isinstance(rays := layers.get(RAYS), Rays) else None,
             "stops": [(event.time, i, recording.why(event)) for event, i in recording.stops],
             "quantities": list(plots.quantities),

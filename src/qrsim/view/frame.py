@@ -114,6 +114,7 @@ class Cast:
         runs: what each of several runs is called; none: there is one only.
         run_of: (n,) number of the run of each vehicle; None: there is one only.
         site: latitude [deg], longitude [deg] and height [m] of the origin on WGS 84; None where it is not known.
+        counts: waypoints or legs of each vehicle; none: those of ``routes``.
     """
 
     names: tuple[str, ...]
@@ -127,6 +128,7 @@ class Cast:
     runs: tuple[str, ...] = ()
     run_of: Floats | None = None
     site: tuple[float, float, float] | None = None
+    counts: tuple[int, ...] = ()
 
     @property
     def kinds(self) -> list[tuple[Outline | None, Floats]]:
@@ -149,6 +151,11 @@ class Cast:
         kinds = [None if look is None or look.rotors else look.kind for look in of_fleets]
         counts = {word: sum(kinds[own] == kind for own in self.fleets.tolist()) for kind, word in NOT_FLYING.items()}
         return ", ".join(f"{count} {word}{'s' * (count > 1)}" for word, count in counts.items() if count)
+
+    @property
+    def waypoints(self) -> tuple[int, ...]:
+        """Number of waypoints or legs of each vehicle, (n,); 0 without a route."""
+        return self.counts or tuple(max(0, len(route) - 1) for route in self.routes) or (0,) * self.size
 
     @property
     def true_span(self) -> float:

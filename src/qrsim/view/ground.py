@@ -23,7 +23,7 @@ from qrsim.world.state import World
 
 AREA_COLOUR, OBSTACLE_COLOUR, NORTH_COLOUR = GREY, (150, 140, 130), GREY
 GROUND_COLOUR = (205, 214, 186)
-KEEP_OUTS = "zones to stay out of"
+KEEP_OUTS, OBSTACLES = "zones to stay out of", "obstacles"
 # Points along each side of a surface that is drawn: 40000 make a page of half a megabyte.
 MOST_ALONG = 200
 
@@ -33,7 +33,7 @@ class Ground(Layer):
 
     Attributes:
         north: (3,) tip of the arrow [m].
-        cell: of the grid [m].
+        cell: of the grid [m]; None: there is none on uneven ground.
     """
 
     title = "ground and north"
@@ -70,7 +70,9 @@ class Ground(Layer):
                 position=(0.0, 0.0, 0.0),
             )
         else:
-            down = float(down_at(self._ground, np.array([north]), np.array([east]))[0])
+            # Over the highest ground along it.
+            along = north + length * np.linspace(0.0, 1.15, 9)
+            down = float(down_at(self._ground, along, np.full(9, east)).min())
             scene.add_mesh_simple(
                 f"{self.path}/surface",
                 *surface(self._ground, found, reach),
@@ -79,7 +81,8 @@ class Ground(Layer):
                 side="double",
                 cast_shadow=False,
             )
-        self.north, self.cell = (north + 1.15 * length, east, down), cell
+        self.north = (north + 1.15 * length, east, down)
+        self.cell = cell if self._ground.at_zero else None
         scene.add_mesh_simple(
             f"{self.path}/north",
             *shapes.arrow(),
@@ -169,7 +172,7 @@ def keep_out_layers(stage: Stage, world: World) -> list[Layer]:
 class Obstacles(Layer):
     """Boxes, cylinders and prisms."""
 
-    title = "obstacles"
+    title = OBSTACLES
 
     def __init__(self, stage: Stage, world: World):
         self._obstacles = world.obstacles

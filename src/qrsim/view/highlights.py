@@ -24,8 +24,11 @@ MOST_NAMED = 8
 # Links with fewer packets than this are not compared.
 FEWEST_PACKETS = 10
 # Quantity, whether its largest value counts, and text with places for the vehicle and the value.
+FENCE = "derived.fence_distance"
+# Kind of the event of a vehicle that stopped because it left its area; its log ends at the last place inside.
+LEFT = "out_of_area"
 EXTREMES: tuple[tuple[str, bool, str], ...] = (
-    ("derived.fence_distance", False, "closest to the fence: {}, {:.2f} m"),
+    (FENCE, False, "closest to the fence: {}, {:.2f} m"),
     ("derived.nearest_vehicle", False, "closest to another vehicle: {}, {:.2f} m"),
     ("derived.wind_speed", True, "strongest wind: {}, {:.1f} m/s"),
     ("derived.estimate_error", True, "largest error of the estimate: {}, {:.2f} m"),
@@ -71,8 +74,42 @@ def _extreme(own: Series, name: str, most: bool, words: str) -> Iterator[Highlig
         return
     row, vehicle = np.unravel_index(np.argmax(values) if most else np.argmin(values), values.shape)
     value = float(values[row, vehicle])
-    if np.isfinite(value):
+    beyond = list(_beyond_fence(own, time, values)) if name == FENCE else []
+    if beyond:
+        yield from beyond
+    elif np.isfinite(value):
         yield float(time[row]), words.format(_named(own, int(vehicle)), value)
+
+
+def _beyond_fence(own: Series, time: Floats, values: Floats) -> Iterator[Highlight]:
+    """Yield which vehicles were outside the fence, with their first times [s] there, the earliest first.
+
+    Args:
+        own: the run.
+        time: (T,) [s].
+        values: distances (T, n) [m], infinite where they do not count.
+    """
+    first = {i: float(time[np.argmax(rows)]) for i, rows in enumerate((values < 0.0).T) if rows.any()}
+    for event, vehicle in own.member.recording.stops:
+        if event.kind == LEFT:
+            at = event.time + own.member.shift
+            first[vehicle] = min(at, first.get(vehicle, at))
+    reached = sorted((at, vehicle) for vehicle, at in first.items() if at >= 0.0)
+    if not reached:
+        return
+    (at, vehicle), *others = reached
+    later = time > at + 1e-6
+    back = np.flatnonzero(np.isfinite(values[later, vehicle]) & (values[later, vehicle] >= 0.0))
+    until = f"to {time[later][back[0]]:.2f} s" if len(back) else "on"
+    then = _then(others, own.member.recording.run.vehicles)
+    yield at, f"outside the fence: {_named(own, vehicle)} from {at:.2f} s {until}{then}"
+
+
+def _then(others: Sequence[tuple[float, int]], names: Sequence[str]) -> str:
+    """Return the end of a text about the first of some vehicles: the others, with their times [s]; "" for none."""
+    also = [f"{names[i]} {at:.2f} s" for at, i in others[:MOST_NAMED]]
+    more = [f"{len(others) - MOST_NAMED} more"] if len(others) > MOST_NAMED else []
+    return f"; then {', '.join([*also, *more])}" if also else ""
 
 
 def _counts(own: Series, time: Floats) -> Floats:
@@ -106,10 +143,7 @@ def _outside(own: Series) -> Iterator[Highlight]:
         yield None, f"estimate never outside its 95 % band{_of_run(own)}"
         return
     (first, vehicle), *others = sorted(outside)
-    names = own.member.recording.run.vehicles
-    also = [f"{names[i]} {at:.1f} s" for at, i in others[:MOST_NAMED]]
-    more = [f"{len(others) - MOST_NAMED} more"] if len(others) > MOST_NAMED else []
-    then = f"; then {', '.join([*also, *more])}" if also else ""
+    then = _then(others, own.member.recording.run.vehicles)
     yield first, f"estimate first outside its 95 % band: {_named(own, vehicle)}{then}"
 
 

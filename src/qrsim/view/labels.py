@@ -42,22 +42,15 @@ class LabelStates(Layer):
 
     def _lines(self, frame: Frame, found: Details, vehicle: int) -> list[str]:
         """Return the lines of a vehicle."""
-        routes = self.stage.cast.routes
-        return lines_of(frame, found, vehicle, max(0, len(routes[vehicle]) - 1) if routes else 0)
+        return lines_of(frame, found, vehicle, self.stage.cast.waypoints[vehicle])
 
 
 def lines_of(frame: Frame, found: Details, vehicle: int, waypoints: int) -> list[str]:
     """Return the lines of a vehicle with a number of waypoints; unknown quantities are left out."""
     speed, height = float(np.linalg.norm(found.velocity_ned[vehicle])), -float(frame.position_ned[vehicle, 2])
     lines = [f"{speed:.1f} m/s, {height:z.1f} m high"] if np.isfinite(speed + height) else []
-    mode, charge, leg = found.modes.get(vehicle), float(found.charge[vehicle]), float(found.waypoint[vehicle])
-    parts = (
-        [mode]
-        if mode
-        else [f"waypoint {min(leg + 1, waypoints):.0f} of {waypoints}"]
-        if waypoints and np.isfinite(leg)
-        else []
-    )
+    charge = float(found.charge[vehicle])
+    parts = doing_of(found, vehicle, waypoints)
     parts += [f"battery {100.0 * charge:.0f} %"] if np.isfinite(charge) else []
     lines += [", ".join(parts)] if parts else []
     error = float(np.linalg.norm(found.believed_ned[vehicle] - frame.position_ned[vehicle]))
@@ -66,3 +59,11 @@ def lines_of(frame: Frame, found: Details, vehicle: int, waypoints: int) -> list
         reported = f" (\u03c3 {std:.2g} m)" if np.isfinite(std) else ""
         lines.append(f"estimate {error:.2g} m off{reported}")
     return lines
+
+
+def doing_of(found: Details, vehicle: int, waypoints: int) -> list[str]:
+    """Return the failsafe, or the waypoint of a number of them, of a vehicle as one text in a list; [] for neither."""
+    mode, leg = found.modes.get(vehicle), float(found.waypoint[vehicle])
+    if mode:
+        return [mode]
+    return [f"waypoint {min(leg + 1, waypoints):.0f} of {waypoints}"] if waypoints and np.isfinite(leg) else []

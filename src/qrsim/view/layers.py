@@ -179,8 +179,9 @@ class Bodies:
         every, each = layer.stage.cast.kinds, np.ndim(colours) == 2
         self._start = layer.stage.cast.start_ned
         runs = layer.stage.cast.run_of
+        opaque = None
         if runs is not None and each and "opacity" not in options:
-            options["batched_opacities"] = np.where(runs > 0, GHOSTLY, 1.0).astype(np.float32)
+            opaque = np.where(runs > 0, GHOSTLY, 1.0).astype(np.float32)
         self.batches = [
             (
                 members,
@@ -190,6 +191,7 @@ class Bodies:
                     colours[members] if each else colours,
                     members,
                     **options,
+                    **({} if opaque is None else {"batched_opacities": opaque[members]}),
                 ),
             )
             for number, (kind, members) in enumerate(every)

@@ -5,7 +5,8 @@
   before?.ends();
   const same = before && before.names.length === data.names.length && before.names.every((n, i) => n === data.names[i]);
   // What survives when a flight becomes its replay.
-  const state = same ? before.state : { chosen: null, followed: null, ride: null, framed: false, theme: before?.state.theme ?? null };
+  const state = same ? before.state : { chosen: null, followed: null, ride: null, framed: false, theme: before?.state.theme ?? null,
+    lens: before?.state.lens ?? null, browser: null };
   const saved = () => { try { return localStorage.getItem("qrsim-theme"); } catch { return null; } };
   state.theme ??= saved() ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
   document.title = data.title ? "qrsim - " + data.title : "qrsim";
@@ -42,6 +43,7 @@
   };
   tool("Show all", "look at all vehicles and routes (F)", () => frame(true));
   const themeTool = tool("", "dark or light", () => theme(state.theme === "dark" ? "light" : "dark"));
+  const { theme, exact } = themeIn({ data, state, button: themeTool, nodes: () => nodes(), m: () => m });
   tool("Legend", "what is what", () => { legendOpen = !legendOpen; touched = true; seen = ""; });
   const legend = make("div", "qrsim-legend", root);
   const showBar = colourBarIn(root), bar = root.querySelector(".qrsim-bar");
@@ -92,9 +94,9 @@
     return { x: ((x + 1) * box.width) / 2, y: ((1 - y) * box.height) / 2, radius, depth };
   };
   const canvasBox = () => m.canvas.getBoundingClientRect();
-  // What panels leave of the canvas, in its pixels.
-  const free = (box) => {
-    let [left, top, right, bottom] = [0, 44, box.width, box.height];
+  // What panels leave of the canvas, in its pixels; `whole`: with what the table covers.
+  const free = (box, whole = false) => {
+    let [left, top, right, bottom] = [0, Math.max(44, 16 + tools.offsetHeight), box.width, box.height];
     const bar = document.getElementById("qrsim-timeline")?.getBoundingClientRect();
     if (bar) bottom = Math.min(bottom, bar.top - box.top);
     const plots = document.getElementById("qrsim-plots")?.getBoundingClientRect();
@@ -104,6 +106,9 @@
     if (sheet?.height) bottom = Math.min(bottom, sheet.top - box.top);
     const panel = document.getElementById("qrsim-panel")?.getBoundingClientRect();
     if (panel && box.width > 700) right = Math.min(right, panel.left - box.left);
+    // On a small screen the panel of an exported page is a line under the tools, while it is closed.
+    else if (panel && panel.height < 90) top = Math.max(top, panel.bottom - box.top + 6);
+    if (!whole && table.box.offsetHeight) top = table.box.offsetTop + table.box.offsetHeight + 6;
     if (legendOpen && box.width > 700) left = legend.offsetWidth + 12;
     return { left, top, right, bottom: Math.max(bottom, top + 40), width: right - left, height: bottom - top };
   };
@@ -139,7 +144,7 @@
   const frame = (smooth, from = data.from) => {
     if (!place) return;
     state.ride = null;
-    const Vector = m.camera.position.constructor, box = canvasBox(), room = free(box), points = all();
+    const Vector = m.camera.position.constructor, box = canvasBox(), room = free(box), points = all(), turned = extra.lens(from === extra.down);
     const low = points[0].clone(), high = points[0].clone();
     for (const point of points) { low.min(point); high.max(point); }
     const middle = low.clone().add(high).multiplyScalar(0.5);
@@ -155,7 +160,7 @@
       far *= Math.min(2, Math.max(0.5, share(found, room) / SHARE));
     }
     if (state.followed !== null) follow(null);
-    look(middle, away.multiplyScalar(far), smooth);
+    look(middle, away.multiplyScalar(far), smooth && !turned && from !== extra.down);
   };
   const follow = (vehicle) => {
     const anew = vehicle !== null && vehicle !== state.followed;
@@ -164,7 +169,7 @@
     if (!anew || !place) return;
     const Vector = m.camera.position.constructor, control = m.cameraControl;
     const away = control.getPosition(new Vector()).sub(control.getTarget(new Vector()));
-    const far = Math.min(away.length(), 7 * place.span);
+    const far = Math.min(away.length(), 7 * place.span * extra.farther());
     look(three(vehicle), away.setLength(far), false);
     lastFollowed = three(vehicle);
     state.framed = true;
@@ -180,35 +185,6 @@
     }
     lastFollowed = now;
   };
-
-  // ---- the theme ----
-
-  const theme = (name, keep = true) => {
-    state.theme = name;
-    if (keep) try { localStorage.setItem("qrsim-theme", name); } catch { /* a file has no storage */ }
-    document.documentElement.classList.toggle("qrsim-dark", name === "dark");
-    themeTool.textContent = name === "dark" ? "Light" : "Dark";
-    if (!m) return;
-    m.messageQueue.push({
-      type: "ThemeConfigurationMessage", titlebar_content: null, control_layout: "floating", control_width: "medium",
-      show_logo: false, show_share_button: false, dark_mode: name === "dark", colors: null,
-    });
-    const tree = nodes();
-    for (const [node, updates] of Object.entries(data.themes[name]))
-      if (tree[node]) m.messageQueue.push({
-        type: "SceneNodeUpdateMessage", name: node, owner: tree[node].message.owner, updates,
-      });
-    m.canvas.style.background = data.skies[name];
-    m.requestRender();
-  };
-  // Tone mapping would show other colours than those that are told apart.
-  const exact = () => m.scene.traverse((object) => {
-    for (const material of [object.material].flat())
-      if (material?.toneMapped && material.type !== "ShaderMaterial") {
-        material.toneMapped = false;
-        material.needsUpdate = true;
-      }
-  });
 
   // ---- labels, legend, scale ----
 
@@ -243,7 +219,7 @@
     const spots = (visible ? wanted : []).map((vehicle) => ({ vehicle, ...pixel(vehicle, box) })).filter((s) => "x" in s);
     const rank = (s) => (s.vehicle === state.chosen ? 0 : s.vehicle in reasons ? 1 : 2);
     spots.sort((a, b) => rank(a) - rank(b) || a.depth - b.depth);
-    const taken = [tools, extra.scale, bar, legend, ...extra.boxes()].filter((e) => e.offsetWidth).map((e) => {
+    const taken = [tools, extra.scale, bar, legend, table.box, ...extra.boxes()].filter((e) => e.offsetWidth).map((e) => {
       const r = e.getBoundingClientRect();
       return [r.left - box.left, r.top - box.top, r.right - box.left, r.bottom - box.top];
     });
@@ -283,14 +259,18 @@
   };
   const sized = (value) => (value >= 10 ? value.toFixed(0) : value.toPrecision(2).replace(/\.0$/, ""));
   const layLegend = (tree, box) => {
-    const under = box.height - free(box).bottom, narrow = box.width <= 700;
-    legend.style.display = legendOpen && !(narrow && document.getElementById("qrsim-plots")?.offsetHeight) ? "" : "none";
+    const room = free(box), under = box.height - room.bottom, narrow = box.width <= 700;
+    const covered = document.getElementById("qrsim-plots")?.offsetHeight || table.box.offsetHeight;
     extra.scale.style.bottom = under + 10 + "px";
-    // On a small screen it is over the scale, and not there while plots are open.
+    // On a small screen it is over the scale, and not there while plots or the table are open.
     legend.style.bottom = under + (narrow ? 50 : 10) + "px";
     // Under the tools, and under the sky where it is shown.
-    const sky = root.querySelector(".qrsim-sky"), top = sky?.offsetHeight ? sky.offsetTop + sky.offsetHeight : narrow ? 72 : 40;
-    legend.style.maxHeight = Math.max(60, box.height - under - top - (narrow ? 80 : 40)) + "px";
+    const sky = root.querySelector(".qrsim-sky");
+    sky.style.top = room.top + 2 + "px";
+    const top = sky.offsetHeight ? sky.offsetTop + sky.offsetHeight : room.top - 4;
+    const high = box.height - under - top - (narrow ? 80 : 20);
+    legend.style.maxHeight = Math.max(0, high) + "px";
+    legend.style.display = legendOpen && !(narrow && covered) && high > 80 ? "" : "none";
     bar.style.bottom = under + 48 + "px";
     const some = Object.keys(reasons).length > 0;
     for (const row of rows) {
@@ -341,12 +321,14 @@
     if (wish !== undefined) { follow(wish); wish = undefined; }
     keepUp();
     extra.ride();
+    extra.keepLens();
     const marks = data.layers.map((name) => shown(tree, name)).join();
-    const mark = [now.at.join(), now.turn.join(), now.span, eye, box.left, box.top, box.width, box.height, free(box).bottom, marks,
+    const mark = [now.at.join(), now.turn.join(), now.span, eye, box.left, box.top, box.width, box.height, free(box).top, free(box).bottom, marks,
       state.chosen, JSON.stringify([reasons, states]), legendOpen].join("|");
     if (mark === seen) return;
     seen = mark;
     root.style.cssText = `left:${box.left}px;top:${box.top}px;width:${box.width}px;height:${box.height}px`;
+    table.fit(free(box, true));
     layLegend(tree, box);
     extra.lay(box);
     const apart = data.differences && shown(tree, data.differences.path) && shown(tree, "/world/vehicles");
@@ -354,9 +336,10 @@
     layLabels(tree, box);
   };
   const extra = toolsIn({
-    data, state, make, tools, root, draw, tool, nodes, floats, at3, pixel, pixelOf, canvasBox, free, tangent, frame, follow, touch,
+    data, state, make, tools, root, draw, tool, nodes, floats, shown, at3, pixel, pixelOf, canvasBox, free, tangent, frame, look, follow, touch,
     m: () => m, world: matrix, place: () => place, again: () => { seen = ""; },
   });
+  const table = tableIn({ data, state, make, root, tool, css, again: () => { seen = ""; }, choose: (vehicle) => { state.chosen = vehicle; seen = ""; } });
   const key = (event) => {
     if (event.target.closest?.("input, textarea, select, [contenteditable]")) return;
     if (event.key.toLowerCase() === "f" && !event.ctrlKey && !event.metaKey && !event.altKey) frame(true);
@@ -367,10 +350,11 @@
     colour: (vehicle) => css(data.colours[data.colourOf[vehicle]]),
     choose: (vehicle) => { state.chosen = vehicle; seen = ""; },
     follow: (vehicle) => { wish = vehicle; },
+    browser: (told) => { state.browser = told; },
     ride: (told) => { state.ride = told; },
     reasons: (found) => { reasons = found; seen = ""; },
     states: (found) => { states = found; seen = ""; },
-    sky: skyIn(root), tools: extra,
+    sky: skyIn(root), tools: extra, table,
     paint: (told) => { showBar(told); seen = ""; },
     // The box of all vehicles and routes, what panels leave free, and how much of that it fills; pixels of the page.
     box: () => {
@@ -386,10 +370,12 @@
       m?.canvas.removeEventListener("pointerdown", touch);
       m?.canvas.removeEventListener("wheel", touch);
       extra.ends();
+      table.ends();
       root.remove(); style.remove();
     },
   };
   theme(state.theme, false);
+  table.begin();
   for (const [what, content] of Object.entries(window.qrsimTold ?? {})) window.qrsim[what](content);
   requestAnimationFrame(step);
 })();

@@ -17,7 +17,7 @@ from qrsim.runs import colours
 from qrsim.view.air import AIR, GUST, REACHES, WHOLE
 from qrsim.view.differences import DIFFERENCES, differences_of
 from qrsim.view.ellipsoids import UNCERTAINTY
-from qrsim.view.ground import KEEP_OUTS
+from qrsim.view.ground import KEEP_OUTS, OBSTACLES
 from qrsim.view.interference import INTERFERENCE
 from qrsim.view.jets import WAKES
 from qrsim.view.layers import MOST_LABELS, STRONG_WIND, Bodies, Layer, Stage
@@ -30,7 +30,18 @@ from qrsim.view.thermals import THERMALS
 # Where pages look from at first, seen from what is looked at, NED.
 SOUTH = (-0.85, -0.3, -0.45)
 # Parts of the overlay; the last one calls the others.
-SCRIPTS = ("sky.js", "differences.js", "colourbar.js", "tools.js", "labels.js", "overlay.js")
+SCRIPTS = (
+    "asking.js",
+    "sky.js",
+    "differences.js",
+    "colourbar.js",
+    "theme.js",
+    "solids.js",
+    "tools.js",
+    "labels.js",
+    "table.js",
+    "overlay.js",
+)
 # Of the ground and the sky.
 GROUNDS = {
     "light": {"plane_color": (226, 232, 214), "cell_color": (196, 205, 186), "section_color": (168, 178, 160)},
@@ -85,7 +96,7 @@ class Overlay:
         bodies: of the vehicles.
         layers: that can be shown and hidden, by title.
         title: of the page, beside "qrsim".
-        north: a place north of the origin that is marked, and the cell of the grid [m]; None: none.
+        north: a place north of the origin that is marked, and the cell of the grid [m]; None: there is no grid.
     """
 
     def __init__(
@@ -95,15 +106,16 @@ class Overlay:
         bodies: Bodies,
         layers: dict[str, Layer],
         title: str,
-        north: tuple[tuple[float, float, float], float],
+        north: tuple[tuple[float, float, float], float | None],
     ):
         self._server = server
         self._said: dict[int, str] | None = None
         self._stated: dict[int, list[str]] = {}
         self._data = {
             "title": title,
-            "css": _text("overlay.css"),
+            "css": _text("overlay.css") + _text("table.css"),
             "names": stage.cast.names,
+            "runOf": None if stage.cast.run_of is None else stage.cast.run_of.tolist(),
             "colours": _plain(stage.palette),
             "colourOf": stage.hues.tolist(),
             "stopped": colours.STOPPED,
@@ -116,6 +128,7 @@ class Overlay:
             "north": north[0],
             "site": stage.cast.site,
             "surface": f"{layers['ground and north'].path}/surface",
+            "obstacles": layers[OBSTACLES].path if OBSTACLES in layers else None,
             "layers": [layer.path for layer in layers.values()],
             "themes": {
                 name: {f"{layers['ground and north'].path}/{node}": _plain(own) for node, own in parts.items()}
@@ -165,6 +178,10 @@ class Overlay:
         """Follow a vehicle with the camera (None: none), in one browser or, by default, all."""
         self._tell("follow", vehicle, browser)
 
+    def identify(self, browser: Any) -> None:
+        """Tell a browser its number, with which it chooses a vehicle in its table."""
+        self._tell("browser", browser.client_id, browser)
+
     def ride(self, vehicle: int, kind: str) -> None:
         """Let the camera of all browsers go with a vehicle, behind it ("chase") or at its nose ("onboard")."""
         self._tell("ride", {"vehicle": vehicle, "kind": kind}, None)
@@ -185,7 +202,7 @@ class Overlay:
         run_script(browser or self._server, what, told)
 
 
-def _legend(stage: Stage, layers: dict[str, Layer], cell: float) -> list[dict[str, object]]:
+def _legend(stage: Stage, layers: dict[str, Layer], cell: float | None) -> list[dict[str, object]]:
     """Return the rows of the legend."""
     rows: list[dict[str, object]] = []
     rows += [_row("body", [stage.palette[number]], name, "") for number, name in enumerate(stage.cast.runs)]
@@ -206,7 +223,8 @@ def _legend(stage: Stage, layers: dict[str, Layer], cell: float) -> list[dict[st
             found = [("line", [stage.colours[0]], found[0][2])]
         rows += [_row(*row, layer.path) | {"ifStopped": row[2] == STOPPED} for row in found]
     rows.append(_row("size", [colours.GREY], "", layers["vehicles"].path))
-    rows.append(_row("thin", [colours.GREY], f"grid of {cell:g} m", layers["ground and north"].path))
+    if cell is not None:
+        rows.append(_row("thin", [colours.GREY], f"grid of {cell:g} m", layers["ground and north"].path))
     return rows
 
 

@@ -24,8 +24,9 @@ from qrsim.view.loading import show_loading
 from qrsim.view.markdown import plain
 from qrsim.view.paint import Paint
 from qrsim.view.scene import Scene
-from qrsim.view.server import Delivery
+from qrsim.view.server import Delivery, listen
 from qrsim.view.sky import Satellite
+from qrsim.view.table import answer
 from qrsim.view.viewers import Choice, Plotted, Viewer
 from qrsim.world.state import World
 
@@ -59,6 +60,9 @@ class Page:
         sky: returns the satellites of a vehicle as its receiver last said.
         plotted: returns for a vehicle and a measured quantity its (times, measured, true), each (K,).
         failing: adds to a browser's panel what lets parts of its chosen vehicle fail; None: nothing can.
+        stops: vehicle -> time at which it stopped [s], for the table; None: when a frame first shows that it has.
+        paused: called after a user has paused the clock by a button.
+        wishes: handles requests of browsers' scripts that are neither for the table nor a choice in it.
     """
 
     def __init__(
@@ -82,6 +86,11 @@ class Page:
         self.scene.stage.sky = self._sky_now
         self.failing: Callable[[Any], FailingControls] | None = None
         self.viewers: dict[int, Viewer] = {}
+        self.stops: dict[int, float] | None = None
+        self._seen_stopped: dict[int, float] = {}
+        self.paused: Callable[[], None] = lambda: None
+        self.wishes: Callable[[Any], bytes | None] = lambda wish: None
+        listen(server, self.wish)
         self.drawn = 0
         self.note = ""
         self._quantities: list[str] = []
@@ -156,6 +165,25 @@ class Page:
             by_ray = vehicle is None
             viewer.choose(self.scene.nearest(event.ray_origin, event.ray_direction) if by_ray else vehicle)
 
+    def wish(self, wish: Any) -> bytes | None:
+        """Answer a request of a browser's script: the table of all vehicles, a choice in it, or something else.
+
+        Malformed requests are ignored.
+        """
+        if isinstance(wish, dict) and wish.get("table") is True:
+            exact = self.stops is not None
+            stops = self._seen_stopped if self.stops is None else self.stops
+            frame = self.scene.frame
+            return answer(wish, frame, self.scene.cast.waypoints, stops, exact)
+        if isinstance(wish, dict) and "choose" in wish:
+            vehicle, browser = wish["choose"], wish.get("browser")
+            viewer = self.viewers.get(browser) if isinstance(browser, int) else None
+            known = vehicle is None or (type(vehicle) is int and 0 <= vehicle < self.scene.cast.size)
+            if viewer is not None and known:
+                viewer.choose(vehicle)
+            return None
+        return self.wishes(wish)
+
     def choose(self, vehicle: int | None) -> None:
         """Choose a vehicle in all browsers, also in those that come later."""
         self._choice.vehicle = vehicle
@@ -226,6 +254,8 @@ class Page:
             # What is drawn from now on says so itself; this is for what was drawn before.
             if self.scene.frame is not None:
                 self._say(self.scene.frame)
+            if buttons.value == "pause":
+                self.paused()
 
         @speed.on_update
         def _(_: object) -> None:
@@ -315,6 +345,8 @@ class Page:
     def draw(self, frame: Frame, everything: bool = False) -> None:
         """Draw a frame and update the panel; ``everything``: slow layers too."""
         self.scene.draw(frame, everything)
+        if len(frame.reasons) != len(self._seen_stopped):
+            self._seen_stopped = {i: self._seen_stopped.get(i, frame.time) for i in frame.reasons}
         # Who pauses after this says what is drawn by now.
         paused = self.clock is not None and not self.clock.playing
         if everything or paused or self.drawn % STATUS_FRAMES == 0:

@@ -15,29 +15,9 @@
   };
 
   // ---- where values come from ----
-  let socket = null, number = 0;
-  const waiting = new Map(), at = location.href.split(/[?#]/)[0].replace(/^http/, "ws").replace(/\/$/, "") + "/timeline";
-  const unpack = (buffer) => {
-    const size = new DataView(buffer).getUint32(0, true);
-    const head = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, size)));
-    const floats = new Float32Array(buffer, 4 + size);
-    return { ...head, floats };
-  };
-  const say = (wish) => {
-    if (socket?.readyState === 1) { socket.send(JSON.stringify(wish)); return; }
-    if (!socket || socket.readyState > 1) {
-      socket = new WebSocket(at);
-      socket.binaryType = "arraybuffer";
-      socket.onmessage = (event) => { const found = unpack(event.data); waiting.get(found.number)?.(found); waiting.delete(found.number); };
-      // What was asked for is asked again, once the server is there.
-      socket.onclose = () => { waiting.clear(); if (state.open) setTimeout(load, 1000); };
-    }
-    socket.addEventListener("open", () => socket.send(JSON.stringify(wish)), { once: true });
-  };
-  const request = (wish) => {
-    wish.number = ++number;
-    return film ? film.lines(wish) : new Promise((done) => { waiting.set(wish.number, done); say(wish); });
-  };
+  // What was asked for is asked again, once the server is there.
+  const asking = askingIn(() => { if (state.open) setTimeout(load, 1000); });
+  const request = (wish) => (film ? film.lines(wish) : asking.request(wish));
   // Times and, for each line, its values, the ends of its band, and its extremes; null for a line that there is not.
   const ask = async (lines, from, to, bins) => {
     const wish = { lines, from, to, bins: Math.round(bins) }, answer = await request(wish);
@@ -47,7 +27,7 @@
       ...line, values: take(part++), lower: line.band ? take(part++) : null, upper: line.band ? take(part++) : null,
     }) };
   };
-  const go = (time) => { const wish = { time: Math.min(data.end, Math.max(0, time)) }; if (film) film.wish(wish); else say(wish); };
+  const go = (time) => { const wish = { time: Math.min(data.end, Math.max(0, time)) }; (film ? film.wish : asking.say)(wish); };
 
   // ---- whose lines ----
   const own = (i) => (data.runs.length ? data.vehicles[i].slice(2) : data.vehicles[i]);
@@ -71,7 +51,8 @@
   const style = make("style", document.head, data.css);
   const handle = make("div", dock, "", "handle"), bar = make("div", dock, "", "bar"), body = make("div", dock, "", "body");
   const search = make("input", bar), found = make("div", dock, "", "found"), who = make("select", bar);
-  search.placeholder = "Add a quantity: fence, north, wind, gnss error ...";
+  const PLACEHOLDER = "Add a quantity: fence, north, wind, gnss error ...";
+  search.placeholder = PLACEHOLDER;
   search.type = "search";
   groups.forEach(([name], i) => { make("option", who, name).value = i; });
   who.title = "whose values";
@@ -108,27 +89,49 @@
     else if (some.length > 60) make("small", found, `and ${some.length - 60} more`);
   };
   search.onfocus = search.oninput = suggest;
-  search.onblur = () => { found.hidden = true; };
+  // The search ends: with a choice, or without.
+  const leave = () => { found.hidden = true; replacing = null; search.placeholder = PLACEHOLDER; };
+  search.onblur = leave;
   search.onkeydown = (event) => {
     if (event.key === "Enter") { const first = matches(search.value)[0]; if (first) add(first.names); }
     if (event.key === "Escape") search.blur();
   };
   found.hidden = true;
   const unitsOf = (names) => [...new Set(names.map((name) => units.get(name)))];
+  // A plot has an axis on each side; one with many lines is not mixed with another unit.
+  const fits = (names, more) => unitsOf([...names, ...more]).length <= (names.length > 2 ? 1 : 2);
+  // The line [plot, name] whose place the next quantity takes; null: it is added.
+  let replacing = null;
   const add = (names) => {
+    const [old, name] = replacing ?? [];
     // The plot that is there at first is an example.
-    if (state.example && state.active < state.panels.length) state.panels = [];
+    if (!old && state.example && state.active < state.panels.length) state.panels = [];
     state.example = false;
-    const panel = state.panels[state.active];
-    // A plot has an axis on each side; one with many lines is not mixed with another unit.
-    if (panel && unitsOf([...panel.names, ...names]).length <= (panel.names.length > 2 ? 1 : 2)) panel.names = [...new Set([...panel.names, ...names])];
-    else { state.panels.push({ names: [...names] }); state.active = state.panels.length - 1; }
+    const at = old ? state.panels.indexOf(old) : state.active, panel = state.panels[at];
+    const others = panel ? panel.names.filter((other) => other !== name) : [];
+    if (panel && fits(others, names)) {
+      panel.names = [...new Set(old ? panel.names.flatMap((other) => (other === name ? names : [other])) : [...others, ...names])];
+      state.active = at;
+    } else {
+      if (old) old.names = others;
+      state.panels.push({ names: [...names] });
+      state.active = state.panels.length - 1;
+    }
+    state.panels[state.active].fresh = true;
     search.value = "";
     search.blur();
+    leave();
     build();
   };
+  const replace = (panel, name) => {
+    search.focus();
+    replacing = [panel, name];
+    search.placeholder = `In place of ${short(panel, name)}: ...`;
+  };
+  // Remove a line, or without a name the whole plot.
   const drop = (panel, name) => {
-    panel.names = panel.names.filter((other) => other !== name);
+    panel.names = panel.names.filter((other) => name !== undefined && other !== name);
+    state.example = false;
     if (!panel.names.length) { state.panels = state.panels.filter((other) => other !== panel); state.active = 0; }
     build();
   };
@@ -195,11 +198,17 @@
       if (load !== loads) return;
       panel.lines = lines.map((line, i) => ({ ...line, ...answer.lines[i], there: !!answer.lines[i] })).filter((line) => line.there);
       panel.times = answer.times;
+      const top = panels.scrollTop;
       tell(panel);
       draw(panel);
+      panels.scrollTop = top;
     }));
     if (load !== loads) return;
     for (const { plot } of state.panels) plot?.setSize({ width: width(), height: tall() });
+    if (scrolled !== null) panels.scrollTop = scrolled;
+    scrolled = null;
+    // A plot that has just been added is seen.
+    for (const panel of state.panels) { if (panel.fresh) panel.root.scrollIntoView({ block: "nearest" }); panel.fresh = false; }
     exact();
   };
   const draw = (panel) => {
@@ -233,7 +242,7 @@
     const set = data.together.find(([, names]) => panel.names.every((own) => names.includes(own)));
     if (!set || panel.names.length < 2) return name.replace(/^derived\./, "");
     const [, part] = name.match(/^(?:commands|measurements)?\.?([a-z_0-9]+)/);
-    return `${set[0].split(":")[0]}, ${part === "setpoint" ? "set-point" : part}`;
+    return `${set[0].split(":")[0]}, ${{ setpoint: "set-point", derived: "truth" }[part] ?? part}`;
   };
   // The lines of a plot in words: value at the time shown, lowest and highest with a way to their times.
   const tell = (panel) => {
@@ -242,6 +251,11 @@
     const ends = (lines) => ({ low: pick(lines, "low", -1), high: pick(lines, "high", 1) });
     const most = Object.fromEntries(panel.names.map((name) => [name, ends(panel.lines.filter((line) => line.name === name))]));
     const few = panel.lines.length <= 10 ? panel.lines : [];
+    const title = (row, words, name) => {
+      const button = make("button", row, words, "name");
+      button.title = `${data.quantities.find(([own]) => own === name)[2]}; click to put another quantity in its place`;
+      button.onclick = () => replace(panel, name);
+    };
     const range = (row, line, side, words, when, whose) => {
       const button = make("button", row, `${words} ${number4(line[side])}`), at = `${line[side + "At"].toFixed(2)} s`;
       button.title = `at ${at}; click to go there`;
@@ -254,7 +268,7 @@
       const found = ends(panel.lines.filter((line) => line.name === name && data.runOf[line.vehicle] === run));
       if (!found.low) continue;
       const row = make("span", panel.words, "", "line");
-      make("span", row, `${data.runs.length ? data.vehicles[found.low.vehicle][0] + " " : ""}${short(panel, name)}`);
+      title(row, `${data.runs.length ? data.vehicles[found.low.vehicle][0] + " " : ""}${short(panel, name)}`, name);
       for (const [words, side] of sides) range(row, found[side], side, words, true, data.vehicles[found[side].vehicle] + " ");
       const close = make("button", row, "\u2715");
       close.title = "remove";
@@ -265,7 +279,7 @@
       sign.style.borderColor = line.hue ?? "currentColor";
       if (line.dash.length) sign.style.borderTopStyle = "dashed";
       const whose = several() ? (data.runs.length && groups[state.group][0] !== "all vehicles" ? data.vehicles[line.vehicle][0] : data.vehicles[line.vehicle]) + " " : "";
-      make("span", row, whose + short(panel, line.name)).title = data.quantities.find(([name]) => name === line.name)[2];
+      title(row, whose + short(panel, line.name), line.name);
       line.value = make("b", row, "");
       // Of several lines, the times of the lowest and the highest of each quantity.
       for (const [words, side] of sides) if (line[side] !== null) range(row, line, side, words, few.length <= 4 || most[line.name][side] === line, "");
@@ -276,11 +290,17 @@
     if (!panel.lines.length) make("span", panel.words, `${panel.names.join(", ")}: not logged for this vehicle`);
     panel.told = few;
   };
+  // Where the list of plots was scrolled to, before they were made again.
+  let scrolled = null;
   const build = () => {
+    scrolled ??= panels.scrollTop;
     for (const panel of state.panels) { panel.plot?.destroy(); Object.assign(panel, { plot: null, key: null, lines: [], told: [] }); }
     panels.replaceChildren();
     for (const panel of state.panels) {
       panel.root = make("div", panels, "", "panel");
+      const close = make("button", panel.root, "\u2715", "close");
+      close.title = "remove this plot";
+      close.onclick = () => drop(panel);
       panel.words = make("div", panel.root, "", "lines");
       panel.box = make("div", panel.root);
     }
@@ -349,8 +369,11 @@
     build();
     list.load();
   };
-  let chosen = null;
+  let chosen = null, wide = 0;
   const watch = setInterval(() => {
+    // The scene gets wider and narrower with viser's panel.
+    const right = window.__viserMutable?.canvas?.getBoundingClientRect().right ?? 0;
+    if (right !== wide) { wide = right; if (state.open) size(); }
     const now = window.qrsim?.state.chosen ?? null;
     if (now === chosen) return;
     chosen = now;
@@ -372,7 +395,7 @@
     window.removeEventListener("resize", onResize);
     window.removeEventListener("keydown", onKey);
     state.open = false;
-    socket?.close();
+    asking.ends();
     dock.remove(); style.remove();
   } };
   if (last) {

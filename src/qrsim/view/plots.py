@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -16,6 +15,7 @@ from qrsim.view.highlights import Highlight, highlights_of
 from qrsim.view.recording import Recording
 from qrsim.view.satellite_events import first_lost
 from qrsim.view.series import Quantity, Series, rows_at
+from qrsim.view.server import packed
 from qrsim.view.several import Several
 
 # Halves of a normal distribution beyond this many standard deviations hold 2.5 % each.
@@ -110,7 +110,7 @@ class Plots:
         if not isinstance(wish, dict) or not isinstance(wish.get("lines"), list):
             return None
         if wish.get("highlights") is True:
-            return _packed({"number": wish.get("number"), "lines": [], "highlights": self.highlights()})
+            return packed({"number": wish.get("number"), "lines": [], "highlights": self.highlights()})
         wished = [wish.get(name) for name in ("from", "to", "bins")]
         numbers = [float(value) for value in wished if isinstance(value, int | float) and abs(value) < 1e12]
         if len(numbers) < len(wished):
@@ -131,7 +131,7 @@ class Plots:
                 found = self._line(line, edges)
             lines.append(None if found is None else found[0])
             parts += [] if found is None else found[1]
-        return _packed({"number": wish.get("number"), "lines": lines}, np.concatenate(parts))
+        return packed({"number": wish.get("number"), "lines": lines}, np.concatenate(parts))
 
     def _line(self, line: object, edges: Floats) -> tuple[dict[str, object], list[Floats]] | None:
         """Return extremes with their times, and the binned values, of one [quantity, vehicle]; None if unknown."""
@@ -173,13 +173,6 @@ class Plots:
             for i in range(len(series.member.recording.run.vehicles)):
                 nothing = np.full(len(time), np.nan, np.float32)
                 yield np.stack([kept[name][:, i] if name in kept else nothing for name in self.quantities])
-
-
-def _packed(head: dict[str, object], values: Floats | None = None) -> bytes:
-    """Return a head as JSON, after its length in 4 bytes, and values as float32."""
-    text = json.dumps(head).encode()
-    text += b" " * (-len(text) % 4)
-    return len(text).to_bytes(4, "little") + text + (b"" if values is None else values.astype("<f4").tobytes())
 
 
 def _time(event: Event) -> float:

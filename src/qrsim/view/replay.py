@@ -50,6 +50,8 @@ class Replay:
             self._slider: Any = page.server.gui.add_slider("t [s]", 0.0, max(end, step), step, min(time, end))
         self._slider.on_update(self._scrub)
         self._timeline = Timeline(page.server, end, recording.events, clock, self.seek, Plots(recording))
+        page.wishes, page.paused = self._wish, self._paused
+        page.stops = {vehicle: event.time for event, vehicle in recording.stops}
         page.note = page.note or " / ".join(recording.notes)
         page.sky = lambda vehicle: recording.sky(vehicle, self.time)
         page.add_colours(recording.paints.names, recording.paints.of, colour)
@@ -60,6 +62,18 @@ class Replay:
         # What the program itself moved has no client.
         if event.client is not None:
             self.seek(self._slider.value)
+
+    def _wish(self, wish: object) -> bytes | None:
+        """Handle a request of the timeline, or of plots."""
+        played = self.clock.playing
+        answer = self._timeline.wish(wish)
+        if played and not self.clock.playing:
+            self._paused()
+        return answer
+
+    def _paused(self) -> None:
+        """Let panel, slider and timeline say the time that is drawn; while it plays, they do so at some frames only."""
+        self.seek(self.time)
 
     def seek(self, time: float, everything: bool = True) -> None:
         """Go to a time [s]; without ``everything``, layers that are slow to draw follow some frames later."""

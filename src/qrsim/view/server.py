@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import secrets
 import weakref
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from qrsim.core.arrays import Floats
 from qrsim.errors import RunError, UsageError
 from qrsim.extras import require
 from qrsim.view.gate import Gate
@@ -115,6 +117,13 @@ def listen(server: ViserServer, wish: Callable[[Any], bytes | None]) -> None:
     What it returns is sent to that script.
     """
     _gates[server].wish = wish
+
+
+def packed(head: dict[str, object], values: Floats | None = None) -> bytes:
+    """Return an answer to a page's script: the length of a head in 4 bytes, the head as JSON, and values as float32."""
+    text = json.dumps(head).encode()
+    text += b" " * (-len(text) % 4)
+    return len(text).to_bytes(4, "little") + text + (b"" if values is None else values.astype("<f4").tobytes())
 
 
 def address(server: ViserServer) -> str:

@@ -251,6 +251,7 @@ def _cast(members: list[Member]) -> Cast:
         tuple(map(_name, members)),
         np.repeat(np.arange(len(members)), [own.size for own in casts]),
         casts[0].site,
+        tuple(count for own in casts for count in own.waypoints),
     )
 
 

@@ -27,11 +27,16 @@ const skyIn = (root) => {
     box.hidden = !told;
     if (!told) return;
     title.textContent = `Sky of ${told.vehicle}`;
-    const count = [0, 0, 0, 0, 0];
-    const found = told.satellites.map(([name, azimuth, elevation, cn0, kind]) => {
+    const count = [0, 0, 0, 0, 0], places = told.satellites.map(([, azimuth, elevation]) => at(azimuth, elevation));
+    const taken = places.map(([x, y]) => [x - 3, y - 3, x + 3, y + 3]);
+    const found = told.satellites.map(([name, , , cn0, kind], number) => {
       count[kind] += 1;
-      const [x, y] = at(azimuth, elevation), faint = kind === 1 || kind === 2 ? 1 : 0.55;
-      return sign(x, y, kind, cn0) + `<text x="${x + 5}" y="${y - 3}" opacity="${faint}">${name}</text>`;
+      const [x, y] = places[number], faint = kind === 1 || kind === 2 ? 1 : 0.55, wide = 4.9 * name.length;
+      // Next to its sign where there is room, in a corner of it; a name without room is left out.
+      const box = [[x + 4, y - 9], [x - 4 - wide, y - 9], [x + 4, y + 2], [x - 4 - wide, y + 2], [x - wide / 2, y - 12], [x - wide / 2, y + 5]]
+        .map(([left, top]) => [left, top, left + wide, top + 7]).find((own) => own[0] > 0 && own[2] < 200 && !taken.some((other) => hits(own, other)));
+      if (box) taken.push(box);
+      return sign(x, y, kind, cn0) + (box ? `<text x="${box[0]}" y="${box[3]}" opacity="${faint}">${name}</text>` : "");
     });
     picture.innerHTML = `<svg viewBox="0 0 200 200">${frame}${found.join("")}</svg>`;
     words.innerHTML = kinds.map((kind, i) => i && (count[i] || i === 1) ?

@@ -51,9 +51,10 @@
     if (!waiting) socket.send(JSON.stringify(wish));
   };
   connect();
+  // Hours, minutes, and seconds to the nearest hundredth, as elsewhere on the page.
   const clock = (t) => {
-    const whole = Math.floor(t + 1e-6), two = (n) => String(n).padStart(2, "0");
-    const rest = two(Math.floor(whole / 60) % 60) + ":" + two(whole % 60);
+    const hundredths = Math.round(100 * Number(t.toFixed(2))), whole = Math.floor(hundredths / 100), two = (n) => String(n).padStart(2, "0");
+    const rest = two(Math.floor(whole / 60) % 60) + ":" + two(whole % 60) + "." + two(hundredths % 100);
     return data.end >= 3600 ? Math.floor(whole / 3600) + ":" + rest : rest;
   };
   window.qrsimTime = (time, plays, speed) => {
@@ -61,8 +62,7 @@
     window.qrsimPlots?.time(time);
     done.style.width = 100 * time / Math.max(data.end, 1e-9) + "%";
     button.textContent = plays ? "||" : "\u25B6";
-    const tenth = Math.floor(10 * (time + 1e-6)) % 10;
-    label.textContent = clock(time) + (data.end < 3600 ? "." + tenth : "") + " / " + clock(data.end) + "  " + speed + " x";
+    label.textContent = clock(time) + " / " + clock(data.end) + "  " + speed + " x";
   };
   // Seconds, or parts with colons; NaN for anything else.
   const typed = (text) => /^\s*(\d+:){0,2}\d+([.,]\d*)?\s*s?\s*$/.test(text)

@@ -16,7 +16,6 @@ from qrsim.runs.layout import Event
 from qrsim.view.clock import Clock
 from qrsim.view.plots import Plots
 from qrsim.view.script import run_script
-from qrsim.view.server import listen
 
 # Of so many events a bar has no room for more; these kinds come too often to be marks.
 MOST_MARKS, NO_MARKS = 300, ("waypoint_reached", "command_clipped")
@@ -45,7 +44,6 @@ class Timeline:
     ):
         self._server, self._end, self._clock, self._seek, self._plots = server, end, clock, seek, plots
         self._time = 0.0
-        listen(server, self.wish)
         data = {"end": end, "marks": marks(events)}
         script = files("qrsim.view").joinpath("timeline.js").read_text("utf-8")
         self._run("timeline", f"window.qrsimTimeline = 1; const data = {json.dumps(data)};\n{script}")
@@ -59,7 +57,7 @@ class Timeline:
         """Move the time bar to a time [s]."""
         self._time = time
         playing = "true" if self._clock.playing else "false"
-        self._run("time", f"window.qrsimTime?.({time:.3f}, {playing}, {self._clock.speed:g})")
+        self._run("time", f"window.qrsimTime?.({time:.6f}, {playing}, {self._clock.speed:g})")
 
     def wish(self, wish: object) -> bytes | None:
         """Seek, play, pause or change the speed as a browser requests, or return the lines of a plot.
@@ -85,7 +83,7 @@ class Timeline:
 def plots_script(plots: Plots, **more: object) -> str:
     """Return the script that draws plots, with its library and data, to which ``more`` is added."""
     folder = files("qrsim.view")
-    scripts = ("uplot/uPlot.iife.min.js", "events.js", "marks.js", "plots.js")
+    scripts = ("uplot/uPlot.iife.min.js", "asking.js", "events.js", "marks.js", "plots.js")
     library, *parts = (folder.joinpath(name).read_text("utf-8") for name in scripts)
     styles = "".join(folder.joinpath(name).read_text("utf-8") for name in ("uplot/uPlot.min.css", "plots.css"))
     data = json.dumps({**plots.about(), "css": styles, **more}).replace("<", "\\u003c")

@@ -76,6 +76,7 @@ class Viewer:
             self.failing = None if failing is None else failing(gui)
         self.who.on_update(lambda _: self._named())
         self.follows.on_update(lambda _: self.follow(self.follows.value))
+        scene.overlay.identify(client)
         self._show()
 
     @property

@@ -55,11 +55,12 @@ def estimate(sensor: Any, begin: Stream, source: Stream, attitude: Euler, steps:
 
 
 @pytest.fixture(scope="module")
-def errors() -> Array:
+def errors(optimising: Any) -> Array:
     """Errors in units of 0.00354 rad, (1 + STEPS, 3, VEHICLES)."""
     ids, key = jnp.arange(VEHICLES, dtype=jnp.uint32), Key.root(1)
     sensor = cast(AttitudeEstimator(), np.float32)
-    reading = estimate(sensor, key.stream("ins/start", ids), key.stream("ins", ids), truth(VEHICLES), STEPS)
+    with optimising():
+        reading = estimate(sensor, key.stream("ins/start", ids), key.stream("ins", ids), truth(VEHICLES), STEPS)
     angles = [np.asarray(angle) for angle in jax.tree.leaves(reading)]
     assert all(angle.dtype == np.float32 for angle in angles)
     return np.stack(angles, axis=1) / STD - np.array(TRUTH, np.float32).astype(float)[None, :, None] / STD

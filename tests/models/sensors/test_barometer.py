@@ -66,9 +66,10 @@ def readings(sensor: Any, n: int, steps: int, climb: float = 0.0, seed: int = 1)
 
 
 @pytest.fixture(scope="module")
-def still() -> tuple[Array, Array]:
+def still(optimising: Any) -> tuple[Array, Array]:
     """Readings of vehicles at 50 m with the default parameters, as errors in m and m/s."""
-    height, rate = readings(Barometer(), VEHICLES, STEPS)
+    with optimising():
+        height, rate = readings(Barometer(), VEHICLES, STEPS)
     return height - HEIGHT, rate
 
 

@@ -18,6 +18,7 @@ from qrsim.models.scene.contents import Contents, ContentsState, Surroundings
 from qrsim.models.scene.persons import Persons, PersonsState
 from qrsim.models.scene.terrain import PatchyGround, TerrainState
 from qrsim.models.sensors.camera import Camera, CameraReading
+from qrsim.models.sensors.person_classifier import PersonClassifier
 
 AREA = cast(BoxArea(-100.0, 100.0, -100.0, 100.0, -80.0, 0.0), np.float32)  # type: ignore[arg-type]
 # At 8 m a person of 0.4 m is 2.5 of the 100 x 75 pixels wide, so that there are 50 x 38 windows, of which 40 x 30 fit.
@@ -27,7 +28,9 @@ SIZE, HEIGHTS = 0.4, (8.0, 3.0, np.nan, 1.0)
 @jax.jit
 def both(reading: CameraReading, persons: PersonsState, ground: Any) -> Any:
     """Return the ratios by themselves, and the whole picture."""
-    camera = Camera(50.0, 50.0, 37.5, width=100, height=75, most_columns=40, most_rows=30)  # type: ignore[arg-type]
+    # Of the heights, one is below ``near``.
+    classifier = PersonClassifier(near=2.0)  # type: ignore[arg-type]
+    camera = Camera(50.0, 50.0, 37.5, classifier, 100, 75, most_columns=40, most_rows=30)  # type: ignore[arg-type]
     camera = cast(camera, np.float32)
     contents = Contents(terrain=cast(PatchyGround(side=4), np.float32), persons=cast(Persons(), np.float32))
     state = ContentsState(None, TerrainState(ground), persons)

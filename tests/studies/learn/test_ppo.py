@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from qrsim.envs.objective import Scaled, _velocity_ned
+from qrsim.studies.learn.moments import Moments
 from qrsim.studies.learn.ppo import Algorithm, Rows, Samples, Settings, _advantages, _loss, _rows_of
-from qrsim.studies.learn.training import Moments
 from qrsim.tasks.learned import View
 
 
@@ -75,7 +75,7 @@ def test_moments_are_those_of_all_rows() -> None:
 
 
 def test_rewards_are_scaled_by_the_deviation_of_their_sums() -> None:
-    batch: Any = SimpleNamespace(size=2, functional=SimpleNamespace(agents=("a",)))
+    batch: Any = SimpleNamespace(size=2, agents=("a",))
     scaled = Scaled(batch, 0.0)
     scaled.begin(batch)
     going = np.zeros(2, bool)

@@ -17,11 +17,17 @@ def test_a_task_of_one_vehicle_has_the_defaults() -> None:
     assert (plan.seed, plan.steps) == (7, 1000)
     assert plan.settings == Settings()
     assert plan_of("land_on_pad").settings == Settings(spread=0.4)
+    assert plan_of("keep_spot").start is None
+    assert plan_of("keep_spot", start="baseline").settings == Settings(spread=0.03, rate=1e-4, falling=True)
 
 
 def test_a_pursuit_has_its_own() -> None:
     plan = plan_of("cats_and_mouse/1A")
-    assert (plan.envs, plan.settings.discount, plan.settings.spread) == (128, 0.97, 0.3)
+    assert (plan.envs, plan.settings.discount, plan.settings.spread) == (128, 0.97, 0.03)
+    # It starts with the baseline, changes it slowly, and sees a crash in a hundred episodes.
+    assert (plan.start, plan.settings.rate, plan.settings.falling, plan.tries) == ("baseline", 1e-4, True, 200)
+    begun = plan_of("cats_and_mouse/1A", start=None)
+    assert (begun.settings.spread, begun.settings.rate, begun.tries) == (0.3, 1e-3, 64)
     assert plan_of("cats_and_mouse/1A", envs=3).envs == 3
     # Asked for, the settings are those.
     assert plan_of("cats_and_mouse/1A", settings=Settings(rate=0.5)).settings.rate == 0.5

@@ -201,8 +201,8 @@ class Check:
 
 
 def _draw(scenario: Scenario, flown: Rollout, found: list[Outcome], path: Path) -> RunError | None:
-    """Draw the picture of a check; return an error instead of raising it, so that the numbers are printed all the
-    same."""
+    """Draw the picture of a check; return an error (None: it is drawn) instead of raising it, so that the numbers are
+    printed all the same."""
     from qrsim.apps.check.picture import save_picture
 
     try:
@@ -227,7 +227,7 @@ def _print_outcomes(found: list[Outcome], runs: int) -> None:
 
 
 def _where(moment: Moment) -> str:
-    """Return the seed, vehicle, time and place of an outcome as text."""
+    """Return the seed, vehicle, time and place of an outcome or margin as text."""
     north, east, down = moment.position_ned
     place = f"north {north:.1f}, east {east:.1f}, height {-down:.1f} m"
     return f"seed {moment.seed}, {moment.vehicle}, {moment.time_s:.2f} s, {place}"
@@ -247,8 +247,8 @@ def _check_picture(path: Path) -> None:
 
 @contextmanager
 def _progress(scenario: Scenario, runs: int) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar with the real-time factor while the context lasts; yield its update function (ticks flown
-    since)."""
+    """Show a progress bar with the real-time factor in the context, on a terminal only; yield a function that adds
+    ticks to it."""
     import time
 
     begun, ticks = time.perf_counter(), 0

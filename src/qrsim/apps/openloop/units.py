@@ -46,7 +46,7 @@ def si_within_limits(table: CommandTable, units: Units, clip: bool) -> tuple[Num
 
 
 def _refuse(table: CommandTable, units: Units, row: int, column: int, count: int) -> None:
-    """Raise UsageError for an out-of-range command at a row and column; ``count``: number of such commands."""
+    """Raise UsageError for an out-of-range command at a row and column; ``count``: number of such rows."""
     low, high = limits_in(units)[column]
     # Rounded towards the inside, so that a bound copied from the message is itself allowed.
     low, high = math.ceil(low * 100.0) / 100.0, math.floor(high * 100.0) / 100.0

@@ -168,8 +168,8 @@ class Run:
         page: LiveView | None,
         injections: tuple[Injection, ...],
     ) -> Pace:
-        """Fly the scenario into a run folder; return its simulated and wall time. ``every``: stream -> ticks between
-        rows."""
+        """Fly the scenario into a run folder; return its simulated and wall time and its late chunks. ``every``: stream
+        -> ticks between rows."""
         from qrsim.runs.recorder import fly
         from qrsim.runs.waiting import waiting_since
 
@@ -271,8 +271,8 @@ def _new_folder(name: str, seed: int) -> Path:
 
 @contextmanager
 def _progress(scenario: Scenario) -> Iterator[Callable[[float, float], None]]:
-    """Show a progress bar with the real-time factor while the context lasts; yield its update function (simulated, wall
-    time [s])."""
+    """Show a progress bar with the real-time factor in the context, on a terminal only; yield its update function
+    (simulated, wall time [s])."""
     texts = "{task.completed:.0f} of {task.total:g} s", "{task.fields[factor]}"
     with progress_bar(scenario.name, scenario.duration, *texts, factor="compiling") as update:
         yield lambda simulated_s, wall_s: update(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -50,6 +50,9 @@ class Lanes:
     def _set_layout(self, layout: Packer, count: int, lanes: int) -> None:
         """Set the layout of one world's state, and the number of worlds and of lanes."""
         self.layout, self.count, self._lanes = layout, count, lanes
+        # Views of leaves that were read or set before, and of those of an only world, its numbers in a row.
+        self._parts: dict[int, Array] = {}
+        self._rows: list[Array] = []
         self.tiles = -(-count // self._lanes)
 
     def addresses(self, tile: int) -> list[int]:
@@ -80,6 +83,14 @@ class Lanes:
                 # Lanes without a world of their own repeat the last one.
                 rows = rows[np.minimum(np.arange(whole), self.count - 1)]
             self._part(number)[...] = rows.reshape(self.tiles, self._lanes, -1).swapaxes(1, 2)
+
+    def fill_only(self, leaves: Sequence[Array]) -> None:
+        """Set the only world, whose numbers lie one after the other, from its leaves."""
+        if not self._rows:
+            self._rows = [self._view(number).reshape(-1) for number in range(len(self.layout.slices))]
+        for row, leaf in zip(self._rows, leaves, strict=True):
+            # The bits of a key, not its value, which int32 may not hold.
+            row[...] = (leaf.view(np.int32) if leaf.dtype == np.uint32 else leaf).reshape(-1)
 
     @property
     def flat(self) -> Array | None:
@@ -114,6 +125,12 @@ class Lanes:
 
     def _part(self, number: int) -> Array:
         """Return a view of a leaf's memory (tiles, numbers of a world, lanes)."""
+        if number not in self._parts:
+            self._parts[number] = self._view(number)
+        return self._parts[number]
+
+    def _view(self, number: int) -> Array:
+        """Return a new view of a leaf's memory, as ``_part``."""
         layout = self.layout
         buffer, part = self._buffers[0 if layout.is_float[number] else 1], layout.slices[number]
         begin, end = part.start * self._lanes, part.stop * self._lanes

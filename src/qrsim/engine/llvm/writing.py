@@ -272,22 +272,23 @@ class Writer:
         pointer = place.pointer
         for axis, move in enumerate(moved):
             if move is not None:
-                distance = self._distance(starts[move[0]][0], dtypes[move[0]], move[1], place.strides[axis], 1)
+                start = starts[move[0]][0]
+                distance = self._distance(start, dtypes[move[0]], move[1], place.strides[axis], "i64")
                 pointer = self.emit(f"getelementptr i8, ptr {pointer}, i64 {distance}")
         return Place(pointer, place.offset, place.strides, place.own)
 
-    def _distance(self, start: str, dtype: DType, largest: int, stride: int, lanes: int) -> str:
-        """Return the offset [bytes] of a start, clipped to its range."""
+    def _distance(self, start: str, dtype: DType, largest: int, stride: int, element: str, lanes: int = 1) -> str:
+        """Return the offset [bytes] of a start, clipped to its range, as integers of the type ``element``."""
         of, sign = vector(scalar_type(dtype), lanes), "s" if dtype.kind == "i" else "u"
         for how, limit in (("max", 0), ("min", largest)):
             name = f"llvm.{sign}{how}.{suffix(scalar_type(dtype), lanes)}"
             self.declarations.add(f"declare {of} @{name}({of}, {of})")
             bound = splat(str(limit), scalar_type(dtype), lanes)
             start = self.emit(f"call {of} @{name}({of} {start}, {of} {bound})")
-        wide = vector("i64", lanes)
+        wide = vector(element, lanes)
         if of != wide:
             start = self.emit(f"zext {of} {start} to {wide}")
-        return self.emit(f"mul {wide} {start}, {splat(str(stride), 'i64', lanes)}")
+        return self.emit(f"mul {wide} {start}, {splat(str(stride), element, lanes)}")
 
     def _picked(self, node: Node, place: Place, starts: list[str], lanes: int) -> str:
         """Return a vector of elements, each at its own run-time start."""
@@ -296,12 +297,17 @@ class Writer:
         step = stored_bytes(node.dtype) if self._lanes_of(access.node) > 1 else 0
         if self.scope.lane_axis is not None:
             step = sum(s for (a, _), s in zip(access.index, place.strides, strict=True) if a == self.scope.lane_axis)
-        offsets = "<" + ", ".join(f"i64 {lane * step}" for lane in range(lanes)) + ">"
-        for axis, move in enumerate(moved):
-            if move is not None:
-                dtype = node.args[1 + move[0]].node.dtype
-                far = self._distance(starts[move[0]], dtype, move[1], place.strides[axis], lanes)
-                offsets = self.emit(f"add {wide} {offsets}, {far}")
+        moves = [(*move, place.strides[axis]) for axis, move in enumerate(moved) if move is not None]
+        dtypes = [access.node.dtype for access in node.args[1:]]
+        # Offsets of 32 bits take half as many vectors.
+        short = sum(largest * stride for _, largest, stride in moves) + lanes * step < 2**31
+        element = "i32" if short and all(dtypes[which].itemsize == 4 for which, _, _ in moves) else "i64"
+        offsets = "<" + ", ".join(f"{element} {lane * step}" for lane in range(lanes)) + ">"
+        for which, largest, stride in moves:
+            far = self._distance(starts[which], dtypes[which], largest, stride, element, lanes)
+            offsets = self.emit(f"add {vector(element, lanes)} {offsets}, {far}")
+        if element != "i64":
+            offsets = self.emit(f"sext {vector(element, lanes)} {offsets} to {wide}")
         index = [(None if a is None else self.scope.variables[a], offset) for a, offset in access.index]
         first = self.address(place, index)
         pointers = self.emit(f"getelementptr i8, ptr {first}, {wide} {offsets}")

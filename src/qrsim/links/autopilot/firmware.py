@@ -273,7 +273,8 @@ class Firmware:
             raise
 
     def tell(self, time_s: float, sensed: Sensed, channels: Sequence[int]) -> None:
-        """Send sensor values and stick channels (1000 to 2000) to Betaflight, which then runs up to ``time_s`` [s]."""
+        """Send sensor values and stick channels (1000 to 2000) to Betaflight, which then runs up to ``time_s`` [s]; the
+        time must not decrease."""
         self.process.send(state_packet(time_s, sensed) + sticks_packet(time_s, channels))
 
     def motors(self) -> tuple[float, ...]:
@@ -303,7 +304,8 @@ class Firmware:
         return (count - 1) * dt
 
     def _arming_reasons(self, tick: int, dt: float, sensed: Sensed) -> list[str]:
-        """Step Betaflight once and return its arming-disabled reasons, asked over MSP; empty if it does not answer."""
+        """Step Betaflight until it answers over MSP why it does not arm, and return these reasons; empty without an
+        answer."""
         received, until = b"", time.monotonic() + ANSWER_S
         try:
             with _connected(self.process.port) as asked:

@@ -77,8 +77,8 @@ class Px4Feed:
         self._sequence = [0] * fleet.size
 
     def frames(self, number: int) -> tuple[list[bytes], list[bool]]:
-        """Return each vehicle's MAVLink messages of sensor frame ``number`` as bytes, and whether each has body
-        rates."""
+        """Return each vehicle's MAVLink messages of sensor frame ``number`` as bytes, HIL_SENSOR last, and whether each
+        has body rates."""
         usec = time_usec(number)
         rows = self._sight.read()
         news = {column: self._new_readings(column) for column in _COLUMNS if column in self._sight.sensors}
@@ -141,8 +141,8 @@ class Px4Feed:
         return messages.hil_sensor(usec, rates, force, field, air, differential)
 
     def _fix_payloads(self, new: list[bool] | None, rows: list[list[float]]) -> list[bytes | None] | None:
-        """Return for each vehicle the HIL_GPS payload of its GNSS fix, None without a new one; None if no vehicle has a
-        receiver."""
+        """Return for each vehicle the HIL_GPS payload of its new GNSS fix, None without one; None if no vehicle has a
+        new fix."""
         if new is None or not any(new):
             return None
         places = np.array([row[s.FIX_POSITION : s.FIX_POSITION + 3] for row in rows])

@@ -77,8 +77,8 @@ class Px4Fleet(FlownFleet):
         return [parameters(self.fleet, self.order, self.sight, number) for number in range(self.fleet.size)]
 
     def connect(self, until: float | None) -> None:
-        """Wait until every vehicle's PX4 is connected, at most until ``until`` of ``time.perf_counter`` [s]; None: no
-        limit.
+        """Wait until every vehicle's PX4 is connected, at most until ``until`` of ``time.perf_counter`` [s]; None: as
+        long as a lost one may be replaced.
 
         Args:
             until: time of ``time.perf_counter`` [s]; None: as long as a restart may take.

@@ -95,8 +95,8 @@ class FleetSight:
         return self._last[:, s.POSITION : s.POSITION + 3].tolist()
 
     def _sensed_row(self, row: list[float]) -> Sensed:
-        """Convert a row of ``read`` to a ``Sensed`` record, with latitude, longitude [deg], altitude [m] and pressure
-        [Pa]."""
+        """Convert a row of ``read`` to a ``Sensed`` record, with latitude, longitude [deg], altitude above the geoid
+        [m] and pressure [Pa]."""
         latitude, longitude = self._site.latitude_rad, self._site.longitude_rad
         north, east, down = row[s.POSITION : s.POSITION + 3]
         # The firmware takes the place to no more than a number to show: a sphere is enough.

@@ -145,7 +145,7 @@ def _numbers(word: str, unit: _Unit) -> tuple[str, dict[str, Any]]:
 
 
 def _motors(fleet: Fleet) -> list[str]:
-    """Return the names "rotor N" of the fleet's rotors that can fail, in PX4's motor order."""
+    """Return the names "rotor N" of the fleet's rotors that can fail, those of an X quadrotor in PX4's motor order."""
     rotors = [slot.rotor for slot in fleet.rotor_slots]
     if len(rotors) == 4 and isinstance(fleet.vehicle, Multirotor) and len(fleet.vehicle.rotors) == 4:
         corners = {(True, True): 0, (False, False): 1, (True, False): 2, (False, True): 3}

@@ -68,7 +68,7 @@ class SimWind:
         return round(float(found.speed_20ft), 6), round(math.degrees(float(found.wind_from_rad)), 4)
 
     def ask(self, speed: float, bearing: float, constant: float, asked_by: str) -> None:
-        """Let the mean wind approach a speed [m/s] and bearing [deg] with time constant ``constant`` [s]; raises
+        """Let the mean wind approach a speed [m/s] and bearing [deg] by a SIM_WIND_TC of ``constant`` [s]; raises
         UsageError if too fast."""
         most = wind_limit(self._simulation.world)
         if speed > most:
@@ -191,7 +191,7 @@ class SimParameters:
         self._air.shoves[self._name] = (self._simulation.time + seconds, self._values)
 
     def _drop(self, volts: float) -> None:
-        """Lower the battery's charge until its voltage is ``volts`` [V] (SIM_BATT_VOLTAGE)."""
+        """Lower the battery's charge until its open-circuit voltage is ``volts`` [V] (SIM_BATT_VOLTAGE)."""
         if self._volts is None:
             raise UsageError("there is no battery that could lose charge")
         numbers = {"charge": float(np.interp(volts, self._volts, CHARGES))}

@@ -107,8 +107,17 @@ class Streams:
 
     def due(self, tick: int, fresh: bool) -> list[int]:
         """Return the numbers of the messages that are due at a tick; ``fresh``: a fix has arrived."""
-        _, columns = _due([self], self._interval[None], self._next[None], tick, [fresh])
-        return [STREAMED[column] for column in columns.tolist()]
+        # Few messages are due at once, and one after the other they take less time than by ``_due``.
+        columns: list[int] = (self._next <= tick).nonzero()[0].tolist()
+        times = {}
+        for column in columns:
+            when = times[column] = float(self._next[column])
+            # Late ones are not sent after.
+            self._next[column] = max(when + float(self._interval[column]), tick + 1e-9)
+        columns.sort(key=times.__getitem__)
+        if fresh and self._each_fix:
+            columns.append(FIX_COLUMN)
+        return [STREAMED[column] for column in columns]
 
 
 class Schedule:

@@ -78,7 +78,7 @@ def _has_hash(system: System) -> bool:
 
 
 def _hash(system: System) -> bytes:
-    """Return the PARAM_VALUE payload with the hash of all parameters' names and values, as PX4's
+    """Return the PARAM_VALUE payload of ``_HASH_CHECK``: the hash of all parameters' names and values, as PX4's
     ``param_hash_check``."""
     table, state = system.stack.parameters, 0
     for parameter in table:

@@ -102,12 +102,17 @@ class Rows:
 Payloads = tuple[NumpyArray, NumpyArray]
 
 
+def _triples(r: Rows, name: str, first: NumpyArray, second: NumpyArray) -> Payloads:
+    """Return the payloads of a message of six numbers of the estimate: two arrays (n, 3)."""
+    found = r.blank(name)
+    found["ms"] = r.ms
+    found["numbers"][:, :3], found["numbers"][:, 3:] = first, second
+    return found, r.valid
+
+
 def attitude(r: Rows) -> Payloads:
     """Return the payloads of ATTITUDE."""
-    found = r.blank("ATTITUDE")
-    found["ms"] = r.ms
-    found["numbers"][:, :3], found["numbers"][:, 3:] = r.attitude, r.rates
-    return found, r.valid
+    return _triples(r, "ATTITUDE", r.attitude, r.rates)
 
 
 def attitude_quaternion(r: Rows) -> Payloads:
@@ -120,10 +125,7 @@ def attitude_quaternion(r: Rows) -> Payloads:
 
 def local_position_ned(r: Rows) -> Payloads:
     """Return the payloads of LOCAL_POSITION_NED."""
-    found = r.blank("LOCAL_POSITION_NED")
-    found["ms"] = r.ms
-    found["numbers"][:, :3], found["numbers"][:, 3:] = r.position, r.velocity
-    return found, r.valid
+    return _triples(r, "LOCAL_POSITION_NED", r.position, r.velocity)
 
 
 def global_position_int(r: Rows) -> Payloads:

@@ -81,8 +81,8 @@ class Transfers:
         self._go_on()
 
     def item(self, link: Link, partner: Partner, message: Message) -> None:
-        """Store an item of a plan upload and request the next; after an item out of order, request the due one
-        again."""
+        """Store a MISSION_ITEM or MISSION_ITEM_INT of a plan upload and request the next; after an item out of order,
+        request the due one again."""
         upload, kind = self.upload, message.mission_type
         if self._ardupilot and kind == PlanKind.MISSION and message.current in (GO_THERE, ALTITUDE_ONLY):
             self._ack(link, partner, self._guided(message), kind)
@@ -188,7 +188,8 @@ class Transfers:
         link.say("MISSION_COUNT", **_to(partner), count=len(self._stack.items(kind)), mission_type=kind)
 
     def send(self, link: Link, partner: Partner, message: Message, integers: bool) -> None:
-        """Send one item of a plan, as MISSION_ITEM_INT (``integers``) or as MISSION_ITEM with floats."""
+        """Answer MISSION_REQUEST_INT or MISSION_REQUEST: send an item of a plan as MISSION_ITEM_INT (``integers``) or
+        as MISSION_ITEM with floats."""
         kind = _kind(message.mission_type)
         items = () if kind is None else self._stack.items(kind)
         home = self._stack.home_item() if kind is PlanKind.MISSION and message.seq == 0 else None
@@ -245,7 +246,8 @@ def item_of(message: Message) -> Item:
 
 
 def _scale(frame: int) -> float:
-    """Return the integer units per degree (1e7) or per metre (1e4) in x and y of a mission item, by its MAV_FRAME."""
+    """Return the integer units per degree (1e7) or metre (1e4; 1 in the mission frame) in x and y of a mission item, by
+    its MAV_FRAME."""
     return 1.0 if frame == _MISSION_FRAME else 1e4 if frame in _LOCAL_FRAMES else 1e7
 
 

@@ -74,7 +74,7 @@ class Connection(asyncio.Protocol):
         self.finished = asyncio.get_running_loop().create_task(self._serve(refused))
 
     def data_received(self, data: bytes) -> None:
-        """Append received bytes; stop reading while a complete request waits to be answered."""
+        """Append received bytes; stop reading while more bytes wait than the largest request has."""
         if self._discard:
             return
         self._deframer.feed(data)

@@ -153,7 +153,8 @@ class EpisodeSession:
         )
 
     def _action(self, given: Sequence[Arrayd]) -> NumpyArray:
-        """Return the agents' actions (n, A) from a request's vectors; raises UsageError for wrong counts."""
+        """Return the agents' actions (n, A) from a request's vectors; raises UsageError for wrong counts and numbers
+        out of range."""
         axes, agents = self.play.axes, self.play.agents
         with np.errstate(over="ignore"):
             action = np.array(rows_of(given, (len(axes),), "action", agents), PRECISION)
@@ -199,7 +200,7 @@ class EpisodeSession:
 
     @property
     def packed(self) -> tuple[Packer, Buffers]:
-        """Present state of the world in flat buffers, and the layout that unpacks it."""
+        """Layout and flat buffers of the world's present state."""
         state = jax.tree.map(np.asarray, self._episodes.episode(0).state)
         if self._layout is None:
             self._layout = Packer(state)

@@ -81,7 +81,7 @@ class Source(Protocol):
 
     @property
     def packed(self) -> tuple[Packer, Buffers]:
-        """State of the world in flat buffers, and the layout that unpacks it."""
+        """Layout and flat buffers of the world's state."""
 
 
 def places_of(simulation: Source) -> Any:
@@ -237,7 +237,8 @@ class _Posed:
         self._compiled = jax.jit(_vectors)
 
     def vectors(self, layout: Packer, buffers: Buffers) -> NumpyArray:
-        """Return the state vectors (n, 13) of these vehicles from a packed state, in double precision."""
+        """Return the state vectors (n, 13) of these vehicles from a packed state, with positions without their rounding
+        remainders."""
         part = layout.numbers.fleets[self._number].vehicle
         state = jax.tree.map(lambda number: np.asarray(layout.leaf(buffers, number)), part)
         with jax.enable_x64(layout.dtype == np.float64):

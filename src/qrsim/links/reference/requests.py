@@ -94,7 +94,7 @@ async def disconnect(connection: Client, message: Message) -> None:
 
 
 async def set_state(connection: Client, message: Message) -> None:
-    """Set the vehicles' states from a SET_STATE message, and acknowledge it."""
+    """Set the vehicles' states from a SETSTATE message, and acknowledge it."""
     session = connection.required_session()
     await connection.server.run(session, lambda: session.set_state(message.setsState.X))
     connection.acknowledge()

@@ -123,8 +123,8 @@ class _FleetSensed:
         self._values = self._reading = None
 
     def _measured(self) -> tuple[NumpyArray, NumpyArray]:
-        """Return the fleet's readings (n, V), the times [s] of their sensors (n, S), and whether each is new (n, S)
-        bool."""
+        """Return the fleet's readings with the times [s] of its sensors behind them, (n, V + S), and whether each
+        sensor's is new, (n, S) bool."""
         if self._values is None:
             simulation = self._simulation
             floats = np.asarray(simulation.packed[1][0])
@@ -191,8 +191,8 @@ class _FleetSensed:
     def _vehicle_message(
         self, name: str, values: NumpyArray, fresh: NumpyArray, why: str = "", reasons: Sequence[str] = ()
     ) -> Any:
-        """Return a vehicle's protobuf message from values (V,), freshness (S,), why it stopped, and reasons for missing
-        readings."""
+        """Return a vehicle's protobuf message from values with times behind them (V + S,), freshness (S,), why it
+        stopped, and reasons for missing readings."""
         message = Readings.Vehicle(name=name, valid=not why, reason=why)
         begin, count = 0, len(values) - len(self._sensors)
         for i, sensor in enumerate(self._sensors):

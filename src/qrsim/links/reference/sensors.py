@@ -144,8 +144,8 @@ def _blank_vehicle(name: str, sensors: list[SensorPart]) -> tuple[bytes, list[li
 
 
 def _appended(content: bytes, tag: bytes, inner: bytes) -> tuple[bytes, int]:
-    """Append ``inner``, an encoded message, to ``content`` as the field with this tag; return both, and the offset of
-    ``inner``."""
+    """Append ``inner``, an encoded message, to ``content`` as the field with this tag; return the bytes, and the offset
+    of ``inner``."""
     content += tag + varint(len(inner))
     return content + inner, len(content)
 

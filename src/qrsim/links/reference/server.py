@@ -318,7 +318,8 @@ class Server:
         return await asyncio.get_running_loop().run_in_executor(session.thread, work)
 
     async def advance(self, connection: Connection, session: Session, command: object, ticks: int) -> None:
-        """Advance a session by ``ticks`` with a command, in the session's thread; raises UsageError for a bad command.
+        """Advance a session by ``ticks`` with a command, in the session's thread; raises UsageError if the client
+        leaves first.
 
         Raises:
             UsageError: the command cannot be flown, and nothing has changed; or its client leaves meanwhile.

@@ -19,7 +19,7 @@ MOST_RATE_HZ = 1e6
 
 
 def _shared_world(client: Client) -> Sharing:
-    """Return the world that all clients of this server share; raises UsageError where each client has its own."""
+    """Return the world that all clients of this server share."""
     found = client.server.sharing
     assert isinstance(found, Sharing)
     return found

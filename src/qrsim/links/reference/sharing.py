@@ -80,7 +80,8 @@ class Sharing:
     # ---- claims ----
 
     def claim(self, client: Client, names: Sequence[str], silence: Silence | None) -> tuple[str, ...]:
-        """Claim vehicles for a client, and return the names of all that it has; raises UsageError if one is taken."""
+        """Claim vehicles for a client, and return the names of all that it has; raises UsageError if one cannot be
+        claimed."""
         plant = self.session.plant
         new = plant.claim(client.number, names, silence)
         if new:
@@ -122,8 +123,8 @@ class Sharing:
     # ---- orders ----
 
     def order(self, client: Client, orders: Sequence[Order], source_tick: int | None) -> int:
-        """Queue a client's orders, and return the tick at which they take effect; ``source_tick``: of the readings they
-        are based on."""
+        """Queue a client's orders, and return the tick at which they take effect; ``source_tick``: of their readings;
+        raises UsageError for bad ones."""
         plant = self.session.plant
         plant.check(client.number, orders)
         plant.order(orders, source_tick)

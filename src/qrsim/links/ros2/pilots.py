@@ -132,8 +132,8 @@ class Pilots:
                 self._fly_order(row, Order(self._names[row], "attitude", numbers), "attitude")
 
     def _fly_motion(self, row: int, pilot: Pilot, wish: Motion, heading: float) -> None:
-        """Give the vehicle at ``row`` a velocity order from a Twist, whose yaw rate is integrated from ``heading``
-        [rad]."""
+        """Give the vehicle at ``row`` a velocity order from a Motion, with its yaw rate integrated to a yaw near the
+        present ``heading`` [rad]."""
         yaw = heading if pilot.yaw is None else pilot.yaw
         # The heading that is asked for runs ahead of the vehicle by no more than a quarter turn.
         step = wish.yaw_rate * self._simulation.world.time_step

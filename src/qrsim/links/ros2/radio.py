@@ -63,8 +63,8 @@ class Inboxes:
 
 
 def hand_over(simulation: Simulation, namespaces: Sequence[str], said: Sequence[tuple[int, Message]]) -> list[Checked]:
-    """Queue radio messages from ROS (``said``: row, message) at the radios; return valid ones as (sender, numbers (D,),
-    receiver or -1).
+    """Queue radio messages from ROS (``said``: row, message) at the radios, all or none; return them as (sender,
+    numbers (D,), receiver or -1).
 
     Args:
         simulation: with a radio.

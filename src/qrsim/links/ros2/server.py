@@ -286,7 +286,7 @@ class Server:
         self.publish()
 
     def _publish_status(self) -> None:
-        """Publish time, pace and flight modes as JSON text, at most every STATUS_EVERY_S [s]."""
+        """Publish time, pace, seed and injected faults as JSON text, at most every STATUS_EVERY_S [s]."""
         now = time.monotonic()
         if now - self._told_status < STATUS_EVERY_S:
             return

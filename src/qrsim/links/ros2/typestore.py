@@ -104,8 +104,7 @@ class Types:
         return self.store.fielddefs[name][1]
 
     def sample(self, name: str) -> Any:
-        """Return the DDS class for a message type; its instances hold CDR bytes in ``cdr``, so that qrsim encodes
-        itself.
+        """Return the DDS class for a message type; its instances hold CDR bytes in ``cdr``, which qrsim encodes.
 
         The library would turn a message into an object of its own field by field; qrsim hands it bytes.
         """

@@ -97,8 +97,8 @@ class Publication:
 
 
 def kinds_of(sensors: Sensors, drains: bool, windy: bool) -> list[Kind]:
-    """Return the kinds of messages that a vehicle publishes; ``drains``: it has a battery, ``windy``: it estimates the
-    wind.
+    """Return the kinds of messages that a vehicle with these sensors publishes; ``drains``: it has a battery,
+    ``windy``: it estimates the wind.
 
     Args:
         sensors: of the vehicle.

@@ -162,8 +162,8 @@ class ZenohNode:
         return f"/{_mangled(topic.name)}/{dds_name(topic.type)}/{self._type_hash(topic.type)}/{_qualities(profile)}"
 
     def _declare(self, what: str, told: str) -> str:
-        """Declare a liveliness token (``what``: NN node, MP publisher, MS subscriber) with content ``told``; return
-        it."""
+        """Declare a liveliness token (``what``: NN node, MP publisher, MS subscriber, SS service) with content
+        ``told``; return it."""
         token = f"@ros2_lv/{self._domain}/{self._zid}/0/{self._entities}/{what}/%/%/{self._node}{told}"
         self._entities += 1
         self._kept.append(self._session.liveliness().declare_token(token))

@@ -37,7 +37,7 @@ class Spoken:
         self.say_again(simulation)
 
     def say_again(self, simulation: Simulation) -> None:
-        """Queue the recorded messages of the present tick, loaded by ``read``, at the vehicles' radios."""
+        """Queue the messages of the present tick, stored here or loaded by ``read``, at the vehicles' radios."""
         now = np.flatnonzero(self.tick == simulation.tick).tolist()
         if now:
             simulation.send_all(list(zip(now, self.numbers[now], self.to[now].tolist(), strict=True)))

@@ -7,22 +7,21 @@ a world whose vehicles have cameras is as fast as one without.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from typing import ClassVar, Protocol
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from qrsim.core.fastmath import log, sincos
 from qrsim.core.noise import Draw, Noise, Stream
 from qrsim.core.tree import parameter, quantity, record, setting
 from qrsim.core.vectors import Euler, Rotation, Vec3, rotation
 from qrsim.models.scene.contents import Surroundings
 from qrsim.models.scene.persons import PersonsState
-from qrsim.models.scene.terrain import CLUTTER, OCCLUSION
 from qrsim.models.sensors import camera_windows
 from qrsim.models.sensors.contracts import Sensor
+from qrsim.models.sensors.person_classifier import Close, PersonClassifier
 
 # Corners of a person, in halves of its side.
 _CORNERS = ((-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5))
@@ -72,62 +71,6 @@ class View:
     height: Array
     left: Array
     top: Array
-
-
-@record
-class PersonClassifier:
-    """Mean and spread of the score of a window, with and without a person, by the distance r to the ground it shows."""
-
-    range_limit: Array = parameter(
-        default=50.0, unit="m", doc="range limit: larger ranges r are clipped to it", above=0.0
-    )
-    near: Array = parameter(default=11.0, unit="m", doc="range r below which the mean changes fast", above=0.0)
-    person_mean: Array = parameter(default=0.55, unit="1", doc="with a person: middle of the mean for short r")
-    person_swing: Array = parameter(default=0.11, unit="1", doc="with a person: amplitude of the mean for short r")
-    person_slope: Array = parameter(default=0.005, unit="1/m", doc="with a person: decrease of the mean beyond")
-    occlusion_loss: Array = parameter(default=0.1, unit="1", doc="with a person: decrease of the mean if occluded")
-    person_std: Array = parameter(default=0.16, unit="1", doc="with a person: std at r = 0", above=0.0)
-    person_std_slope: Array = parameter(default=-0.0061, unit="1/m", doc="with a person: slope of the std")
-    person_std_curve: Array = parameter(default=7.4e-5, unit="1/m^2", doc="with a person: curvature of the std")
-    none_mean: Array = parameter(default=0.34, unit="1", doc="without a person: mean at r = 0")
-    none_rise: Array = parameter(
-        default=0.076, unit="1", doc="without a person: rise of the mean for short r, constant beyond"
-    )
-    none_std: Array = parameter(default=0.09, unit="1", doc="without a person: std at r = 0", above=0.0)
-    none_std_slope: Array = parameter(default=-0.0016, unit="1/m", doc="without a person: slope of the std")
-    none_std_curve: Array = parameter(default=2.4e-5, unit="1/m^2", doc="without a person: curvature of the std")
-    clutter_std: Array = parameter(default=0.04, unit="1", doc="without a person: further std on clutter", minimum=0.0)
-
-    def person(self, distance: Array, ground: Array) -> tuple[Array, Array]:
-        """Return mean and std of a classifier's score for ground windows with a person, by distance [m] and class.
-
-        Args:
-            distance: r [m].
-            ground: class of the ground.
-        """
-        r = jnp.clip(distance, 0.0, self.range_limit)
-        _, cosine = sincos(math.pi * (1.0 + jnp.minimum(r, self.near) / self.near))
-        near = self.person_mean + self.person_swing * cosine
-        beyond = self.person_mean + self.person_swing - self.person_slope * (r - self.near)
-        mean = jnp.where(r <= self.near, near, beyond) - jnp.where(ground == OCCLUSION, self.occlusion_loss, 0.0)
-        return mean, self.person_std + r * (self.person_std_slope + r * self.person_std_curve)
-
-    def none(self, distance: Array, ground: Array) -> tuple[Array, Array]:
-        """Return mean and std of a classifier's score for ground windows without a person; see ``person``."""
-        r = jnp.clip(distance, 0.0, self.range_limit)
-        mean = self.none_mean + self.none_rise * jnp.minimum(r / self.near, 1.0)
-        std = self.none_std + r * (self.none_std_slope + r * self.none_std_curve)
-        return mean, std + jnp.where(ground == CLUTTER, self.clutter_std, 0.0)
-
-    def ratio(self, score: Array, distance: Array, ground: Array) -> Array:
-        """Return the log-likelihood ratio, person over no person, of a window's score at a distance [m]."""
-
-        def log_density(mean: Array, std: Array) -> Array:
-            """Return the log of a normal density at the score, without its constant."""
-            offset = (score - mean) / std
-            return -0.5 * offset * offset - log(std)
-
-        return log_density(*self.person(distance, ground)) - log_density(*self.none(distance, ground))
 
 
 @record
@@ -246,7 +189,8 @@ class Camera(Sensor):
         present = jnp.zeros(noise.shape, bool)
         if around.state.persons is not None:
             present = self._present(view, around.state.persons, tick, size)
-        ratio = self.ratio(view, around, *self.middle(view, row[:-1], column[:, :-1]), present, noise)
+        middle = self._on_ground(view, *self.middle(view, row[:-1], column[:, :-1]))
+        ratio = self.ratio(view, around, middle, present, noise, self.classifier.close)
         in_grid = (row[:-1] < view.rows) & (column[:, :-1] < view.columns)
         shown = (row <= view.rows) & (column <= view.columns)
         return Picture(
@@ -262,22 +206,32 @@ class Camera(Sensor):
         """Return pixel coordinates (x, y) of windows' centres, for their rows and columns (...) in the grid."""
         return view.left + (column + 0.5) * view.width, view.top + (row + 0.5) * view.height
 
-    def ratio(self, view: View, around: Surroundings, x: Array, y: Array, present: Array, noise: Array) -> Array:
-        """Return the log-likelihood ratio of each ground window of one picture; ``present``: shows a person.
+    def ratio(
+        self,
+        view: View,
+        around: Surroundings,
+        middle: Vec3,
+        present: Array,
+        noise: Array,
+        close: Callable[[Array], Close],
+    ) -> Array:
+        """Return the log-likelihood ratios of windows of one picture.
 
         Args:
             view: of the camera.
             around: the world.
-            x, y: pixels of their middle.
+            middle: of their middle on the ground (...) [m].
             present: (...) bool, whether a missing person is in each.
             noise: normals (...).
+            close: ``PersonClassifier.close``; its result has no meaning beyond ``near``, but for a rise of 1.
         """
-        middle = self._on_ground(view, x, y)
         distance, ground = (middle - view.position).norm(), around.ground_class(middle)
-        means, stds = zip(self.classifier.person(distance, ground), self.classifier.none(distance, ground), strict=True)
-        score = jnp.where(present, means[0], means[1]) + jnp.where(present, stds[0], stds[1]) * noise
+        near = close(distance)
+        laws = self.classifier.person(distance, ground, near), self.classifier.none(distance, ground, near)
+        means, stds = zip(*laws, strict=True)
+        score = jnp.where(present, *means) + jnp.where(present, *stds) * noise
         # The picture of a vehicle that has stopped is NaN, because its pose is.
-        return self.classifier.ratio(score, distance, ground) + 0.0 * distance
+        return self.classifier.ratio(score, distance, ground, near) + 0.0 * distance
 
     def view(self, reading: CameraReading, around: Surroundings, size: Array) -> View:
         """Return one camera's projection onto the ground, with its grid of windows of about ``size`` [m]."""
@@ -311,9 +265,19 @@ class Camera(Sensor):
         )
 
     def _on_ground(self, view: View, x: Array, y: Array) -> Vec3:
-        """Return the points on the ground that pixels show; x is (1, C) or (R, C), y is (R, 1) or (R, C)."""
-        right = (x - self.principal_x) / self.focal_length + 0.0 * y
-        ahead = -(y - self.principal_y) / self.focal_length + 0.0 * x
+        """Return the points on the ground shown by pixels; x (1, C) or (R, C), y (R, 1) or (R, C)."""
+        return self.shown(view, self.right(x) + 0.0 * y, self.ahead(y) + 0.0 * x)
+
+    def right(self, x: Array) -> Array:
+        """Return the slopes (...) to the right of the rays of pixels x (...)."""
+        return (x - self.principal_x) / self.focal_length
+
+    def ahead(self, y: Array) -> Array:
+        """Return the slopes (...) ahead of the rays of pixels y (...)."""
+        return -(y - self.principal_y) / self.focal_length
+
+    def shown(self, view: View, right: Array, ahead: Array) -> Vec3:
+        """Return the points (...) on the ground that rays with slopes (...) meet [m]."""
         ray = view.direction.to_ned(Vec3(ahead, right, jnp.ones_like(right)))
         reach = -view.position.z / ray.z
         return Vec3(view.position.x + reach * ray.x, view.position.y + reach * ray.y, jnp.zeros_like(reach))

@@ -7,6 +7,7 @@ takes as many turns as the pictures have pieces. The numbers are the same.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -15,9 +16,12 @@ from jax import Array, lax
 
 from qrsim.core.noise import Stream
 from qrsim.models.scene.contents import Surroundings
+from qrsim.models.sensors.person_classifier import Close
 
 # Windows that are computed at once. More of them do not fit into registers, and fewer leave the processor waiting.
 COLUMNS = 32
+# Beyond this times ``near`` no rounding makes a distance shorter than ``near``.
+MARGIN = 1.001
 
 
 class _Shown(NamedTuple):
@@ -45,7 +49,12 @@ def ratios(camera: Any, reading: Any, around: Surroundings, stream: Stream, size
     finite = jnp.isfinite(view.rows + view.columns)
     rows, columns = (jnp.where(finite, part, 0.0).astype(jnp.int32) for part in (view.rows, view.columns))
     shown = _persons(own, view, around, tick, size)
+    every = jnp.arange(camera.most_columns).astype(to.dtype)
     vehicles, wide = to.shape[0], min(COLUMNS, camera.most_columns)
+    # No window is nearer than the height of the camera.
+    least = jnp.minimum(jnp.abs(view.position.z), own.classifier.range_limit)
+    low = least <= MARGIN * own.classifier.near
+    right = jax.vmap(lambda each, seen: each.right(each.middle(seen, 0.0, every)[0]))(own, view)
 
     def turn(now: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
         """Return the loop's state with one more block of windows computed, a part of a row of one picture."""
@@ -61,8 +70,9 @@ def ratios(camera: Any, reading: Any, around: Surroundings, stream: Stream, size
         present = jnp.zeros(wide, bool)
         if shown is not None:
             present = _present(_Shown(*(part[vehicle] for part in shown)), row, column)
-        x, y = one.middle(seen, row.astype(to.dtype), column.astype(to.dtype))
-        ratio = one.ratio(seen, around, x, y, present, noise)
+        ahead = one.ahead(one.middle(seen, row.astype(to.dtype), 0.0)[1]) + 0.0
+        middle = one.shown(seen, lax.dynamic_slice(right, (vehicle, left_most), (1, wide))[0], ahead)
+        ratio = one.ratio(seen, around, middle, present, noise, partial(_close, one.classifier, low[vehicle]))
         inside = (row < rows[vehicle]) & (column < columns[vehicle])
         ratio = jnp.where(inside & jnp.isfinite(ratio), ratio, 0.0)
         found = lax.dynamic_update_slice(found, ratio[None, None], (vehicle, row, left_most))
@@ -75,12 +85,18 @@ def ratios(camera: Any, reading: Any, around: Surroundings, stream: Stream, size
     return lax.while_loop(lambda now: now[0] < vehicles, turn, (zero, zero, zero, to))[3]
 
 
+def _close(classifier: Any, low: Array, distance: Array) -> Close:
+    """Return ``PersonClassifier.close``, computed only where the camera is so low () that it matters."""
+    beyond = Close(jnp.zeros_like(distance), jnp.ones_like(distance))
+    found: Close = lax.cond(low, classifier.close, lambda _: beyond, distance)
+    return found
+
+
 def _noise(stream: Stream, tick: Array, window: Array, like: Array, count: int) -> Array:
     """Return standard normals for windows by their numbers, any shape, the same as ``Draw.normal_rows`` gives."""
     half = (count + 1) // 2
     pairs = jnp.where(window < half, window, window - half).astype(jnp.uint32)
-    cosine, sine = stream.normals_of(tick, pairs, like.dtype)
-    return jnp.where(window < half, cosine, sine)
+    return stream.normals_of(tick, pairs, window >= half, like.dtype)
 
 
 def _persons(own: Any, view: Any, around: Surroundings, tick: Array, size: Array) -> _Shown | None:

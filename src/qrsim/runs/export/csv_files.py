@@ -14,7 +14,7 @@ from qrsim.runs.layout import EVENTS
 
 
 def write_stream(run: Run, stream: str, path: Path, every: int) -> Written:
-    """Write a stream to a CSV file, every ``every``-th tick: one row per time and vehicle, or per event.
+    """Write a stream to a CSV file: one row per vehicle at every ``every``-th tick, or one row for each event.
 
     The header says ``name [unit]``. Numbers have all their digits: read back, they are the same. "nan" is a value
     that is not there at that time, an empty field one that the event does not have.

@@ -95,7 +95,7 @@ def _add_event(folder: simplekml.Folder, mark: Mark, heights: Heights) -> None:
 
 
 def _coordinates(geodetic: Floats, above_ground: Floats, heights: Heights) -> list[tuple[float, float, float]]:
-    """Return longitude, latitude [deg] and height [m] of places (T, 3); ``heights`` selects the height's reference."""
+    """Return longitude, latitude [deg] and height [m], to 0.1 mm, of places (T, 3); ``heights`` is the reference."""
     chosen = above_ground if heights == "ground" else geodetic[:, 2]
     rows = zip(geodetic[:, 1].tolist(), geodetic[:, 0].tolist(), chosen.tolist(), strict=True)
     return [(round(longitude, 9), round(latitude, 9), round(height, 4)) for longitude, latitude, height in rows]

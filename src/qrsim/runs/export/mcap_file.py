@@ -102,7 +102,7 @@ class _Channels:
 
 
 def _sources(run: Run, place: Place, every: int, groups: list[Group]) -> list[Iterator[Message]]:
-    """Return iterators over a run's MCAP messages, each in order of time: poses, fixes, wind, events, ``groups``."""
+    """Return iterators over a run's MCAP messages, each by time: poses, scene, fixes, wind, events, ``groups``."""
     sources = [messages_of(run, place, every, group) for group in groups]
     sources.append(scene(run, place, surroundings_of(run), WORLD))
     sources += [_fixes(run, place, every, sensor) for sensor in position_sensors(run)]

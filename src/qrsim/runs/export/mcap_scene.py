@@ -126,7 +126,8 @@ def _area_entities(around: Surroundings) -> list[Content]:
 
 
 def _zone_entity(zone: Zone, top: float, bottom: float) -> Content:
-    """Return a scene entity with the edges of a zone; ``top`` and ``bottom`` [m] limit zones without height limits."""
+    """Return a scene entity with the edges of a zone, from ``bottom`` or its floor to at most ``top`` [m, down];
+    heights above terrain are drawn above z = 0."""
     levels = (bottom if zone.floor <= 0.0 else -zone.floor, max(top, -zone.ceiling))
     colour, lines = (GREY if zone.keep else KEEP_OUT), []
     for ring in zone.rings or (zone.outline,):

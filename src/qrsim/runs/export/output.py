@@ -28,7 +28,7 @@ class Written:
 
 
 def check_target(path: Path, force: bool) -> None:
-    """Raise UsageError if the output path exists, unless ``force`` may overwrite it.
+    """Raise UsageError if the output path is a folder, or exists and ``force`` is False.
 
     Raises:
         UsageError: it is a folder, or exists and may not be overwritten.

@@ -220,7 +220,7 @@ def read_samples(
 
 
 def is_fresh(values: Floats, last: Floats) -> npt.NDArray[np.bool_]:
-    """Return a mask (T,) of reports (T, 3) that differ from the one before; ``last`` (3,) precedes the first."""
+    """Return a mask (T,) of finite reports (T, 3) that differ from the one before; ``last`` (3,) precedes the first."""
     before = np.concatenate([last[None], values[:-1]])
     return np.asarray(np.isfinite(values).all(axis=1) & (values != before).any(axis=1))
 
@@ -234,7 +234,7 @@ def _joined(batches: Iterator[Samples]) -> Samples:
 
 
 def _segments(samples: Samples, place: Place, every: int, ground: Ground, fresh_only: bool) -> list[Segment]:
-    """Cut one vehicle's track at gaps and NaN into unbroken pieces; ``fresh_only`` keeps new GNSS reports only."""
+    """Cut a vehicle's track at gaps, NaN and longitude 180 deg; ``fresh_only`` keeps new GNSS reports only."""
     if not len(samples.ticks):
         return []
     valid = np.isfinite(samples.values).all(axis=1)
@@ -259,7 +259,7 @@ def _is_gap(ticks: npt.NDArray[np.int64], every: int) -> npt.NDArray[np.bool_]:
 
 
 def _event_marks(run: Run, place: Place, ground: Ground) -> list[Mark]:
-    """Return the run's events, each with the geodetic position of its vehicle at that time."""
+    """Return the run's events, each with the geodetic position of its vehicle at that time, or None if unknown."""
     if not is_readable(run, "events"):
         return []
     events = run.events

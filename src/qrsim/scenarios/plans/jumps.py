@@ -111,7 +111,7 @@ def _first(items: Sequence[SimpleItem], goals: dict[int, tuple[int, int]]) -> st
 
 
 def _check_count(legs: int, jump: SimpleItem) -> None:
-    """Raise PlanFaultError if a mission has more than MOST_LEGS items once its jumps are unrolled."""
+    """Raise PlanFaultError if a mission has more than MOST_LEGS legs once its jumps are unrolled."""
     if legs > MOST_LEGS:
         raise PlanFaultError(f"{jump.path} (DO_JUMP): {legs} legs when unrolled; {_ALLOWED}")
 

@@ -50,7 +50,7 @@ _DAMAGED = (
 
 
 def read_kml(source: str, options: Options) -> Plan:
-    """Read a plan from a KML file or KMZ archive: a LineString, or else all Points, as route, and polygons as fence.
+    """Read a plan from a KML file or KMZ archive: a LineString, else all Points in order, as route; polygons as fence.
 
     Raises:
         UsageError: the file cannot be read, has no such route, or a point of it is wrong.

@@ -144,7 +144,7 @@ class _Writer:
         return waypoint.yaw_deg
 
     def _facing(self, waypoint: Waypoint, begin: Place, end: Place) -> Content:
-        """Return the yaw of a leg with a heading relative to its course, as scenario content; {} for other legs."""
+        """Return the yaw of a leg with a heading relative to its course, kept on vertical legs; {} for other legs."""
         if waypoint.side_deg is None:
             return {}
         course = _course(begin, end, self.heading - waypoint.side_deg)

@@ -49,7 +49,7 @@ def plan_content(source: str, expected: str = "a .plan of QGroundControl", most:
 
 
 def with_lines(source: str, problems: list[str]) -> list[str]:
-    """Add to each problem, a text that begins with a value's path in the plan file, the line of the file."""
+    """Add to each problem, a text that begins with a value's path, the plan file's line of the enclosing object."""
     lines = lines_of(source, [problem.partition(": ")[0] for problem in problems])
     found = []
     for problem in problems:
@@ -59,7 +59,7 @@ def with_lines(source: str, problems: list[str]) -> list[str]:
 
 
 def lines_of(source: str, paths: list[str]) -> dict[str, int]:
-    """Return path -> line of the file on which the JSON object with this path begins; unknown paths are left out."""
+    """Return path -> line of the file on which the innermost JSON object along the path begins, for paths with one."""
     decoder: Any = json.JSONDecoder()
     lines: dict[int, int] = {}
     kept: list[object] = []

@@ -15,7 +15,7 @@ MAPS = {".kml": kml_polygons, ".kmz": kml_polygons, ".geojson": geojson_polygons
 
 
 def read_polygons(file: str, name: str | None = None) -> list[FencePolygon]:
-    """Return all polygons of a KML or GeoJSON file with their holes, or those called ``name``.
+    """Return all polygons of a KML or GeoJSON file with holes, or those called ``name``; other features are ignored.
 
     Polygons that share a name are 'NAME #1', 'NAME #2' and so on in the order of the file.
 

@@ -21,7 +21,7 @@ DRAWN = {".kml": read_kml, ".kmz": read_kml, ".gpx": read_gpx, ".geojson": read_
 def read_plan(
     path: str | Path, *, route: str | None = None, height: float | None = None, home: Home | None = None
 ) -> Plan:
-    """Read a plan by the file's suffix (.plan, .waypoints, .kml, .gpx, ...); ``height`` [m] is for points without one.
+    """Read a plan: .plan, .waypoints or .txt (QGC WPL), .kml, .kmz, .gpx, .geojson; any other name as a .plan.
 
     Args:
         path: of the file.

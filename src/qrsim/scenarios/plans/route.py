@@ -209,7 +209,7 @@ class Route:
         return flown
 
     def _carry_out(self, command: int, params: Sequence[object], path: str) -> str:
-        """Apply a DO or CONDITION command to the next waypoints; return a note on parts that are not flown, or ""."""
+        """Apply a command without waypoint (delay, yaw, home, speed, condition); return a note on parts not flown."""
         numbers = [
             None if value is None else number_of(value, f"{path}.params.{i}", LARGEST_PARAMETER, "")
             for i, value in enumerate(params[:4])

@@ -138,7 +138,7 @@ def explore(
     fly: Callable[[int, list[Point]], tuple[list[Trial], bool]],
     known: Sequence[Trial] = (),
 ) -> tuple[Boundary, bool]:
-    """Call ``fly`` with rounds of winds until every interval is narrow; return the boundary, and whether complete.
+    """Call ``fly`` with rounds of winds until all intervals are narrow or ROUNDS are over; return (boundary, complete).
 
     Args:
         bearings: (D,) of all directions [deg].

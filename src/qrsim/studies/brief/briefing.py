@@ -229,7 +229,7 @@ def prepared(operation: OperationSpec, flights: Flights, folder: Path, seed: int
 
 
 def fly(brief: Brief, stages: Sequence[str], flyer: Callable[[], Flyer]) -> None:
-    """Fly the stages of a brief until it has a verdict or its time is over, with the object that ``flyer`` makes.
+    """Fly the stages of a brief until its verdict or time limit, by ``flyer()``; after an interruption, call ``keep``.
 
     Args:
         brief: changed in place.

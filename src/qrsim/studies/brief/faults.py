@@ -190,7 +190,7 @@ def _outcome(results: Results, here: NumpyArray, fault: str, part: float, begun:
 
 
 def fault_rows(outcomes: list[FaultOutcome]) -> list[Row]:
-    """Return a row with a verdict for each fault, by the share of runs that come home."""
+    """Return a row with a verdict for each fault, by the share of runs that come home over all parts of the mission."""
     rows = []
     for fault in dict.fromkeys(each.fault for each in outcomes):
         own = [each for each in outcomes if each.fault == fault]

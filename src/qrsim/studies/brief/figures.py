@@ -86,7 +86,8 @@ def map_figure(scenario: Scenario, tracks: NumpyArray, worst: Sequence[int], los
 
 
 def losses(runs: Runs, tracks: NumpyArray) -> NumpyArray:
-    """Return the place (L, 2), north and east [m], of the first loss in each lost run; ``tracks`` is (E, R, n, 4)."""
+    """Return the place (L, 2), north and east [m], of the first loss in each lost run: the last one in ``tracks``
+    (E, R, n, 4)."""
     found = []
     for run in np.flatnonzero(np.isfinite(runs["stopped_vehicle"][: len(tracks)])):
         track = tracks[run, :, int(runs["stopped_vehicle"][run]), :2]
@@ -128,7 +129,7 @@ def _vehicles(scenario: Scenario) -> list[Any]:
 
 
 def margins_figure(runs: Runs, rows: Sequence[Row]) -> Figure | None:
-    """Draw the distribution of each safety margin over the runs, with its criterion; None without margins."""
+    """Draw each safety margin of the runs: median, 5 to 95 %, extremes and its criterion; None without margins."""
     values = {
         "fence": np.fmin(runs["fence_horizontal_min_m"], runs["ceiling_min_m"]),
         "ground": runs["ground_min_m"],
@@ -158,7 +159,7 @@ def margins_figure(runs: Runs, rows: Sequence[Row]) -> Figure | None:
 def time_figure(
     runs: Runs, tracks: NumpyArray, low_battery: float, reserve: float, sky: Sky | None, every_s: float
 ) -> Figure:
-    """Draw each vehicle's charge and height over time, with spread over the runs, and satellites and PDOP below."""
+    """Draw each vehicle's charge and height over time, median and 5 to 95 % of runs, and satellites and PDOP below."""
     figure = new_figure(7.2, 6.4 if sky is not None else 4.6)
     panels = figure.subplots(3 if sky is not None else 2, 1)
     ends = runs["flown_s"]

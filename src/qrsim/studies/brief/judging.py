@@ -207,7 +207,7 @@ def _finished(runs: Runs, look: int | None, low_battery: float) -> Row:
 
 
 def _reserve(runs: Runs, criteria: CriteriaSpec, look: int | None) -> Row:
-    """Return the row with the verdict, at interim analysis ``look``, on the charge at the end of runs."""
+    """Return the row with the verdict, at interim analysis ``look``, on the final charge of the worst 5 % of runs."""
     left = runs["charge_end"]
     # The charge of a lost run says nothing, unless it was the charge that ended it.
     left = np.where((runs["stopped"] > 0.0) & ~(left < CHARGE_NOISE), np.nan, left)

@@ -22,7 +22,7 @@ DPI = 200
 
 
 def write_pdf(brief: Brief) -> bytes:
-    """Return a brief as PDF of one page; equal briefs give equal bytes."""
+    """Return a brief as PDF, one page for one vehicle, else two; equal briefs give equal bytes."""
     buffer = io.BytesIO()
     first = Figure(figsize=PAGE)
     height = _head(first, brief)

@@ -56,7 +56,7 @@ def runs_needed(limit: float, hits: int = 0, alpha: float = ALPHA) -> int:
 
 
 def spent(look: int) -> float:
-    """Return the part of the error probability ALPHA that interim analysis ``look`` (1, 2, ...) may use."""
+    """Return the part of the error probability ALPHA for interim analysis ``look`` (1, 2, ...); all sum to ALPHA."""
     return ALPHA / (look * (look + 1))
 
 

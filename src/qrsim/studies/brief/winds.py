@@ -101,7 +101,7 @@ def wind_study(name: str, first_seed: int, points: Sequence[Point], winds: Winds
 def boundary_of(
     winds: Winds, reserve: float | None, seed: int, folder: Path, flyer: Flyer | None, polar: bool
 ) -> tuple[Boundary, bool]:
-    """Explore the wind boundary in the forecast's direction (``polar``: in all); return it, and whether complete.
+    """Explore the wind boundary in the forecast's direction (``polar``: then in all); return it, and whether complete.
 
     Args:
         winds: of the brief.
@@ -132,7 +132,7 @@ def boundary_of(
 
 
 def _trials(path: Path, points: Sequence[Point], reserve: float | None) -> list[Trial]:
-    """Return how many runs at each wind succeeded, with ``reserve`` charge left, from a store; [] without one."""
+    """Return how many runs at each wind succeeded, with ``reserve`` charge left, from a store; [] before any run."""
     try:
         results = Results(path) if path.exists() else None
     except RunError:  # nothing has been flown yet

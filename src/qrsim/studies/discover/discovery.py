@@ -113,7 +113,7 @@ def discover(
     delay: float | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Discovery:
-    """Evolve laws of motion on the first share ``train`` of a log, and score them on the rest.
+    """Evolve laws of motion on the first share ``train`` of a log, score them on the rest; ``delay`` None is estimated.
 
     Raises:
         LogError: signals are missing, the log is too short, or shows no law.

@@ -19,7 +19,7 @@ _SIGNS = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 
 def gp() -> Any:
-    """Return DEAP's module ``gp`` of genetic programming; raises an error that names the extra to install."""
+    """Return DEAP's module ``gp`` of genetic programming; if it is missing, raises an error that names the extra."""
     return extras.load("identify", "discovering laws", "deap.gp")
 
 

@@ -187,7 +187,7 @@ def noise_of(values: Floats) -> float:
 
 
 def follow(command: Floats, measured: Floats, dt: float) -> float:
-    """Return the largest correlation of signals (T,) every ``dt`` [s], command and measurement, over usual delays."""
+    """Return the largest correlation of a measurement (T,) with its command, over delays up to LONGEST_DELAY_S."""
     kernel = np.ones(SMOOTHED_ROWS) / SMOOTHED_ROWS
     # A gap spreads to the rows beside it, which then count for nothing.
     asked, found = np.convolve(command, kernel, "same"), np.convolve(measured, kernel, "same")

@@ -112,7 +112,7 @@ def noise_of(values: Floats, period: float) -> Noise:
 
 
 def _freedom(count: int, lengths: NumpyArray) -> Floats:
-    """Return the degrees of freedom (K,) of overlapping Allan variances of ``count`` readings, at least, by window.
+    """Return the degrees of freedom (K,) of overlapping Allan variances of a random walk, which has the fewest.
 
     D. A. Howe, D. W. Allan and J. A. Barnes, Properties of signal sources and measurement methods (1981), table 4.
     """

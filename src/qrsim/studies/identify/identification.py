@@ -38,7 +38,7 @@ def identify(
     train: float = TRAIN,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Result:
-    """Fit constants to the first fraction ``train`` of each log; score them on the rest, which may reject some.
+    """Fit constants to the first fraction ``train`` of each log; score them on the rest, which can only reject some.
 
     Args:
         logs: what was read.

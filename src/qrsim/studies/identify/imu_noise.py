@@ -114,7 +114,7 @@ def draw(found: Mapping[str, Noise]) -> Figure:
 
 
 def checked_imu(logs: list[Path], out: Path, default: Path, *, overwrite: bool) -> Path:
-    """Check the arguments, and return the sensor file to write; raises UsageError if it exists without ``overwrite``.
+    """Return the sensor file to write; raises UsageError for several logs, a wrong suffix, or an existing file.
 
     Raises:
         UsageError: not one log, a name of another kind, or a file that exists.

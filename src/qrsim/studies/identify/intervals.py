@@ -86,7 +86,7 @@ def covariance(
     prior: Floats,
     robust: bool,
 ) -> Covariance:
-    """Compute the covariance of a robust least-squares estimate from how blocks of windows change it.
+    """Compute the covariance of a least-squares estimate, robust or not, from how blocks of windows change it.
 
     Args:
         names: of the K unknowns.

@@ -227,7 +227,7 @@ class Shooting:
         return Misfit(residual, by_value, self._gusts() / self.gust, follows[:, own:] / self.gust[:, None])
 
     def learn_gust(self) -> None:
-        """Update the standard deviations of gusts [m/s] from the last misfit (an EM step)."""
+        """Update the gusts' standard deviations [m/s], horizontal and vertical, from the last misfit (an EM step)."""
         if len(self.gust):
             variance = np.square(self._gusts()).mean(axis=0) + self._gust_variance
             north, east, down = variance.reshape(2, 3).T

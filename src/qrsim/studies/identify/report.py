@@ -58,7 +58,7 @@ def constants_figure(result: Result) -> Figure:
 
 
 def held_out_figure(result: Result, i: int) -> Figure:
-    """Draw the held-out part of log ``i``: recorded, and simulated with the constants before and after."""
+    """Draw the held-out part of log ``i``: recorded, and simulated open loop with the constants before and after."""
     piece = cut(result.pieces[i].log, math.inf, result.train, 1.0)
     nuisances = result.answer.nuisances[i]
     separate = result.question.separate

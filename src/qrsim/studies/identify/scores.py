@@ -20,7 +20,7 @@ HORIZON_S = 5.0
 
 
 def open_loop(piece: Piece, values: Mapping[str, float], nuisances: Mapping[str, float], separate: bool) -> Floats:
-    """Simulate channels (R, n, C) of a log's windows open loop; ``separate``: pitch differs from roll."""
+    """Simulate channels (R, n, C) of windows open loop from recorded first rows; ``separate``: pitch unlike roll."""
     shooting = Shooting(piece, vehicle_of(dict(values), separate))
     return shooting.simulated(nuisances)
 
@@ -40,7 +40,7 @@ def score(
     nuisances: Mapping[str, float],
     separate: bool,
 ) -> dict[str, object]:
-    """Return open-loop errors on a ``share`` (first, last) of a log, with the constants before and after the fit.
+    """Return open-loop errors on a ``share`` of a log with constants before and after the fit, restarted after gaps.
 
     The constants at the start have the same delay, once with neither wind nor trims and once with those of the fit.
 

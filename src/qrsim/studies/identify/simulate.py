@@ -134,7 +134,7 @@ def predict(places: tuple[int, ...], **arguments: Any) -> Array:
 def linearised(
     places: tuple[int, ...], free: tuple[int, ...], unknowns: Array, starts: Array, **rest: Any
 ) -> tuple[Array, Array, Array]:
-    """Return channels (R, n, C), and their derivatives by K unknowns and by the initial values ``free``.
+    """Return channels (R, n, C), their derivatives (R, n, C, K) by unknowns, and by the S initial values ``free``.
 
     A window depends on its own start alone, so one direction moves the starts of all windows together.
 

@@ -9,6 +9,7 @@ import numpy as np
 from qrsim.core.arrays import Floats
 from qrsim.envs.batch import Batch
 from qrsim.envs.objective import Objective
+from qrsim.envs.one_side import OneSide
 from qrsim.tasks.learned import LIMIT, View
 
 
@@ -38,9 +39,9 @@ class Flights:
         last: (N, K) what a policy remembers: the last outputs of the network, within its limits, and integrals.
     """
 
-    def __init__(self, batch: Batch, view: View, objective: Objective):
+    def __init__(self, batch: Batch | OneSide, view: View, objective: Objective):
         self.batch, self.view, self.objective = batch, view, objective
-        self.agents = len(batch.functional.agents)
+        self.agents = len(batch.agents)
         self.rows = batch.size * self.agents
         self.last = np.zeros((self.rows, view.remembered), np.float32)
 

@@ -192,6 +192,9 @@ def _plan_of(training: Training) -> dict[str, Any]:
         "tries": plan.tries,
         "settings": asdict(plan.settings),
         "integral": plan.integral,
+        "start": plan.start,
+        "fleet": plan.fleet,
+        "others": plan.others,
     }
 
 

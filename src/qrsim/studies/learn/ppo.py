@@ -40,6 +40,7 @@ class Settings:
         width: of the two hidden layers.
         averaged: weight of the iterations before in the running mean of the policies that is flown and kept; 0: the
             last policy.
+        falling: whether the rate falls to 0 with the last decision.
     """
 
     discount: float = 0.98
@@ -54,6 +55,7 @@ class Settings:
     spread: float = 1.0
     width: int = 32
     averaged: float = 0.0
+    falling: bool = False
 
 
 class Learner(NamedTuple):
@@ -146,6 +148,7 @@ class Algorithm:
         self.decide = jax.jit(self._decide)
         self.value = jax.jit(lambda weights, scaling, features: _value(weights, _scaled(scaling, features)))
         self.improve = jax.jit(self._improve)
+        self.improve_value = jax.jit(partial(self._improve, of=("value",)))
 
     def begin(self, seed: int) -> Learner:
         """Return a learner whose network's outputs are near zero."""
@@ -156,7 +159,7 @@ class Algorithm:
             "value": _layers(value, (self.view.inputs, *hidden, 1), 1.0),
             "log_spread": jnp.full(outputs, jnp.log(self.settings.spread), jnp.float32),
         }
-        with _usual_promotion():
+        with usual_promotion():
             return Learner(weights, self._adam.init(weights))
 
     def orders(self, rng: np.random.Generator, size: int) -> NumpyArray:
@@ -174,8 +177,25 @@ class Algorithm:
         density = _log_density(weights, mean, outputs)
         return Decision(features, outputs, density, self.view.action(outputs.clip(-LIMIT, LIMIT), seen))
 
-    def _improve(self, learner: Learner, scaling: Pair, samples: Samples, orders: Array) -> tuple[Learner, Array]:
-        """Return the learner after all passes over an iteration's samples, and the last pass's divergence ()."""
+    def _improve(
+        self,
+        learner: Learner,
+        scaling: Pair,
+        samples: Samples,
+        orders: Array,
+        share: Array | None = None,
+        of: tuple[str, ...] = ("policy", "value", "log_spread"),
+    ) -> tuple[Learner, Array]:
+        """Return the learner after all passes over an iteration's samples, and the last pass's divergence ().
+
+        Args:
+            learner: before.
+            scaling: of the inputs.
+            samples: of the iteration.
+            orders: of the samples in each step of the gradient.
+            share: () of the rate; None: all of it.
+            of: names of the weights that change.
+        """
         samples = samples._replace(inputs=_scaled(scaling, samples.inputs))
         settings, rows = self.settings, _rows_of(learner.weights, samples, self.settings)
 
@@ -183,8 +203,11 @@ class Algorithm:
             """Update the learner by one gradient step on a minibatch of samples."""
             part = jax.tree.map(lambda leaf: leaf[chosen], rows)
             slope, divergence = jax.grad(partial(_loss, settings), has_aux=True)(learner.weights, part)
-            with _usual_promotion():
+            slope = {name: each if name in of else jax.tree.map(jnp.zeros_like, each) for name, each in slope.items()}
+            with usual_promotion():
                 change, optimiser = self._adam.update(slope, learner.optimiser, learner.weights)
+                if share is not None:
+                    change = jax.tree.map(lambda each: share * each, change)
                 return Learner(self._apply(learner.weights, change), optimiser), divergence
 
         learner, divergence = jax.lax.scan(minibatch, learner, orders.reshape(-1, orders.shape[-1]))
@@ -192,7 +215,7 @@ class Algorithm:
 
 
 @contextmanager
-def _usual_promotion() -> Iterator[None]:
+def usual_promotion() -> Iterator[None]:
     """Context in which optax may mix types and ranks, even if the user has configured JAX otherwise."""
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         yield

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from qrsim.envs.functional import Functional
 from qrsim.studies.learn.ppo import Settings
+from qrsim.studies.learn.starting import BASELINE
 from qrsim.studies.learn.training import Plan
 from qrsim.tasks.formation import KeepFormation
 from qrsim.tasks.landing import Land
@@ -14,6 +16,11 @@ from qrsim.tasks.search import Search
 
 # Decisions of 1 s, whose consequences are fewer; noise that cats a few metres from each other survive.
 PURSUIT = Settings(discount=0.97, epochs=4, minibatches=8, spread=0.3, averaged=0.9)
+# From a policy that flies well: a network with room for what the baseline computes, and small changes of it.
+STARTED: dict[str, Any] = {"spread": 0.03, "rate": 1e-4, "falling": True}
+STARTED_WIDTH = 48
+# Episodes in which policies are tried: so many that a crash in a hundred is seen.
+STARTED_TRIES = 200
 # Noise with which a vehicle near the ground seldom tips over.
 LANDING = Settings(spread=0.4)
 # Decisions of 0.2 s and more: fewer samples, and more passes over them.
@@ -43,4 +50,10 @@ def plan_of(task: Any, overrides: tuple[str, ...] = (), envs: int | None = None,
     settings, suited = next((each for task, each in SUITED.items() if isinstance(kind, task)), (Settings(), ENVS))
     if envs is None:
         envs = suited
-    return Plan(task, overrides, envs=envs, **({"settings": settings} | changes))
+    fields: dict[str, Any] = {"settings": settings}
+    if isinstance(kind, Pursuit) and not kind.senses:
+        fields["start"] = BASELINE
+    if (fields | changes).get("start") is not None:
+        width = STARTED_WIDTH if isinstance(kind, Pursuit) else settings.width
+        fields |= {"settings": replace(settings, width=width, **STARTED), "tries": STARTED_TRIES}
+    return Plan(task, overrides, envs=envs, **(fields | changes))

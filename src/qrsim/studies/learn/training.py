@@ -12,17 +12,23 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from qrsim.core.arrays import Floats
+from qrsim.core.arrays import NumpyArray
 from qrsim.engine.settings import use_compilation_cache
+from qrsim.envs.batch import Batch
 from qrsim.envs.functional import Functional
 from qrsim.envs.objective import objective_of
+from qrsim.envs.one_side import OneSide, Others
 from qrsim.envs.viewing import batch_of, view_of
-from qrsim.errors import RunError
+from qrsim.errors import RunError, UsageError
 from qrsim.studies.learn.flights import Flights
+from qrsim.studies.learn.imitating import imitate
+from qrsim.studies.learn.moments import Moments
 from qrsim.studies.learn.ppo import Algorithm, Learner, Pair, Samples, Settings
-from qrsim.tasks.learned import PolicyFile, Scaling, forward
+from qrsim.studies.learn.starting import BASELINE, read_start
+from qrsim.tasks.learned import PolicyFile, forward, read_policy
 
 # Decisions of each row in an iteration, and of all rows at least.
 HORIZON, FEWEST = 32, 2048
@@ -32,6 +38,8 @@ THINNED = 4
 LEARNED, TRIED, TRIES = 10**9, 5 * 10**8, 64
 # Episodes of one seed of a training; more than anybody has memory for.
 APART = 10**6
+# Cycles in which the value of a policy that was started with is learned, before the policy itself changes.
+VALUED = 1
 
 
 @dataclass(frozen=True)
@@ -48,6 +56,10 @@ class Plan:
         tries: episodes in which policies are tried.
         integral: as of ``view_of``.
         settings: numbers of the algorithm.
+        start: ``BASELINE``: the policy first imitates the task's baseline; the name of a policy file: it is that policy
+            at first; None: it begins from nothing.
+        fleet: name of the one that learns, in a task with agents of several.
+        others: name of a policy file that flies the agents of another fleet; None: the task's baseline does.
     """
 
     task: Any
@@ -59,6 +71,9 @@ class Plan:
     tries: int = TRIES
     integral: bool = False
     settings: Settings = field(default_factory=Settings)
+    start: str | None = None
+    fleet: str | None = None
+    others: str | None = None
 
 
 @dataclass(frozen=True)
@@ -89,31 +104,12 @@ class Tried:
         return self.flown_to_the_end, self.mean_return
 
 
-class Moments:
-    """Running mean and variance of inputs (N, F)."""
-
-    def __init__(self, size: int):
-        self.count, self.mean, self.squares = 0.0, np.zeros(size), np.zeros(size)
-
-    def add(self, rows: Floats) -> None:
-        """Update the moments with inputs (N, F)."""
-        count = len(rows)
-        mean = rows.mean(axis=0, dtype=np.float64)
-        away, whole = mean - self.mean, self.count + count
-        self.squares += np.square(rows - mean).sum(axis=0) + away * away * self.count * count / whole
-        self.mean, self.count = self.mean + away * count / whole, whole
-
-    def scaling(self) -> Scaling:
-        """Return the scaling of inputs by their mean and standard deviation."""
-        deviation = np.sqrt(self.squares / self.count) + 1e-3 if self.count else np.ones_like(self.mean)
-        return Scaling(self.mean.astype(np.float32), deviation.astype(np.float32))
-
-
 class Training:
     """A training; iterate over ``cycles``.
 
     Args:
         plan: what is trained.
+        begins: whether it begins; else a checkpoint is restored, and nothing is read that the plan starts with.
 
     Attributes:
         best: the policy that did best so far, and its row; None before the first cycle.
@@ -123,9 +119,14 @@ class Training:
         MissingExtraError: optax is not installed.
     """
 
-    def __init__(self, plan: Plan):
+    def __init__(self, plan: Plan, begins: bool = True):
         self.plan = plan
-        self.view = view_of(Functional.of(plan.task, plan.overrides), plan.integral)
+        functional = Functional.of(plan.task, plan.overrides)
+        self.view = view_of(functional, plan.integral, plan.fleet)
+        self._read = read_start(plan.start, functional.play, self.view, plan.settings.width) if begins else None
+        if plan.others is not None and self.view.fleet is None:
+            raise UsageError(f"--others {plan.others}: all agents of {self.view.task} learn")
+        self._opponent = None if plan.others is None else read_policy(plan.others)
         self.algorithm = Algorithm(self.view, plan.settings)
         use_compilation_cache()
         self.flights, self.trials = self.flights_of(plan.envs), self.flights_of(plan.tries)
@@ -142,7 +143,19 @@ class Training:
     def flights_of(self, episodes: int) -> Flights:
         """Return flights of ``episodes`` parallel episodes, with the learner's inputs and outputs."""
         batch = batch_of(self.plan.task, episodes, list(self.plan.overrides), self.view)
-        return Flights(batch, self.view, objective_of(batch, self.plan.settings.discount))
+        side = self.side_of(batch)
+        return Flights(side, self.view, objective_of(side, self.plan.settings.discount))
+
+    def side_of(self, batch: Batch) -> Any:
+        """Return a batch as the learner's fleet sees it.
+
+        Raises:
+            UsageError: the policy of the others does not fit, or there are none.
+        """
+        if self.view.fleet is None:
+            return batch
+        others = None if self._opponent is None else Others(self._opponent, batch, self.view.fleet)
+        return OneSide(batch, self.view.fleet, others)
 
     @property
     def iterations(self) -> int:
@@ -163,12 +176,14 @@ class Training:
         while self.steps < self.plan.steps and time.monotonic() - begun < limit:
             rng = np.random.default_rng([self.plan.seed, self.cycle])
             first = LEARNED + APART * (self.plan.seed % 10**6) + self.cycle * self.plan.envs
+            if self.plan.start is not None and not self.cycle:
+                self._start(rng, first + APART // 2)
             self.flights.begin(first + np.arange(self.plan.envs))
             rewards, divergences = [], []
             for _ in range(self.iterations):
                 samples = self._fly(rng)
                 orders = self.algorithm.orders(rng, samples.reward.size)
-                self.learner, divergence = self.algorithm.improve(self.learner, self._pair, samples, orders)
+                self.learner, divergence = self._improved(samples, orders)
                 self._average()
                 rewards.append(float(samples.reward.mean()))
                 divergences.append(self._finite(float(divergence)))
@@ -196,6 +211,25 @@ class Training:
             if self.best is None or row.rank > self.best[1].rank:
                 self.best = policy, row
             yield row
+
+    def _improved(self, samples: Samples, orders: NumpyArray) -> tuple[Learner, Any]:
+        """Return the learner after an iteration, and its divergence; the value of a start is learned first."""
+        if self.plan.start is not None and self.cycle < VALUED:
+            return self.algorithm.improve_value(self.learner, self._pair, samples, orders)
+        falling = () if not self.plan.settings.falling else (np.float32(max(0.0, 1.0 - self.steps / self.plan.steps)),)
+        found: tuple[Learner, Any] = self.algorithm.improve(self.learner, self._pair, samples, orders, *falling)
+        return found
+
+    def _start(self, rng: np.random.Generator, seed: int) -> None:
+        """Make the policy that of the plan's start; the scaling of its inputs then stays as it is."""
+        if self.plan.start == BASELINE:
+            imitated = imitate(self.flights, self.learner.weights["policy"], self.moments, seed, rng)
+            self.steps, layers = self.steps + imitated.decisions, imitated.layers
+        else:
+            assert self._read is not None
+            self.moments = Moments.of(self._read.scaling)
+            layers = [tuple(map(jnp.asarray, layer)) for layer in self._read.layers]
+        self.learner = self.learner._replace(weights=self.learner.weights | {"policy": layers})
 
     def _average(self) -> None:
         """Add the present policy to the running mean, if the settings want one."""
@@ -244,7 +278,8 @@ class Training:
         inputs, *others = zip(*found, strict=True)
         rows = np.stack([*inputs, flights.features()])
         first = not self.moments.count
-        self.moments.add(rows[:-1:THINNED].reshape(-1, rows.shape[-1]))
+        if self.plan.start is None:
+            self.moments.add(rows[:-1:THINNED].reshape(-1, rows.shape[-1]))
         if first:
             # Nothing was known yet; the new policy returns zeros by any scaling.
             self.scaling = self.moments.scaling()

@@ -239,6 +239,6 @@ def _flight_of(name: str, world: World, seed: int, recorded: dict[str, Floats], 
 
 
 def ranging_of(flight: Flight, seed: int, std: float = ranging.RANGE_STD, vehicle: int = 0) -> Ranging:
-    """Simulate a flight's ranges to landmarks; seed and vehicle alone select landmarks and noise."""
+    """Simulate a flight's ranges to the landmarks of its seed; the noise follows from seed and vehicle alone."""
     landmarks, guesses = ranging.landmarks_of(seed, CENTRE), ranging.guesses_of(seed, CENTRE)
     return ranging.measure_ranges(flight.truth[:, :3], landmarks, guesses, seed, std, ranging.RANGE_LIMIT, vehicle)

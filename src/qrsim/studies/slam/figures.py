@@ -45,7 +45,7 @@ def draw_run(solved: Slam) -> Figure:
 
 
 def ellipse_of(covariance: Floats, confidence: float = CONFIDENCE) -> tuple[Floats, float]:
-    """Return a covariance's (2, 2) [m^2] error ellipse: semi-axes (2,) [m], longer first, and its bearing [rad].
+    """Return a covariance's (2, 2) error ellipse: semi-axes (2,) [m], longer first, and the longer one's bearing [rad].
 
     Args:
         covariance: (2, 2) of north and east [m^2].

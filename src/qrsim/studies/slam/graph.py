@@ -284,7 +284,7 @@ def make_graph(
     fix_std: float,
     bias_time_constant: float | None,
 ) -> tuple[Graph, Floats]:
-    """Build the factor graph of a flight with ranges; also return its initial states (T + 1, D).
+    """Build the factor graph of a flight with ranges; also return initial states (T + 1, D): the vehicle's estimate.
 
     Args:
         flight, ranging: what was flown and measured.

@@ -30,7 +30,7 @@ def interval(values: Floats) -> dict[str, float]:
 
 
 def paired(one: Floats, other: Floats) -> dict[str, float]:
-    """Return the mean of ``other - one`` over pairs, its Student t interval, and the p of Wilcoxon's test, by name."""
+    """Return the mean of ``other - one`` over pairs, its Student t interval, and Wilcoxon's signed-rank p, by name."""
     both = np.isfinite(one) & np.isfinite(other)
     difference = other[both] - one[both]
     found = interval(difference)
@@ -70,7 +70,7 @@ def _bootstrapped(values: Floats) -> tuple[float, float]:
 
 
 def allan(errors: Sequence[Floats], period: float, longest: float | None = None) -> tuple[Floats, Floats]:
-    """Return windows (K,) [s], up to ``longest``, and the Allan deviation (K,) [m] of errors (N, 2), pooled.
+    """Return windows (K,) [s] and the Allan deviation (K,) [m] of errors (N, 2), pooled over seeds and axes.
 
     Args:
         errors: of each seed, one every ``period`` [s].
@@ -82,7 +82,7 @@ def allan(errors: Sequence[Floats], period: float, longest: float | None = None)
 
 
 def _allan_variances(errors: Sequence[Floats], period: float, longest: float | None) -> tuple[Floats, Floats]:
-    """Return windows (K,) [s], up to ``longest``, and Allan variances (S, K) [m^2] of S seeds' errors (N, 2)."""
+    """Return windows (K,) [s] and Allan variances (S, K) [m^2] of S seeds' errors (N, 2), mean of both axes."""
     most = len(errors[0]) // 3 if longest is None else round(longest / period)
     lengths = np.unique(np.round(np.geomspace(1, most, 16)).astype(np.int64))
     found = [overlapping_allan_deviation(error, period, lengths) for error in errors]

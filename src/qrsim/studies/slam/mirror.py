@@ -36,7 +36,7 @@ class Mirrors:
 
 
 def mirrors(point: Point, ranging: Ranging) -> Mirrors:
-    """Reflect a solution's landmarks in the plane of the positions, refit them to the ranges, and compare the fits."""
+    """Reflect a solution's landmarks in the plane of the positions, refit them with fixed trajectory, compare."""
     count = len(point.landmarks)
     places, excess = np.full((count, 3), np.nan), np.full(count, np.nan)
     apart = np.zeros(count, bool)

@@ -117,7 +117,7 @@ def measure_ranges(
     vehicle: int = 0,
     alone: bool = True,
 ) -> Ranging:
-    """Simulate ranges (T + 1, L) to landmarks within ``limit`` [m]; ``alone``: raise if none is within it.
+    """Simulate ranges (T + 1, L) to landmarks within ``limit`` [m], with white noise; ``alone``: raise if none is.
 
     The noise is of the seed and of the vehicle's number.
 

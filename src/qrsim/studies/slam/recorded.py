@@ -206,7 +206,7 @@ def _epochs(
 
 
 def between_of_run(run: Run, vehicles: Sequence[str], state_period: float, states: int, std: float | None) -> Between:
-    """Read ranges between vehicles, of deviation ``std`` [m], from a run; a pair that measured twice gets the mean.
+    """Read ranges between vehicles, of deviation ``std`` [m], from a run; the mean if both of a pair measured.
 
     Args:
         run: the run folder, with measurements of every tick.

@@ -53,7 +53,7 @@ def response(
 
 
 def _mean(values: NumpyArray, groups: NumpyArray, limits: tuple[float, float]) -> tuple[float, float, float]:
-    """Return (mean, low, high) of values (E,); ``groups`` (E,) marks values that depend on each other."""
+    """Return (mean, low, high), clipped to ``limits``, of values (E,) that depend within each of ``groups`` (E,)."""
     from scipy.stats import t
 
     mean = float(values.mean())
@@ -320,7 +320,7 @@ def sensitivity(results: Results, values: NumpyArray) -> Sensitivity | str:
 
 
 def worst(results: Results, ranking: Mapping[str, bool], count: int) -> list[int]:
-    """Return the indices of at most ``count`` worst episodes; ``ranking`` maps metrics to whether small is bad.
+    """Return indices of at most ``count`` worst episodes with a value; ``ranking``: metric -> whether small is bad.
 
     Args:
         results: of the store.

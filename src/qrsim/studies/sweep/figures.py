@@ -203,7 +203,7 @@ def _failure_curves(results: Results, found: Boundary) -> Figure:
 def failure_parts(
     parameter: Parameter, failed: NumpyArray, groups: NumpyArray
 ) -> tuple[NumpyArray, NumpyArray, NumpyArray]:
-    """Return low end, share and high end of the share of failed episodes at each of a parameter's L levels.
+    """Return low end, share and high end of the share of failed episodes at each level (L,), by its exact interval.
 
     ``groups`` (E,) are what is independent; see ``share_interval``.
     """

@@ -157,7 +157,7 @@ def _scenario_name(values: Mapping[str, object]) -> tuple[str, Content]:
 
 
 def _write_scenarios(report: Report, folder: Path) -> list[str]:
-    """Write the scenarios of the study, of its worst episodes and of the best; return the names of the files."""
+    """Write the study's scenario and one for each number of vehicles in worst and best episodes; return the names."""
     results = report.results
     contents = {SCENARIO: results.scenario}
     for episode in [*report.worst, *([] if report.best is None else [report.best])]:

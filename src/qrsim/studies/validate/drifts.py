@@ -52,7 +52,7 @@ class Process(NamedTuple):
 
 @partial(jax.jit, static_argnames=("sensor", "seconds", "vehicles"))
 def _simulate_errors(sensor: str, model: Sensor, seconds: int, vehicles: int) -> tuple[jax.Array, jax.Array]:
-    """Simulate a sensor's errors at rest; return them (T, n), one a second, and mean squares of their changes."""
+    """Simulate K errors of n sensors at rest; return them (T, K, n) per second, and mean squares of their changes."""
     like = jnp.zeros((), jnp.float32)
     ids = jnp.arange(vehicles, dtype=jnp.uint32)
     key, zero = Key.root(SEED), jnp.zeros(vehicles, jnp.float32)
@@ -106,7 +106,7 @@ def autocovariance(errors: Floats, lag: int) -> Floats:
 
 
 def _drift_checks(name: str, of: Process) -> list[Check]:
-    """Return the checks of a sensor's error process: standard deviation, time constant, autocorrelation."""
+    """Return the checks of an error process against theory: standard deviation, time constant, autocorrelation."""
     count = 2 * (len(LAGS) + 3)
     z, variance = widest_z(count), of.std**2
     reason = (
@@ -206,7 +206,7 @@ def _run_part(paths: Mapping[str, Path], full: bool) -> Outcome:
 
 
 def _curve_lags(of: Process) -> Floats:
-    """Return lags (31,), in rows, for drawing an autocorrelation up to LONGEST time constants."""
+    """Return at most 31 lags, in rows, for drawing an autocorrelation up to LONGEST time constants."""
     return np.unique(np.linspace(0.0, LONGEST * of.time_constant / KEPT_S, 31).round().astype(int))
 
 

@@ -72,7 +72,7 @@ def our_gusts(kind: str, seconds: float, vehicles: int, seed: int) -> Floats:
 
 
 def jsbsim_gusts(kind: int, seconds: float, seed: int) -> Floats:
-    """Simulate gusts (T, 3) NED [m/s] every 0.2 s by JSBSim; ``kind`` is its type of turbulence.
+    """Simulate gusts (T, 3) NED [m/s] every 0.2 s by JSBSim's type of turbulence ``kind``, once it has settled.
 
     Raises:
         RunError: no jsbsim.

@@ -65,7 +65,7 @@ def _simulate_readings(sensor: Imu, inputs: dict[str, Any], begin: Stream, sourc
 
 
 def chips_of(preset: str, chips: int, **change: float) -> dict[str, Chips]:
-    """Simulate many IMU chips of a preset at rest for a minute; return gyroscope and accelerometer errors by name."""
+    """Simulate chips of an IMU preset at rest for a minute, without vibration and with no gravity effect but bias."""
     given = {**PRESETS[preset], "preset": preset, "period": PERIOD, "vibration": "none", **NOT_OF_BIAS, **change}
     zero = jnp.zeros(chips, jnp.float32)
     inputs = {
@@ -85,7 +85,7 @@ def chips_of(preset: str, chips: int, **change: float) -> dict[str, Chips]:
 
 
 def measured(of: Chips) -> dict[str, Floats]:
-    """Return white noise N^2 and squared bias of each IMU chip (n,), each the mean over its axes."""
+    """Return white noise N^2 [unit^2 s] and squared bias [unit^2] of each IMU chip (n,), both means over its axes."""
     at = int(np.flatnonzero(WINDOWS == NOISE_WINDOW)[0])
     noise = np.square(of.deviation[at]).mean(axis=1) * NOISE_WINDOW * PERIOD
     return {"noise": noise, "turn_on_bias": np.square(of.readings.mean(axis=0)).mean(axis=1)}

@@ -55,7 +55,7 @@ def is_installed() -> bool:
 
 
 def jsbsim_series(case: Case, kind: int, steps: int, seed: int) -> Floats:
-    """Simulate gusts u, v, w [m/s], q, r [rad/s] (5, steps) by JSBSim's turbulence ``kind`` at a fixed state.
+    """Simulate gusts u, v, w [m/s], q, r [rad/s] (5, steps) by JSBSim's turbulence ``kind`` at fixed height and speed.
 
     Raises:
         RunError: no jsbsim, or it does not hold the body.

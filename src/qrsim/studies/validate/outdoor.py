@@ -143,8 +143,7 @@ def fly_in_wind(start: Floats, commands: Floats, wind_ned: Floats) -> tuple[Floa
 
 
 def fit_wind(still: Floats, response: Floats, recorded: Floats) -> Floats:
-    """Return the constant wind (2,) [m/s] that best fits recorded velocities; ``response`` (T, 3, 2) is per m/s of
-    wind.
+    """Return the constant horizontal wind (2,) [m/s], north and east, that best fits the recorded velocities.
 
     Attitude and thrust do not depend on the wind, and the rest of the model is linear in velocity and wind, so that
     the velocity is exactly the one in still air plus a response to each component: linear least squares.

@@ -22,7 +22,7 @@ def picture(figure: Figure, caption: str) -> Picture:
 
 
 def match_figure(match: Match, titles: tuple[str, ...], units: tuple[str, ...]) -> Figure:
-    """Draw recorded and simulated quantities, a column for each, with their residuals below on the same scale."""
+    """Draw recorded and simulated quantities one below the other, each with its residual below it."""
     count = len(match.names)
     figure = new_figure(11.0, 2.9 * count if count > 1 else 5.0)
     axes = figure.subplots(2 * count, 1, sharex=True, squeeze=False, height_ratios=(2, 1) * count)[:, 0]

@@ -37,7 +37,7 @@ class RangeErrors(NamedTuple):
     quick: float
 
     def autocovariance(self, lags: Floats) -> Floats:
-        """Return the range errors' autocovariance [m^2] at lags [s]."""
+        """Return the autocovariance [m^2] of range errors, a first-order process driven by another one, at lags [s]."""
         slow = np.exp(-lags / self.slow)
         if not self.quick:
             return np.asarray(self.std**2 * slow)
@@ -78,7 +78,7 @@ def dryden_scales(height: float, speed_20ft: float) -> tuple[Floats, Floats]:
 
 
 def wind_over_20ft(height: float) -> float:
-    """Return the mean wind at a height [m] over that at 20 ft (MIL-F-8785C, 3.7.3.4: z0 = 0.15 ft)."""
+    """Return the mean wind at a height [m] divided by that at 20 ft (MIL-F-8785C, 3.7.3.4: z0 = 0.15 ft)."""
     return math.log(height / FOOT / 0.15) / math.log(20.0 / 0.15)
 
 

@@ -60,7 +60,7 @@ def recorded_receiver(path: Path) -> Recorded:
 
 
 def sky_over(path: Path, site: Site, start: datetime, duration_s: float, errors: Any) -> SharedSky:
-    """Build the sky over a site from the orbits of an SP3 file, with range ``errors``, in single precision."""
+    """Build the sky over a site from ``start`` on, by an SP3 file's orbits and range ``errors``, in float32."""
     ephemeris = Sp3Ephemeris(str(path))
     orbits = ephemeris.at(site, gps_seconds_from_utc(start), LIKE, duration_s)
     return SharedSky(orbits, cast(errors, LIKE), jnp.asarray(ephemeris.satellite_ids), PERIOD)

@@ -22,7 +22,7 @@ REFERENCE = ("6.563e-4", "8.355e-4", "1.755e-2", "2.478e-2", "1.872e-2", "2.867e
 
 
 def rotation_match(path: Path, precision: str = "float64") -> Match:
-    """Simulate the rig that rotates with its recorded commands; return recorded and simulated angles and rates."""
+    """Simulate the rotation rig by recorded commands; return recorded and simulated angles [rad], rates [rad/s]."""
     rows = read_table(path, 11)
     pitch, roll, yaw, q, p, r = rows[:, 1:7].T
     constant = np.ones(len(rows))

@@ -95,7 +95,7 @@ def closed_form(case: Case, omega: Floats) -> Floats:
 
 
 def sampled_closed_form(case: Case, omega: Floats) -> Floats:
-    """Return the densities (5, k) of the closed form sampled every DT, with all aliases."""
+    """Return the densities (5, k) of the closed form sampled every DT: a sum over aliases, the far ones integrated."""
     images, folded = 20, 2.0 * math.pi / DT
     total = sum(closed_form(case, omega + folded * image) for image in range(-images, images + 1))
     edge = folded * (images + 0.5)
@@ -103,7 +103,7 @@ def sampled_closed_form(case: Case, omega: Floats) -> Floats:
 
 
 def welch(series: Floats) -> tuple[Floats, Floats]:
-    """Estimate spectral densities (5, k) of series (5, ..., steps); return frequencies [rad/s] and densities."""
+    """Estimate two-sided densities (5, k) of series (5, ..., steps); return frequencies > 0 [rad/s] and densities."""
     frequency, density = scipy.signal.welch(
         series, 1.0 / DT, nperseg=min(SEGMENT, series.shape[-1]), detrend=False, axis=-1
     )

@@ -23,6 +23,12 @@ AHEAD_S = 0.7
 GAIN, LEARN = 0.7, 0.15
 # Cats closer than this [m] move apart.
 SEPARATION, SEPARATION_AT_END = 6.0, 4.0
+# Without a clock: how near cats are behind the mouse, and to each other there [m], how fast places are made good [1/s],
+# and the mouse's speed [m/s], which replaces the drift. They are far where the mouse runs this far from where it is to
+# run [rad]. They keep apart where they ask to be after so long [s], as a cat does not see the velocities of the others,
+# and on their way to the mouse by this part of their distance to it.
+NEAREST, LEAST_ROOM, SLOW_GAIN, FULL_SPEED = 4.4, 3.2, 0.5, 3.6
+ASTRAY, FARTHER_AHEAD_S, ROOM = 2.5, 1.0, 0.5
 
 
 class Chasing:
@@ -30,51 +36,94 @@ class Chasing:
 
     Who runs as fast as they do cannot be overtaken, but it runs away from all of them: cats that go to one side of its
     way turn it to the other side. It is led round the middle of the area, and is followed closely at the end.
+
+    Args:
+        play: the pursuit and its world.
+        seed: nothing is drawn.
+        timeless: the mouse is followed closely whenever it runs where it is to run, as policies without a clock can do.
     """
 
-    def __init__(self, play: Play, seed: int = 0):
+    def __init__(self, play: Play, seed: int = 0, timeless: bool = False):
         area: Any = play.world.area
         self._middle = 0.5 * np.array([float(area.x_min + area.x_max), float(area.y_min + area.y_max)])
         self._limit = float(play.axes[0].high)
-        self._left = play.steps
+        self._steps, self._timeless = play.steps, timeless
+        self._left: Any = play.steps
         self._asked: NumpyArray | None = None
         self._drift = np.zeros(2)
 
     def act(self, seen: NumpyArray) -> NumpyArray:
-        """Return the actions (n, 2) of the cats for observations."""
+        """Return the actions (..., n, 2) of the cats for observations (..., n, O), of one episode or of many."""
         seen = np.asarray(seen, np.float64)
-        place, velocity = seen[:, :2], seen[:, 2:4]
-        mouse = np.mean(place + seen[:, 4:6], axis=0)
-        if self._asked is not None:
-            self._drift = self._drift + LEARN * (np.mean(self._asked - velocity, axis=0) - self._drift)
-        closing = min(1.0, max(0.0, self._left / CLOSING_STEPS))
-        self._left -= 1
+        place, velocity = seen[..., :2], seen[..., 2:4]
+        mouse = np.mean(place + seen[..., 4:6], axis=-2, keepdims=True)
+        if self._asked is not None and not self._timeless:
+            lacking = np.nan_to_num(np.mean(self._asked - velocity, axis=-2, keepdims=True))
+            self._drift = self._drift + LEARN * (lacking - self._drift)
         offset = mouse - place
-        away = np.sum(offset / np.sum(offset**2, axis=1, keepdims=True), axis=0)
-        runs = float(np.arctan2(away[1], away[0]))
-        turn = np.clip(_wrap_angle(self._way(mouse) - runs), -STEER, STEER)
-        goal = mouse + (NEAR + (FAR - NEAR) * closing) * self._fan(offset, runs + turn)
-        running = MOUSE_SPEED * np.array([np.cos(runs), np.sin(runs)])
-        self._asked = np.clip(running + GAIN * (goal - place), -self._limit, self._limit)
-        distance = SEPARATION_AT_END + (SEPARATION - SEPARATION_AT_END) * closing
-        wanted = self._asked + self._drift + apart(place + AHEAD_S * velocity, distance)
+        square = np.sum(offset**2, axis=-1, keepdims=True)
+        away = np.sum(offset / square, axis=-2, keepdims=True)
+        runs = np.arctan2(away[..., 1], away[..., 0])
+        astray = _wrap_angle(self._way(mouse) - runs)
+        turn = np.clip(astray, -STEER, STEER)
+        if self._timeless:
+            behind, distance = self._by_state(astray, np.sqrt(square))
+        else:
+            behind, distance = self._by_time()
+        goal = mouse + behind * self._fan(offset, runs + turn)
+        speed, gain = (FULL_SPEED, SLOW_GAIN) if self._timeless else (MOUSE_SPEED, GAIN)
+        running = speed * np.stack([np.cos(runs), np.sin(runs)], axis=-1)
+        self._asked = np.clip(running + gain * (goal - place), -self._limit, self._limit)
+        ahead = FARTHER_AHEAD_S * self._asked if self._timeless else AHEAD_S * velocity
+        wanted = self._asked + self._drift + apart(place + ahead, distance)
         return np.clip(wanted / self._limit, -1.0, 1.0)
 
-    def _way(self, mouse: NumpyArray) -> float:
-        """Return the heading [rad] in which the cats should drive the mouse."""
+    def begin(self, size: int, rows: NumpyArray | None = None) -> None:
+        """Begin ``size`` episodes side by side, or the next episodes in some of their rows."""
+        if rows is None or self._asked is None:
+            self._left, self._drift = np.full((size, 1, 1), self._steps), np.zeros((size, 1, 2))
+            self._asked = None
+            return
+        # What was asked in another episode tells nothing of the drift.
+        self._left[rows], self._drift[rows], self._asked[rows] = self._steps, 0.0, np.nan
+
+    def _by_time(self) -> tuple[Any, Any]:
+        """Return how far cats are behind the mouse, and at least from each other [m]: near at the end."""
+        closing = np.clip(self._left / CLOSING_STEPS, 0.0, 1.0)
+        self._left = self._left - 1
+        return NEAR + (FAR - NEAR) * closing, SEPARATION_AT_END + (SEPARATION - SEPARATION_AT_END) * closing
+
+    @staticmethod
+    def _by_state(astray: NumpyArray, length: NumpyArray) -> tuple[NumpyArray, NumpyArray]:
+        """Return how far cats are behind the mouse, and at least from each other [m]: near where the mouse is led.
+
+        Args:
+            astray: (..., 1) angle from where the mouse runs to where it is to run [rad].
+            length: (..., n, 1) of the offsets to the mouse [m].
+        """
+        part = np.minimum(np.abs(astray) / ASTRAY, 1.0)[..., None]
+        room = LEAST_ROOM + (SEPARATION - LEAST_ROOM) * part
+        return NEAREST + (FAR - NEAREST) * part, np.maximum(room, ROOM * length)
+
+    def _way(self, mouse: NumpyArray) -> NumpyArray:
+        """Return the heading (..., 1) [rad] in which the cats should drive the mouse at (..., 1, 2)."""
         offset = mouse - self._middle
-        distance = float(np.linalg.norm(offset))
-        outward = float(np.arctan2(offset[1], offset[0]))
+        distance = np.linalg.norm(offset, axis=-1)
+        outward = np.arctan2(offset[..., 1], offset[..., 0])
         return outward + 0.5 * np.pi * (1.0 + np.clip((distance - ORBIT) / PULL, -1.0, 1.0))
 
     @staticmethod
-    def _fan(offset: NumpyArray, heading: float) -> NumpyArray:
-        """Return the directions (n, 2) from the mouse to each cat's goal, a fan behind it in their present order."""
-        count = len(offset)
-        side = _wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - heading)
-        rank = np.argsort(np.argsort(side))
-        angle = heading + FAN * (rank - 0.5 * (count - 1))
-        return -np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    def _fan(offset: NumpyArray, heading: NumpyArray) -> NumpyArray:
+        """Return the directions (..., n, 2) from the mouse to each cat's goal, a fan in their present order.
+
+        Args:
+            offset: (..., n, 2) from each cat to the mouse [m].
+            heading: (..., 1) of the mouse [rad].
+        """
+        side = _wrap_angle(np.arctan2(offset[..., 1], offset[..., 0]) - heading)
+        rank = np.argsort(np.argsort(side, axis=-1), axis=-1)
+        angle = heading + FAN * (rank - 0.5 * (offset.shape[-2] - 1))
+        return -np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
 def _wrap_angle(angle: Any) -> Any:

@@ -87,8 +87,8 @@ class Orbit:
         return orbit
 
     def ask(self, craft: Craft, centre: Triple, radius: float = NAN, speed: float = NAN, looks: float = NAN) -> None:
-        """Change the orbit: centre NED [m], radius [m], speed [m/s], ORBIT_YAW_BEHAVIOUR (``looks``); NaN keeps a
-        value.
+        """Change the orbit: centre NED [m], radius [m] and speed [m/s], both clipped, ORBIT_YAW_BEHAVIOUR (``looks``);
+        NaN keeps a value.
 
         Args:
             craft: vehicle.

@@ -145,7 +145,7 @@ def _set_standard_mode(stack: Flight, command: Command) -> Result:
 
 
 def _reposition(stack: Flight, command: Command) -> Result:
-    """Obey DO_REPOSITION: fly to a position within the fence and hold there."""
+    """Obey DO_REPOSITION, in HOLD or if it asks to change to it: fly to a position within the fence and hold there."""
     craft, params = stack.craft, command.params
     if command.frame not in GLOBAL or not craft.seen.valid or craft.home is None:
         return Result.DENIED
@@ -209,7 +209,7 @@ def _orbit(stack: Flight, command: Command) -> Result:
 
 
 def _yaw(stack: Flight, value: float) -> float:
-    """Return the heading [rad] from DO_REPOSITION's yaw parameter, which is in degrees for ArduPilot."""
+    """Return the heading [rad] from DO_REPOSITION's yaw parameter, in radians for PX4 and in degrees for ArduPilot."""
     return math.radians(value) if stack.flavour.name == "ardupilot" else value
 
 
@@ -265,8 +265,8 @@ def _set_home(stack: Flight, command: Command) -> Result:
 
 
 def _set_current(stack: Flight, command: Command) -> Result:
-    """Obey DO_SET_MISSION_CURRENT: make a mission item the current one, with the results that PX4 or ArduPilot
-    returns."""
+    """Obey DO_SET_MISSION_CURRENT: make a mission item the current one, with the results of PX4's Navigator or
+    ArduPilot 4.8."""
     seq, reset = command.params[0], _number(command.params[1])
     if math.isnan(seq) or seq < -1.0 or seq != int(seq) or reset not in (0.0, 1.0):
         return Result.DENIED

@@ -146,8 +146,7 @@ class Craft:
         return self.seen.position_ned[2] - (altitude - self.seen.altitude)
 
     def allows(self, place: Triple, lands: bool = False) -> bool:
-        """Return whether a position NED [m] is inside the fence and between floor and ceiling; ``lands``: the ground is
-        allowed.
+        """Return whether a position NED [m] is inside the fence, and between floor and ceiling of the flight area.
 
         On the ground heights do not count; ``lands``: the floor does not.
         """
@@ -175,7 +174,7 @@ class Craft:
 
     @property
     def is_low(self) -> bool:
-        """Whether the vehicle is less than LOW [m] above the place where it last stood on the ground."""
+        """Whether the vehicle is within LOW [m] of the height at which it last stood on the ground."""
         return abs(self.stood_z - self.seen.position_ned[2]) < LOW
 
     def is_ground(self, z: float) -> bool:
@@ -195,8 +194,8 @@ class Craft:
         along: Triple = STANDS,
         begin: Triple | None = None,
     ) -> Order:
-        """Move the path by one tick to a goal NED [m], or along the line from ``begin`` to it; return the order to
-        follow the path.
+        """Move the path by one tick to a goal NED [m], on the line from ``begin`` if given, and only up just after
+        lift-off; return the order to follow the path.
 
         Args:
             goal: NED [m].

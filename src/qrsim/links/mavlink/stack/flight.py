@@ -153,7 +153,7 @@ class Flight:
 
     @property
     def _has_sticks(self) -> bool:
-        """Whether stick positions are recent; ArduPilot's expire after the parameter RC_OVERRIDE_TIME [s]."""
+        """Whether stick positions are recent; ArduPilot's expire after RC_OVERRIDE_TIME [s]."""
         limit = RC_OVERRIDE_TIME if self.flavour.name == "ardupilot" else self.parameters["COM_RC_LOSS_T"]
         return self.by_sticks.fresh(self.craft, limit * max(1.0, self.factor))
 

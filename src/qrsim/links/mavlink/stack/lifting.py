@@ -53,8 +53,8 @@ class Lift:
         return None
 
     def throttle(self, craft: Craft, sinks: float, speeds: Triple) -> float:
-        """Return the throttle, 0 to 1, that follows a commanded descent speed ``sinks`` [m/s], and advance the height
-        by one tick.
+        """Return the throttle, 0 to 1, for a descent speed ``sinks`` [m/s], and advance the path's height by one tick;
+        horizontal motion is left alone.
 
         Args:
             craft: vehicle.

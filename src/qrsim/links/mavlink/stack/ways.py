@@ -99,7 +99,7 @@ class Way:
         return min(max(braking_way(speed, self._limits.acceleration) - radius, 0.0), 0.5 * radius)
 
     def _passed(self, here: Triple, radius: float) -> bool:
-        """Return whether the vehicle has passed the next waypoint, or is within ``radius`` [m] and may turn to the line
+        """Return whether the vehicle, within ``radius`` [m] of the next waypoint, has passed it or may turn to the line
         after it."""
         place = self._places[0]
         after = self._places[1] if len(self._places) > 1 else self._goal

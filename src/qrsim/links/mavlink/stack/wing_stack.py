@@ -96,7 +96,8 @@ class WingStack(FlightStack):
         return order, False
 
     def _come_down(self, order: Order) -> None:
-        """Lower a loiter order to the height of a return, once the vehicle has reached the circle."""
+        """Lower the loiter circle to the height of a return, once the vehicle has reached it; ``order``: the one that
+        flies it."""
         craft, goal = self.craft, self._goal
         assert goal is not None
         here = craft.seen.position_ned

@@ -24,7 +24,8 @@ Numbers = Callable[[View], Sequence[float] | None]
 
 
 def form(types: Types, name: str, paths: Sequence[str], numbers: Numbers, frame: str = "", **constants: object) -> Make:
-    """Return a function from a vehicle to its encoded message: ``numbers`` of the vehicle go to the fields ``paths``.
+    """Return a function from a vehicle to its encoded message, which fills the stamp, if the type has one, and the
+    fields ``paths`` by ``numbers``.
 
     Args:
         types: of the distribution.

@@ -187,7 +187,8 @@ def _global_topics(types: Types, told: Maker) -> Iterator[Told]:
         return level * level, level * level, up * up, _DIAGONAL
 
     def place(view: View) -> tuple[float, ...] | None:
-        """Return fix status, latitude, longitude [deg], height [m] and covariance of the estimated position."""
+        """Return fix status, latitude, longitude [deg], height [m] and covariance of the estimated position; None where
+        it is invalid."""
         seen = view.seen
         if not seen.valid:
             return None

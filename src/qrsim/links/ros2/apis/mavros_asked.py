@@ -103,7 +103,8 @@ class Asked:
         self._send_global(_VELOCITY | _ACCELERATION | _YAW_RATE, _GLOBAL, message.pose.position, yaw=yaw)
 
     def _send_global(self, mask: int, frame: int, place: Any, **others: Any) -> None:
-        """Send the flight stack a geodetic set-point; ``mask``, ``frame``: of SET_POSITION_TARGET_GLOBAL_INT."""
+        """Send the flight stack a geodetic set-point, invalid coordinates as UNSET_INT; ``mask``, ``frame``: of
+        SET_POSITION_TARGET_GLOBAL_INT."""
         north, east = place.latitude, place.longitude
         known = math.isfinite(north) and math.isfinite(east) and abs(north) <= 90.0 and abs(east) <= 180.0
         whole = (int(north * 1e7), int(east * 1e7)) if known else (UNSET_INT, UNSET_INT)
@@ -116,7 +117,7 @@ class Asked:
         self._stack.setpoint(LocalTarget(_LOCAL, mask, velocity=velocity, yaw_rate=-twist.angular.z))
 
     def _set_acceleration(self, message: Message) -> None:
-        """Send the flight stack an acceleration from a Vector3 message in ENU axes."""
+        """Send the flight stack an acceleration from a Vector3Stamped message in ENU axes."""
         mask = _POSITION | _VELOCITY | _YAW | _YAW_RATE
         self._stack.setpoint(LocalTarget(_LOCAL, mask, acceleration=f.enu(_vector(message.vector))))
 
@@ -230,6 +231,6 @@ class Asked:
         return self._response("SetMode", True)
 
     def _send_home(self, r: object) -> object:
-        """Publish the home position, and return the response: whether there is one."""
+        """Have the flight stack send its home position, and return the response: whether it could."""
         result = self._stack.command(Command(_GET_HOME, (0.0,) * 7)).result
         return self._types["std_srvs/srv/Trigger_Response"](result is Result.ACCEPTED, "")

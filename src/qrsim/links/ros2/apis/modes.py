@@ -57,7 +57,8 @@ def name_of(custom_mode: int) -> str:
 
 
 def number_of(name: str) -> int | None:
-    """Return PX4's custom_mode for mavros's name of a mode, or for a number in text; None for other texts."""
+    """Return PX4's custom_mode for mavros's name of a mode, or for a number in text, as mavros parses it; None for
+    other texts."""
     if name in _NUMBERS:
         return _NUMBERS[name]
     return int(name) if name.isascii() and name.isdigit() and len(name) < 11 else None

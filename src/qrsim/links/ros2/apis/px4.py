@@ -95,7 +95,7 @@ def published(types: Types, system: System, space: str, period: float) -> Iterat
         )
 
     def changes(view: View) -> object:
-        """Return the values whose change makes the VehicleStatus message due."""
+        """Return the values whose change makes the status messages due."""
         beat = view.stack.heartbeat()
         return beat.base_mode, beat.custom_mode, beat.system_status, beat.landed
 
