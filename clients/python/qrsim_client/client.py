@@ -110,8 +110,7 @@ class Client(SharedCalls):
         return self._step(dt, Step.WP, waypoints, 4)
 
     def step_control(self, dt: float, commands: Any) -> State:
-        """Fly control commands (n, 4 or 5), such as tilts and throttle, for ``dt`` [s] of simulated time; return the
-        state.
+        """Fly control commands, one row for each vehicle, for ``dt`` [s] of simulated time; return the state.
 
         A quadrotor's row (5,) is pitch, roll [rad], throttle, yaw rate [rad/s], battery [V]; other vehicles have the
         fields of their own command, and one that takes none an empty row.
@@ -379,7 +378,8 @@ def _checked_seed(seed: int | None) -> int | None:
 
 
 def _vectors(what: str, rows: object, widths: tuple[int, ...] = ()) -> list[pb.Arrayd]:
-    """Convert rows to a protobuf vector for each vehicle; raises UsageError unless their width is in ``widths``."""
+    """Convert rows to a protobuf vector for each vehicle; raises UsageError unless their width is in ``widths`` (empty:
+    any)."""
     try:
         array = np.atleast_2d(np.asarray(rows, np.float64))
     except (TypeError, ValueError):

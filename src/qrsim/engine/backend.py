@@ -50,10 +50,10 @@ class States(Protocol):
     """The states of B worlds, as a compiler wants them to lie."""
 
     def get(self, select: Callable[[Tree], Tree]) -> Tree:
-        """Return a part of the tree of states, each leaf (B, ...)."""
+        """Return the part of the tree of states that ``select`` picks, each leaf with worlds first (B, ...)."""
 
     def take(self, worlds: IntArray, other: States) -> None:
-        """Overwrite the states of ``worlds`` with the first len(worlds) of other states."""
+        """Overwrite the states of the worlds with these indices by the first len(worlds) of other states."""
 
 
 class Program(Protocol):
@@ -65,34 +65,34 @@ class Program(Protocol):
 
     @property
     def refused(self) -> str:
-        """Why XLA made the program although LLVM was wanted; "" otherwise."""
+        """Reason why XLA compiled the program although LLVM was wanted; "" otherwise."""
 
     @property
     def layout(self) -> Packer | None:
-        """Layout of one world's state, known after the first start; None if the compiler keeps it to itself."""
+        """Layout of one world's state in buffers, known after the first start; None if the compiler hides it."""
 
     @property
     def part(self) -> int | None:
-        """Number of worlds that one call starts; None: any number."""
+        """Number of worlds that one call of ``start`` starts; None: any number."""
 
     @property
     def slot(self) -> NumpyArray | None:
-        """Writable buffer of the given inputs, leaf after leaf; None if there is no such buffer."""
+        """Writable buffer of the inputs set by ``give``, leaf after leaf; None if the program has no such buffer."""
 
     def give(self, leaves: Sequence[object]) -> None:
-        """Set the inputs that differ by world, until the next call; required before any other call."""
+        """Set the inputs that differ by world, as leaves, until the next call of it; required before any other call."""
 
     def start(self) -> Any:
-        """Return the first state of one world, or of all worlds that inputs were given for."""
+        """Return the first state of one world, or of all worlds that ``give`` has set inputs for."""
 
     def hold(self, tree: Tree) -> Any:
-        """Convert a tree of states, one or (B, ...), to the form that the program runs on."""
+        """Convert the tree of one state, or of B states (B, ...), to the form that the program runs on."""
 
     def run(self, state: Any, tick: int, count: int) -> Any:
-        """Advance by ``count`` ticks and return the state; the old state must not be used again."""
+        """Advance a state by ``count`` ticks from tick number ``tick`` and return it; the old state becomes invalid."""
 
     def record(self, state: Buffers, tick: int, count: int, capacity: int) -> tuple[Buffers, Buffers]:
-        """Advance one world; return it, and its state after every tick as buffers (count, ...).
+        """Advance one world by ``count`` <= capacity ticks; return its state, and those after each tick (count, ...).
 
         Args:
             state, tick, count: see ``run``.
@@ -103,7 +103,7 @@ class Program(Protocol):
 def compile(
     function: Function, shared: Shared, own: Packer, state: Packer | None, extent: Extent, compiler: str
 ) -> Program:
-    """Compile a function to a program, or take it from this process or the user's cache.
+    """Compile a function to a program, or take the program from memory or from the user's cache on disk.
 
     Args:
         function: of one world; what goes wrong inside it is raised as it is.
@@ -125,7 +125,7 @@ def compile(
 def form_of(
     function: Function, world: Tree, own: Tree, extent: Extent, form: str, start: Function | None = None
 ) -> str:
-    """Return a function's program for one world as text, in one of the forms, such as its jaxpr.
+    """Return the program of a function for one world as text in a ``form``: graph, steps or llvm.
 
     Args:
         function: of one world.
@@ -170,7 +170,7 @@ class Specialised:
         self._last: tuple[Packer | None, object, Program] | None = None
 
     def program(self, given: Tree, state: Packer | None = None) -> Program:
-        """Return the program for the structure and types of ``given``, with ``given`` as its inputs."""
+        """Return the program for the structure and types of the inputs ``given``, with these inputs set."""
         leaves, structure = jax.tree.flatten(given)
         # On the host, where what a user gave may be numbers of Python.
         leaves = [np.asarray(leaf) for leaf in leaves]
@@ -203,12 +203,12 @@ class Specialised:
             self._made.clear()
 
     def share(self, shared: Shared) -> None:
-        """Replace the values that all worlds share by others of the same structure."""
+        """Replace the values that all worlds share by other values in a tree of the same structure."""
         self.shared, self._last = shared, None
         self._made.clear()
 
     def _program_of(self, given: Tree, state: Packer | None) -> Program:
-        """Return the program for constants and a state's layout, compiled at the first call."""
+        """Return the program for given inputs and a state's layout, compiled at the first call."""
         own = (self._constant, given)
         layout = Packer(own) if self.extent.worlds is None else layout_of_each(own)
         key = state, layout
@@ -255,7 +255,7 @@ class Worlds:
 
     @property
     def compiler(self) -> str:
-        """Name of the compiler of these worlds' programs."""
+        """Name of the compiler of these worlds' programs, "llvm" or "xla"."""
         return self._tick.compiler
 
     @property
@@ -264,7 +264,7 @@ class Worlds:
         return self._states is not None
 
     def prepare(self, begins: Tree, given: Tree) -> None:
-        """Compile start and tick for example inputs (1, ...), so that one compiler makes both."""
+        """Compile start (inputs ``begins``) and tick (``given``) for examples (1, ...), both by the same compiler."""
         self._layout = self._checked_program(self._start, begins).layout
         self._checked_program(self._tick, given, self._layout)
         if self._look is not None and self.compiler == "llvm" and self._layout is not None:
@@ -274,17 +274,17 @@ class Worlds:
 
     @property
     def looks(self) -> bool:
-        """Whether ``look`` is available."""
+        """Whether ``look`` is available, to compute arrays such as camera pictures."""
         return self._looks is not None
 
     def look(self, rows: IntArray | None = None) -> Tree:
-        """Return the arrays that are computed on demand, of all worlds or some rows, each leaf (b, ...)."""
+        """Compute the on-demand arrays, such as pictures, of all worlds or those in ``rows``; leaves (b, ...)."""
         assert self._looks is not None
         states: Any = self._states
         return self._looks(states, rows)
 
     def _checked_program(self, function: Specialised, given: Tree, state: Packer | None = None) -> Program:
-        """Return a program; if LLVM refuses it, all programs of these worlds become XLA's."""
+        """Return the program of a function; if LLVM cannot compile it, use XLA for all programs of these worlds."""
         program = function.program(given, state)
         if program.refused and not self.refused:
             # From here on all is XLA's: what starts again must start as before, to the last bit.
@@ -294,16 +294,16 @@ class Worlds:
         return program
 
     def share_at_starts(self, shared: Tree) -> None:
-        """Replace the shared values for worlds that start from now on; running ones keep the old values."""
+        """Replace the values shared by worlds that start from now on; running worlds keep the old values."""
         self._start.share(Shared.of(shared))
 
     def begin(self, given: Tree) -> None:
-        """Start all worlds from inputs with leaves (B, ...)."""
+        """Start all B worlds from their inputs, a tree with leaves (B, ...)."""
         program = self._checked_program(self._start, given)
         self._layout, self._states = program.layout, program.start()
 
     def begin_some(self, rows: IntArray, given: Tree, select: Callable[[Tree], Tree]) -> Tree:
-        """Start the worlds ``rows`` (b,) and return a copy of the selected part of their states (b, ...).
+        """Start the worlds ``rows`` (b,); return a copy of the part of their states (b, ...) that ``select`` picks.
 
         Args:
             rows: (b,) which.
@@ -323,7 +323,7 @@ class Worlds:
         return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
     def _keep(self, program: Program, rows: IntArray, select: Callable[[Tree], Tree]) -> Tree:
-        """Start a program, take its first worlds as the states of ``rows``, and return a part of them."""
+        """Start a program, store its first states as those of ``rows``, and return the part that ``select`` picks."""
         some: States = program.start()
         if self._states is None:
             count, tree = self._extent.worlds, some.get(lambda tree: tree)
@@ -337,16 +337,16 @@ class Worlds:
         self._states = self._start.last.hold(tree)
 
     def advance(self, tick: int, count: int, given: Tree) -> None:
-        """Run ``count`` ticks, given leaves (B, ...)."""
+        """Advance all worlds by ``count`` ticks from tick number ``tick``, with the inputs ``given`` (B, ...)."""
         program = self._checked_program(self._tick, given, self._layout)
         self._states = program.run(self._states, tick, count)
 
     def get(self, select: Callable[[Tree], Tree]) -> Tree:
-        """Return the selected part of all states, each leaf (B, ...); valid until the next tick."""
+        """Return the part of all states that ``select`` picks, each leaf (B, ...); valid until the next tick."""
         assert self._states is not None
         return self._states.get(select)
 
     def map(self, function: Callable[[Tree], Tree], select: Callable[[Tree], Tree]) -> Tree:
-        """Apply a function of JAX to a part of each state, each leaf (B, ...)."""
+        """Apply a JAX ``function`` to the part of each world's state that ``select`` picks; return leaves (B, ...)."""
         mesh = self._extent.mesh if self.compiler == "xla" else None
         return by_xla.mapped(function, mesh, self._extent.few)(self.get(select))

@@ -42,7 +42,7 @@ MANY_VEHICLES, STRIP = 1024, 256
 
 
 def mode_of(vehicles: int, dtype: DType) -> Mode:
-    """Return the mode of a single world: vector lanes over its vehicles, or half vectors for a few vehicles."""
+    """Return how a program of one world uses vectors: lanes over its vehicles, half vectors for a few vehicles."""
     # A few vehicles fill half a vector, which takes no longer than a whole one that is half empty.
     most = vector_bytes() // dtype.itemsize
     strip = STRIP if vehicles >= MANY_VEHICLES else 0
@@ -50,7 +50,7 @@ def mode_of(vehicles: int, dtype: DType) -> Mode:
 
 
 def mode_of_many(count: int, vehicles: int, dtype: DType) -> Mode:
-    """Return the mode of ``count`` worlds: lanes over worlds, or over vehicles if the worlds would not fill them."""
+    """Return how a program of ``count`` worlds uses vectors: lanes over worlds, or over vehicles if worlds are few."""
     lanes = vector_bytes() // dtype.itemsize
     # Lanes without a world of their own would be computed for nothing.
     alone = count == 1 or (vehicles > lanes and count < lanes)
@@ -58,7 +58,7 @@ def mode_of_many(count: int, vehicles: int, dtype: DType) -> Mode:
 
 
 def make(function: Function, shared: Shared, own: Packer, state: Packer | None, extent: Extent) -> LlvmProgram:
-    """Return a program from this process or the user's cache, or compile it; see ``qrsim.engine.backend.compile``.
+    """Return an LLVM program from memory or the user's cache, or compile it; see ``qrsim.engine.backend.compile``.
 
     Raises:
         UnsupportedError: the code generator does not take the function.
@@ -72,7 +72,7 @@ def make(function: Function, shared: Shared, own: Packer, state: Packer | None, 
 
 
 def make_look(function: Function, shared: Shared, state: Packer, found: Packer, extent: Extent) -> Looks:
-    """Return a program that computes arrays for an observer, such as pictures, from the states of flown worlds.
+    """Return a program that computes arrays on demand, such as camera pictures, from the states of worlds.
 
     Args:
         function: ``call(shared, state, arrays, tick)`` of one world returns the arrays, in place of zeros.
@@ -95,7 +95,7 @@ def make_look(function: Function, shared: Shared, state: Packer, found: Packer, 
 
 
 def form_of(function: Function, shared: Packer, own: Packer, state: Packer | None, extent: Extent, form: str) -> str:
-    """Return a form of a program as text, one of FORMS; see ``qrsim.engine.llvm.printed``.
+    """Return a program as text in one of the FORMS: graph, steps or LLVM; see ``qrsim.engine.llvm.printed``.
 
     Raises:
         UnsupportedError: the code generator does not take the function.
@@ -106,13 +106,13 @@ def form_of(function: Function, shared: Packer, own: Packer, state: Packer | Non
 
 
 def state_layout(start: Function, shared: Packer, own: Packer) -> Packer:
-    """Return the layout of the state that a function starts with."""
+    """Return the buffer layout of the state that ``start`` returns (``own``: layout of each world's inputs)."""
     with uncollected():
         return _traced_with_state(start, shared, own, None)[1]
 
 
 def _loaded(function: Function, shared: Packer, own: Packer, state: Packer | None, mode: Mode) -> Program:
-    """Return a program from the user's cache, or compile it."""
+    """Load a program from the user's cache, or compile it (``own``: layout of each world's inputs)."""
     before = [shared, own] if state is None else [shared, own, state]
     what = None if function.text is None else (function.name, *function.text, *map(identity, before), mode)
     # A start runs once, so quick code is enough.
@@ -139,7 +139,7 @@ def _loaded(function: Function, shared: Packer, own: Packer, state: Packer | Non
 def _made(
     function: Function, shared: Packer, own: Packer, state: Packer | None, mode: Mode, wanted: str
 ) -> tuple[Known, Binary]:
-    """Trace a function and compile it, unless its code is cached; return its metadata and its code."""
+    """Trace a function and compile it to the tier ``wanted``, unless cached; return its metadata and machine code."""
     closed, layout = _traced_with_state(function, shared, own, state)
     inputs, program = _input_kinds(shared, own, layout), digest(closed)
     # How the leaves lie in the buffers; of their structure the code knows nothing.
@@ -154,7 +154,7 @@ def _made(
 
 
 def _traced_with_state(function: Function, shared: Packer, own: Packer, state: Packer | None) -> tuple[Any, Packer]:
-    """Return a traced function and the layout of the state; errors of the function itself are raised as they are."""
+    """Return a traced function and the layout of its state; errors of the function itself pass unchanged."""
     if state is not None:
         return trace_tick(function.call, _input_kinds(shared, own, state)), state
     closed, shape = _traced(function, shared, own)
@@ -162,12 +162,12 @@ def _traced_with_state(function: Function, shared: Packer, own: Packer, state: P
 
 
 def _input_kinds(shared: Packer, own: Packer, state: Packer) -> tuple[Input, ...]:
-    """Return the inputs of a program: shared, per world, and state."""
+    """Describe the inputs of a program by their layouts: what worlds share, what each has (``own``), and the state."""
     return Input(shared, own=False), Input(own, own=True), Input(state, own=True)
 
 
 def _kept_code(program: str, wanted: str) -> Binary | None:
-    """Return cached machine code of a tier or an equivalent one; None if it is not cached or has no key."""
+    """Return cached machine code of the ``wanted`` tier or an equivalent one; None if there is none."""
     if not program:
         return None
     for each in {"auto": ("better", "auto"), "quick": ("quick", "auto"), "better": ("better",)}[wanted]:
@@ -178,14 +178,14 @@ def _kept_code(program: str, wanted: str) -> Binary | None:
 
 
 def _traced(function: Function, shared: Packer, own: Packer) -> tuple[Any, Any]:
-    """Return a function's jaxpr and result shapes, from ``state_bytes`` if that has traced it."""
+    """Return the jaxpr and result shapes of a function, reused if ``state_bytes`` has traced it before."""
     found = _TRACED.pop((function, identity(shared), identity(own)), None)
     return found or trace_of(function.call, (Input(shared, own=False), Input(own, own=True)))
 
 
 # Kept, because to trace a start only to see its size takes as long as a short flight.
 def state_bytes(function: Function, shared: Packer, own: Packer) -> int:
-    """Return the size of the state of one world, without compiling its start.
+    """Return the size [bytes] of the state of one world, from a trace of ``function`` without compiling it.
 
     Args:
         function: that makes a first state.
@@ -197,7 +197,7 @@ def state_bytes(function: Function, shared: Packer, own: Packer) -> int:
         key = function, identity(shared), identity(own)
 
         def count() -> int:
-            """Return the number of bytes of the function's result."""
+            """Return the size [bytes] of the function's result."""
             _TRACED.clear()
             with uncollected():
                 traced = _TRACED[key] = _traced(function, shared, own)
@@ -254,7 +254,7 @@ class LlvmProgram:
         return self._flat if self._own_layout.slices else np.zeros(0, self._extent.dtype)
 
     def start(self) -> Any:
-        """Return the first state of each world that inputs were given for."""
+        """Return the first state of each world that ``give`` has set inputs for."""
         assert self._program is not None
         count = self._program.own.count
         if self._extent.worlds is not None:
@@ -270,7 +270,7 @@ class LlvmProgram:
         return self.run((floats, integers), 0, 1)
 
     def hold(self, tree: object) -> Lanes | Buffers:
-        """Convert a tree of states, one or (B, ...), to this program's buffers or lanes."""
+        """Convert the tree of one state, or of B states (B, ...), to this program's buffers or lanes."""
         if self._extent.worlds is None:
             return aligned_copy(self.layout.pack(tree))
         states = Lanes(self.layout, self._extent.worlds, self._mode)
@@ -284,7 +284,7 @@ class LlvmProgram:
         return state
 
     def _lanes(self, state: Any) -> Lanes:
-        """Return the state as ``Lanes``, made once per state."""
+        """Return the state as ``Lanes``, converted once per state."""
         last, lanes = self._last
         if last is not state or lanes is None:
             lanes = state if isinstance(state, Lanes) else Lanes.of_one(self.layout, state)
@@ -292,7 +292,7 @@ class LlvmProgram:
         return lanes
 
     def record(self, state: Any, tick: int, count: int, capacity: int) -> tuple[Any, Buffers]:
-        """Advance one world; return it, and its state after every tick as buffers (count, ...)."""
+        """Advance one world by ``count`` <= capacity ticks; return its state and that after each tick (count, ...)."""
         assert self._program is not None
         floats, integers = (np.empty((count, part.size), part.dtype) for part in state)
         if count:

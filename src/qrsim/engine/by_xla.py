@@ -28,14 +28,14 @@ PARTS = 16
 def make(
     function: Function, shared: Shared, own: Packer, state: Packer | None, extent: Extent, refused: str
 ) -> XlaProgram | XlaWorldsProgram:
-    """Return a program that JAX compiles at its first call; see ``qrsim.engine.backend.compile``."""
+    """Return a program that JAX compiles at its first call; ``refused``: why LLVM did not compile it."""
     if extent.worlds is None:
         return XlaProgram(function, shared, own, state, extent, refused)
     return XlaWorldsProgram(function, shared, own, extent, refused)
 
 
 def _jit_for(function: Callable[..., Any], few: bool, **options: Any) -> object:
-    """Return a jitted function, with quick compilation for few ticks."""
+    """Return a function wrapped in ``jax.jit``; ``few``: it is of few vehicles, so compile quickly."""
     return jax.jit(function, compiler_options=quick_to_compile() if few else None, **options)
 
 
@@ -44,11 +44,11 @@ def _jit_for(function: Callable[..., Any], few: bool, **options: Any) -> object:
 
 @lru_cache(maxsize=KEPT)
 def _first_function(function: Function, few: bool) -> Any:
-    """Return the compiled function that computes the first state of one world."""
+    """Return the jitted function that computes the first state of one world; ``few``: compile quickly."""
 
     # The layout is static: JAX compiles anew for another one, and knows it by its equality.
     def first(layout: Packer, shared: Buffers, own: object) -> Any:
-        """Return the first state."""
+        """Return the tree of the first state."""
         return function.call(layout.unpack(shared), own)
 
     return _jit_for(first, few, static_argnums=0)
@@ -56,16 +56,16 @@ def _first_function(function: Function, few: bool) -> Any:
 
 @lru_cache(maxsize=KEPT)
 def _advance_function(function: Function, few: bool) -> Any:
-    """Return the compiled function that advances one world by some ticks."""
+    """Return the jitted function that advances one world by some ticks; ``few``: compile quickly."""
 
     def advance(
         layouts: tuple[Packer, Packer], shared: Buffers, own: Any, state: Buffers, tick: Any, count: object
     ) -> Any:
-        """Advance a packed state by ``count`` ticks."""
+        """Advance a packed state by ``count`` ticks; ``layouts``: of shared values and state, ``own``: inputs."""
         common = layouts[0].unpack(shared)
 
         def body(i: Any, current: Any) -> Any:
-            """Advance by one tick."""
+            """Advance the state ``current`` by one tick, number ``i`` of the call."""
             return function.call(common, own, current, tick + i)
 
         return layouts[1].pack(lax.fori_loop(jnp.int32(0), count, body, layouts[1].unpack(state)))
@@ -75,15 +75,15 @@ def _advance_function(function: Function, few: bool) -> Any:
 
 @lru_cache(maxsize=KEPT)
 def _record_function(function: Function, few: bool, capacity: int) -> Any:
-    """Return the compiled function that records every state of one world."""
+    """Return the jitted function that records at most ``capacity`` states of one world; ``few``: compile quickly."""
 
     def record(layouts: _Layouts, shared: Buffers, own: Any, state: Buffers, tick: Any, count: object) -> Any:
-        """Run ``count`` <= capacity ticks; return the packed state and every packed state on the way."""
+        """Run ``count`` <= capacity ticks from ``tick``; return the packed state, and those after each tick."""
         common, layout = layouts[0].unpack(shared), layouts[1]
         rows = tuple(jnp.zeros((capacity, buffer.shape[0]), buffer.dtype) for buffer in state)
 
         def body(i: Any, carry: tuple[Any, Buffers]) -> tuple[Any, Any]:
-            """Advance by one tick, and store the packed state."""
+            """Advance the state in ``carry`` by one tick, and store it in row ``i`` of the record in ``carry``."""
             current = function.call(common, own, carry[0], tick + i)
             packed = layout.pack(current)
             return current, tuple(
@@ -113,7 +113,7 @@ class XlaProgram:
 
     @property
     def layout(self) -> Packer:
-        """The layout of the state, known once it has started."""
+        """Layout of one world's state in two flat buffers, known once it has started."""
         assert self._layout is not None
         return self._layout
 
@@ -122,7 +122,7 @@ class XlaProgram:
         self._own = jax.tree.unflatten(self._structure, leaves)
 
     def start(self) -> Buffers:
-        """Return the first state."""
+        """Return the first state of the world as packed buffers."""
         refuse()
         shared = self._shared
         found = _first_function(self._function, self._few)(shared.layout, shared.device_buffers, self._own)
@@ -132,21 +132,21 @@ class XlaProgram:
         return aligned_copy(self.layout.pack(state))
 
     def run(self, state: Buffers, tick: int, count: int) -> Buffers:
-        """Return a state ``count`` ticks later."""
+        """Return the packed state ``count`` ticks after ``state``, which is at tick number ``tick``."""
         return aligned_copy(self._call(_advance_function(self._function, self._few), state, tick, count))
 
     def record(self, state: Buffers, tick: int, count: int, capacity: int) -> tuple[Buffers, Buffers]:
-        """Return a state ``count`` ticks later, and those of all ticks, each buffer (count, ...)."""
+        """Return the state ``count`` <= capacity ticks later, and those after each tick, as buffers (count, ...)."""
         after, rows = self._call(_record_function(self._function, self._few, capacity), state, tick, count)
         floats, integers = (np.asarray(part)[:count] for part in rows)
         return aligned_copy(after), (floats, integers)
 
     def hold(self, tree: object) -> Buffers:
-        """Convert a state's tree to packed buffers."""
+        """Convert the tree of a state to packed buffers."""
         return aligned_copy(self.layout.pack(tree))
 
     def _call(self, program: Any, state: Buffers, tick: int, count: int) -> Any:
-        """Call a compiled program on packed buffers."""
+        """Call a compiled program on the shared values, this world's inputs and a packed state."""
         refuse()
         layouts = self._shared.layout, self.layout
         return program(layouts, self._shared.device_buffers, self._own, state, np.int32(tick), np.int32(count))
@@ -157,13 +157,13 @@ class XlaProgram:
 
 @lru_cache(maxsize=KEPT)
 def _first_of_many_function(function: Function, few: bool, mesh: Mesh | None) -> Any:
-    """Return the compiled function that computes the first states of many worlds."""
+    """Return the jitted function of many worlds' first states, split over a mesh; ``few``: compile quickly."""
     return _over_devices(jax.vmap(function.call, (None, 0)), "sr", mesh, few)
 
 
 @lru_cache(maxsize=KEPT)
 def _advance_many_function(function: Function, few: bool, mesh: Mesh | None) -> Any:
-    """Return the compiled function that advances many worlds."""
+    """Return the jitted function that advances many worlds, split over a mesh; ``few``: compile quickly."""
     one = jax.vmap(function.call, in_axes=(None, 0, 0, None))
 
     def advance(shared: object, own: object, states: object, tick: object, count: object) -> Any:
@@ -176,12 +176,12 @@ def _advance_many_function(function: Function, few: bool, mesh: Mesh | None) -> 
 
 @lru_cache(maxsize=KEPT)
 def mapped(function: Callable[[Any], Any], mesh: Mesh | None, few: bool) -> Any:
-    """Return a function of one state compiled for the states (B, ...) of many worlds."""
+    """Return a function of one world's state, compiled for those of many worlds (B, ...); ``few``: quickly."""
     return _over_devices(jax.vmap(function), "r", mesh, few)
 
 
 def _over_devices(function: Callable[..., Any], arguments: str, mesh: Mesh | None, few: bool, **more: object) -> object:
-    """Compile for all devices; ``arguments`` says of each argument: (r) split by world, (s) shared."""
+    """Compile a function for all devices; ``arguments`` has a letter for each: r: split by world, s: shared."""
     if mesh is not None:
         # No device needs anything of another, so nothing is exchanged during a tick.
         cut, same = PartitionSpec(WORLDS), PartitionSpec()
@@ -192,10 +192,10 @@ def _over_devices(function: Callable[..., Any], arguments: str, mesh: Mesh | Non
 
 @lru_cache(maxsize=1)
 def _replace_rows_function() -> Any:
-    """Return the compiled function that replaces the states of some worlds."""
+    """Return the jitted function that replaces the states of some worlds."""
 
     def put(whole: object, part: object, rows: object) -> Any:
-        """Return the states with the given rows replaced."""
+        """Return the states ``whole`` with the worlds ``rows`` replaced by ``part``."""
         return jax.tree.map(lambda every, new: every.at[rows].set(new, mode="drop"), whole, part)
 
     return jax.jit(put, donate_argnums=0)
@@ -208,7 +208,7 @@ class Arrays:
         self.tree = tree
 
     def get(self, select: Callable[[Any], Any]) -> Any:
-        """Return the selected part of the states."""
+        """Return the part of the states that ``select`` picks."""
         return select(self.tree)
 
     def put(self, worlds: NumpyArray, tree: object) -> None:
@@ -219,7 +219,7 @@ class Arrays:
         self.tree = _replace_rows_function()(self.tree, tree, target)
 
     def take(self, worlds: NumpyArray, other: Any) -> None:
-        """Overwrite the states of ``worlds`` with the first len(worlds) of other states."""
+        """Overwrite the states of the worlds with these indices by the first len(worlds) of other states."""
         self.put(worlds, other.get(lambda tree: tree))
 
 
@@ -242,13 +242,13 @@ class XlaWorldsProgram:
         self._own = jax.tree.unflatten(self._structure, leaves)
 
     def start(self) -> Arrays:
-        """Return the first states of all worlds that inputs were given for."""
+        """Return the first states of all worlds that ``give`` has set inputs for."""
         refuse()
         program = _first_of_many_function(self._function, self._extent.few, self._extent.mesh)
         return Arrays(program(self._shared.device_tree, self._own))
 
     def run(self, state: Any, tick: int, count: int) -> Arrays:
-        """Return states ``count`` ticks later; those before are used up."""
+        """Return the states ``count`` ticks after ``state``, which becomes invalid."""
         refuse()
         # Where machine code made the start, the states lie in its own order.
         before = state.get(lambda tree: tree)
@@ -256,7 +256,7 @@ class XlaWorldsProgram:
         return Arrays(program(self._shared.device_tree, self._own, before, np.int32(tick), np.int32(count)))
 
     def hold(self, tree: object) -> Arrays:
-        """Convert a tree of states (B, ...) to ``Arrays``."""
+        """Convert a tree of the states of B worlds (B, ...) to ``Arrays``."""
         # So that the next tick may overwrite it, which JAX does not do with arrays of NumPy.
         return Arrays(jax.device_put(tree))
 

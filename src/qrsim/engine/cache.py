@@ -65,7 +65,7 @@ Kept = Binary | Known | int
 
 
 def folder() -> Path | None:
-    """Return the folder of cached programs, None if QRSIM_COMPILATION_CACHE is off."""
+    """Return the folder of cached programs; None if QRSIM_COMPILATION_CACHE switches the cache off."""
     if os.environ.get("QRSIM_COMPILATION_CACHE") == "off":
         return None
     return cache_folder() / "native"
@@ -73,7 +73,7 @@ def folder() -> Path | None:
 
 @lru_cache(maxsize=4)
 def _sources(rooms: tuple[str, ...]) -> str:
-    """Return a digest of all Python files in folders and files of this package."""
+    """Return a digest of all Python source files in ``rooms``: folders or files of this package."""
     digest = hashlib.sha256()
     root = Path(__file__).parents[1]
     for room in rooms:
@@ -85,13 +85,13 @@ def _sources(rooms: tuple[str, ...]) -> str:
 
 @lru_cache(maxsize=4)
 def _origin(rooms: tuple[str, ...]) -> dict[str, str]:
-    """Return the versions, processor and source digest that programs of this process depend on, by name."""
+    """Return what cached programs depend on, by name: versions, processor, and digest of the sources in ``rooms``."""
     versions = {name: version(name) for name in ("jax", "numpy", "llvmlite")}
     return {"sources": _sources(rooms), "machine": machine_name(), **versions}
 
 
 def identity(layout: Packer) -> str:
-    """Return a layout as text: structure with the names of its types, settings and shapes, without values."""
+    """Return a layout as text that identifies it: tree structure, type names, settings and shapes, no values."""
     names = sorted({name_of(kind) for kind in kinds(layout.structure)})
     # What somebody else's code does can change without a change of its name.
     foreign = [name for name in names if not name.startswith(("qrsim.", "builtins:"))]
@@ -100,7 +100,7 @@ def identity(layout: Packer) -> str:
 
 
 def kept(what: tuple[object, ...], make: Callable[[], Any]) -> Any:
-    """Return the cached result of ``make``, or call it and cache the result."""
+    """Return the cached result under the key ``what``, or call ``make`` and cache its result."""
     found = look_up(what)
     if found is None:
         found = make()
@@ -109,7 +109,7 @@ def kept(what: tuple[object, ...], make: Callable[[], Any]) -> Any:
 
 
 def look_up(what: tuple[object, ...], rooms: tuple[str, ...] = TRACED) -> Any:
-    """Return a cached value, None if there is none; ``what`` is its key.
+    """Return the value cached under the key ``what`` for the same sources in ``rooms``; None if there is none.
 
     Args:
         what: all that it depends on apart from this package and the machine; its repr is the key.
@@ -120,14 +120,14 @@ def look_up(what: tuple[object, ...], rooms: tuple[str, ...] = TRACED) -> Any:
 
 
 def keep(what: tuple[object, ...], value: Kept, rooms: tuple[str, ...] = TRACED) -> None:
-    """Store a value in the cache under the key ``what``; errors of the file system are ignored."""
+    """Cache a value under the key ``what``, for the sources in ``rooms``; errors of the file system are ignored."""
     place = _place(what, rooms)
     if place is not None:
         _write_entry(*place, value)
 
 
 def _place(what: tuple[object, ...], rooms: tuple[str, ...]) -> tuple[Path, str, tuple[str, ...]] | None:
-    """Return the file of a cache entry, its key and rooms; None if it cannot be cached."""
+    """Return (file, key text, ``rooms``) of the cache entry for the key ``what``; None if it cannot be cached."""
     place = folder()
     if place is None or any(isinstance(part, str) and part.startswith(_FOREIGN) for part in what):
         return None
@@ -141,12 +141,12 @@ def _place(what: tuple[object, ...], rooms: tuple[str, ...]) -> tuple[Path, str,
 
 @lru_cache(maxsize=4)
 def _tidied(place: Path, process: int) -> None:
-    """Remove old files of a cache folder, once a process."""
+    """Remove old files of a cache folder, once per process id."""
     tidy(place)
 
 
 def _read_entry(path: Path, key: str, rooms: tuple[str, ...]) -> Kept | None:
-    """Return an entry of the cache, None if it is missing or damaged."""
+    """Read a cache file; return None if it is missing, damaged or of another key, version or sources (``rooms``)."""
     try:
         data = file_bytes(path)
         if data is None:
@@ -162,7 +162,7 @@ def _read_entry(path: Path, key: str, rooms: tuple[str, ...]) -> Kept | None:
 
 
 def file_bytes(path: Path) -> bytes | None:
-    """Return the content of a file of this user; None if it is missing, of another user or too large."""
+    """Return the content of a file; None if it is no regular file, owned by another user or too large."""
     # A pipe would wait for somebody to write into it.
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     with open(os.open(path, flags), "rb") as file:
@@ -174,7 +174,7 @@ def file_bytes(path: Path) -> bytes | None:
 
 
 def opened(data: bytes) -> tuple[Content, bytes]:
-    """Split a cache file's bytes into header and code.
+    """Split the bytes of a cache file into its header and machine code.
 
     Raises:
         ValueError: it is none of ours, or was altered.
@@ -192,7 +192,7 @@ def opened(data: bytes) -> tuple[Content, bytes]:
 
 
 def _parsed_entry(header: Content, code: bytes, key: str, origin: dict[str, str]) -> Kept | None:
-    """Return the value of an entry, None if it belongs to another key or version."""
+    """Return the value of a cache file; None if its header has another key or origin."""
     expected = {"key": key, "origin": origin, "bytes": len(code)}
     if any(header[name] != value for name, value in expected.items()):
         return None
@@ -211,7 +211,7 @@ def _parsed_entry(header: Content, code: bytes, key: str, origin: dict[str, str]
 
 
 def _parsed_state(state: Content | None) -> Packer | None:
-    """Return the layout of a state from its header; raises an error if its identity differs."""
+    """Return the buffer layout of a state from a cache file's header; raise an error if it does not match."""
     if state is None:
         return None
     leaves = iter([struct(tuple(shape), np.dtype(dtype)) for shape, dtype in state["leaves"]])
@@ -223,7 +223,7 @@ def _parsed_state(state: Content | None) -> Packer | None:
 
 
 def _write_entry(path: Path, key: str, rooms: tuple[str, ...], value: Kept) -> None:
-    """Write a value into the cache; layouts that are no plain data are not stored."""
+    """Write a value to a cache file, for sources in ``rooms``; layouts that are not plain data are not stored."""
     # A state with something in it that is no plain data is traced in every process.
     try:
         state = _plain_state(value.state) if isinstance(value, Known) and value.state is not None else None
@@ -249,7 +249,7 @@ def _write_entry(path: Path, key: str, rooms: tuple[str, ...], value: Kept) -> N
 
 
 def write_file(path: Path, data: bytes) -> None:
-    """Write a file so that another process sees the whole of it or nothing; an error costs time, nothing else."""
+    """Write a file atomically: other processes see the whole file or none; errors are ignored."""
     part = temporary(path)
     with contextlib.suppress(OSError):
         try:
@@ -261,6 +261,6 @@ def write_file(path: Path, data: bytes) -> None:
 
 
 def _plain_state(layout: Packer) -> dict[str, object]:
-    """Return a state's layout as plain data for the header."""
+    """Return a state's layout as plain data for a cache file's header."""
     leaves = [[list(shape), str(dtype)] for shape, dtype in zip(layout.shapes, layout.dtypes, strict=True)]
     return {"structure": to_plain(layout.structure), "leaves": leaves, "identity": identity(layout)}

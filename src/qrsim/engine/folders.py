@@ -52,7 +52,7 @@ def private(path: Path) -> bool:
 
 
 def _open_to_others(path: Path, found: os.stat_result) -> str | None:
-    """Return why another user could write to a folder, as text; None if none can."""
+    """Return why other users could write to a folder, as text, from its file status; None if they cannot."""
     if stat.S_ISLNK(found.st_mode):
         return "it is a symbolic link"
     if found.st_uid != os.geteuid():
@@ -72,7 +72,7 @@ def _open_to_others(path: Path, found: os.stat_result) -> str | None:
 
 @lru_cache(maxsize=64)
 def _warn(path: str, why: str) -> None:
-    """Warn once that compiled programs cannot be kept in a folder, with the reason."""
+    """Warn once that compiled programs cannot be kept in a folder; ``why``: the reason as text."""
     warn_user(
         f"compiled programs are neither read from {path} nor kept there: {why}. Every start compiles anew; "
         "QRSIM_CACHE_DIR names another place, QRSIM_COMPILATION_CACHE=off does without"
@@ -105,12 +105,12 @@ def tidy(path: Path, largest: int = LARGEST_BYTES) -> None:
 
 
 def temporary(path: Path) -> Path:
-    """Return the name under which this process writes a file before it gets its own."""
+    """Return the name of a temporary file next to ``path``, to be renamed once it is written."""
     return path.with_name(f"{path.stem}.{os.getpid()}.{time.monotonic_ns()}.tmp")
 
 
 def _is_abandoned(name: str, modified: float) -> bool:
-    """Return whether a temporary file is old or its writer has ended."""
+    """Return whether a temporary file is old (``modified``: time [s]) or the process in its name has ended."""
     if not (name.endswith(".tmp") or name.startswith("tmp")):
         return False
     if time.time() - modified > STALE_S:

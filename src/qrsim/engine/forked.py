@@ -28,25 +28,25 @@ def refuse() -> None:
 
 
 def _on_event(event: str, value: float, **_: object) -> None:
-    """Raise an error for a compilation that begins after such a fork."""
+    """Raise RunError when JAX reports that a compilation begins after such a fork; listener of JAX events."""
     # At the start: lowering a function of several parts waits for threads already.
     if event == _LOWERING:
         refuse()
 
 
 def _on_duration(event: str, duration_secs: float, **_: object) -> None:
-    """Note that this process has compiled."""
+    """Note that this process has compiled; listener of JAX's reports of durations."""
     if event == _COMPILED:
         _known["compiled"] = True
 
 
 def _after_fork() -> None:
-    """Note in a child process whether its parent had compiled."""
+    """Note in a forked child process whether its parent had compiled with XLA."""
     _known["forked"] = _known["compiled"]
 
 
 def watch() -> None:
-    """Register hooks that refuse XLA in processes forked after XLA has compiled in this one."""
+    """Register listeners that raise RunError if XLA compiles in a process forked after XLA had compiled."""
     if sys.platform != "win32":
         jax.monitoring.register_scalar_listener(_on_event)
         jax.monitoring.register_event_duration_secs_listener(_on_duration)

@@ -52,5 +52,5 @@ class Extent:
 
     @property
     def few(self) -> bool:
-        """Whether so few ticks are run that XLA's quicker compilation pays."""
+        """Whether vehicles are so few that XLA's quicker compilation pays."""
         return self.vehicles * (self.worlds or 1) <= FEW_VEHICLES * self.devices

@@ -69,7 +69,7 @@ class Packer:
         return hash(self._identity)
 
     def pack(self, tree: object) -> Buffers:
-        """Return the two flat buffers of a tree; a tree of NumPy arrays gives NumPy buffers."""
+        """Copy the leaves of a tree to two flat buffers, floats and integers; NumPy leaves give NumPy buffers."""
         leaves = jax.tree.leaves(tree)
         # On the host where all leaves are: JAX would send each of them to the device and back.
         numpy = np if all(isinstance(leaf, np.ndarray | np.generic) for leaf in leaves) else jnp
@@ -85,11 +85,11 @@ class Packer:
         return numpy.concatenate(floats), numpy.concatenate(integers)
 
     def unpack(self, buffers: Buffers) -> Any:
-        """Return the tree of two buffers, packed along their last axis; NumPy buffers give views."""
+        """Return the tree of leaves that are packed along the last axis of two buffers; NumPy buffers give views."""
         return jax.tree.unflatten(self.structure, [self.leaf(buffers, i) for i in range(len(self.slices))])
 
     def leaf(self, buffers: Buffers, number: int) -> Any:
-        """Return one leaf of two buffers whose last axis is the packed one."""
+        """Return leaf ``number`` of a tree of leaves that are packed along the last axis of two buffers."""
         flat = buffers[0 if self.is_float[number] else 1][..., self.slices[number]]
         leaf = flat.reshape((*flat.shape[:-1], *self.shapes[number]))
         if self.dtypes[number] == np.uint32:
@@ -99,34 +99,34 @@ class Packer:
         return leaf
 
     def template(self) -> Any:
-        """Return the tree with a ShapeDtypeStruct for each leaf."""
+        """Return the tree with a ShapeDtypeStruct in place of each leaf."""
         return jax.tree.unflatten(self.structure, list(map(struct, self.shapes, self.dtypes)))
 
     @cached_property
     def numbers(self) -> Any:
-        """Tree with each leaf replaced by its index among the leaves."""
+        """Tree of the same structure with each leaf's index in place of the leaf."""
         return jax.tree.unflatten(self.structure, range(len(self.slices)))
 
 
 def struct(shape: tuple[int, ...], dtype: DType) -> jax.ShapeDtypeStruct:
-    """Return a ShapeDtypeStruct of a shape and type."""
+    """Return a ShapeDtypeStruct for a shape and dtype."""
     return jax.ShapeDtypeStruct(shape, dtype)
 
 
 def layout_of_each(tree: object) -> Packer:
-    """Return the layout of one world's part of a tree, each leaf (B, ...)."""
+    """Return the layout of one world's tree, from the tree of many worlds with leaves (B, ...)."""
     return Packer(jax.tree.map(lambda leaf: struct(np.shape(leaf)[1:], np.asarray(leaf).dtype), tree))
 
 
 def aligned(size: int, dtype: DType) -> NumpyArray:
-    """Return zeros (size,), aligned for vectors and with room for one behind the end."""
+    """Return zeros (size,) in memory aligned for vectors, with room for one vector after the end."""
     raw = np.zeros(size * dtype.itemsize + ALIGNMENT + SPARE * 8, np.uint8)
     begin = -raw.ctypes.data % ALIGNMENT
     return raw[begin : begin + size * dtype.itemsize].view(dtype)
 
 
 def aligned_copy(buffers: Buffers) -> Buffers:
-    """Return a copy of two flat buffers that a program may overwrite."""
+    """Return an aligned copy of two flat buffers that a program may overwrite."""
     floats, integers = (aligned(part.size, np.dtype(part.dtype)) for part in buffers)
     floats[...], integers[...] = buffers
     return floats, integers
@@ -156,11 +156,11 @@ class Shared:
     # Sent to the device once, not at every call.
     @cached_property
     def device_tree(self) -> Any:
-        """The tree as arrays of JAX."""
+        """Tree of the shared values as JAX arrays."""
         return jax.device_put(self.tree)
 
     @cached_property
     def device_buffers(self) -> Buffers:
-        """The two buffers as arrays of JAX."""
+        """The two flat buffers of the shared values as JAX arrays."""
         found: Buffers = jax.device_put(self.buffers)
         return found

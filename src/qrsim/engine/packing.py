@@ -42,12 +42,12 @@ class Contents:
 
 
 def processor() -> str:
-    """Return text with the processor, its features and the compiler, on which programs depend."""
+    """Return a text that identifies this processor: its name, features and the compiler version."""
     return machine_name()
 
 
 def contents() -> dict[str, Contents]:
-    """Return the contents of the cache by kind; an empty dict if QRSIM_COMPILATION_CACHE is off."""
+    """Return the number and size of cached program files by kind; {} if QRSIM_COMPILATION_CACHE is off."""
     found = {}
     for kind in KINDS if cache.folder() is not None else ():
         sizes = [path.stat().st_size for path in _cache_files(kind)]
@@ -56,7 +56,7 @@ def contents() -> dict[str, Contents]:
 
 
 def clear() -> dict[str, Contents]:
-    """Delete every file of the cache, and return the deleted contents by kind.
+    """Delete every file of the cache, and return the number and size of the deleted files by kind.
 
     Raises:
         RunError: a file cannot be deleted.
@@ -70,7 +70,7 @@ def clear() -> dict[str, Contents]:
 
 
 def _cache_files(kind: str) -> list[Path]:
-    """Return the files of a kind in the cache folder."""
+    """Return the files of a kind, "native" or "compiled" (by XLA), in the cache folder."""
     folder = cache_folder() / kind
     if not folder.is_dir() or folder.is_symlink():
         return []
@@ -78,7 +78,7 @@ def _cache_files(kind: str) -> list[Path]:
 
 
 def pack(path: Path) -> int:
-    """Write this processor's programs to a tar archive (``.gz``, ``.tgz``: compressed); return their number.
+    """Write this processor's cached programs to a tar archive (``.gz``, ``.tgz``: compressed); return their number.
 
     Returns:
         The number of programs.
@@ -110,7 +110,7 @@ def pack(path: Path) -> int:
 
 
 def _whole(path: Path) -> tuple[Content, bytes] | None:
-    """Return header and content of a cache file; None if it is damaged or not a cache file."""
+    """Return the header and the whole content of a cache file; None if it is damaged or not a cache file."""
     try:
         content = cache.file_bytes(path)
         return None if content is None else (_checked(path.name, content), content)
@@ -119,7 +119,7 @@ def _whole(path: Path) -> tuple[Content, bytes] | None:
 
 
 def _checked(name: str, content: bytes) -> Content:
-    """Return the header of a packed file; raises ValueError if it is damaged or has another program's name.
+    """Return the header of a file in an archive; raise ValueError if it is damaged or wrongly named.
 
     Raises:
         ValueError: it is damaged, or has another name than its own.
@@ -132,7 +132,7 @@ def _checked(name: str, content: bytes) -> Content:
 
 
 def unpack(path: Path) -> int:
-    """Copy the programs of an archive into the cache, after checking all; return their number.
+    """Copy the programs of an archive to the cache once all have passed checks; return their number.
 
     Returns:
         The number of programs.
@@ -157,7 +157,7 @@ def unpack(path: Path) -> int:
 
 
 def _entries(path: Path, archive: tarfile.TarFile) -> dict[str, bytes]:
-    """Return the files of an archive by name."""
+    """Return the content of each program file in an archive, by file name."""
     first = archive.next()
     manifest = _read_manifest(path, archive, first)
     if manifest["machine"] != machine_name():
@@ -189,7 +189,7 @@ def _entries(path: Path, archive: tarfile.TarFile) -> dict[str, bytes]:
 
 
 def _read_manifest(path: Path, archive: tarfile.TarFile, member: tarfile.TarInfo | None) -> dict[str, object]:
-    """Return the manifest of an archive; raises UsageError if it has none."""
+    """Return the manifest of an archive; raise UsageError if it has none."""
     found = None
     if member is not None and member.isreg() and member.name == MANIFEST and member.size <= _LARGEST_MANIFEST:
         try:
@@ -202,19 +202,19 @@ def _read_manifest(path: Path, archive: tarfile.TarFile, member: tarfile.TarInfo
 
 
 def _read_member(archive: tarfile.TarFile, member: tarfile.TarInfo) -> bytes:
-    """Return the bytes of a member of an archive."""
+    """Return the content of a file in an archive."""
     file = archive.extractfile(member)
     return b"" if file is None else file.read()
 
 
 def _processor(machine: str) -> str:
-    """Return the name of a processor and the version of LLVM, without the list of features between them."""
+    """Return processor and LLVM version from ``machine``, the text of ``processor``, without CPU features."""
     words = machine.split()
     return " ".join([*words[:1], *words[-2:]])[:200]
 
 
 def _place() -> Path:
-    """Return the folder of programs.
+    """Return the folder of cached programs; raise UsageError if the cache is off or the folder is not private.
 
     Raises:
         UsageError: nothing is kept, or the folder may not be used.

@@ -26,7 +26,7 @@ _TOLD: set[str] = set()
 
 
 def compiled(key: tuple[Hashable, ...], make: Callable[[], T]) -> T:
-    """Return the program of this process for a key, made by ``make`` at the first call.
+    """Return the compiled program with this key in this process, made by ``make`` at the first call.
 
     Args:
         key: all that it depends on; its first part says what it is.
@@ -52,7 +52,7 @@ def compiled(key: tuple[Hashable, ...], make: Callable[[], T]) -> T:
 
 
 def discard_unused(made: dict[K, T]) -> None:
-    """Discard programs of objects that no longer exist, and the oldest beyond the limits of number and size.
+    """Discard those in ``made`` of objects that no longer exist, and the oldest beyond limits of number and size.
 
     Sessions of a server call this in threads, so it works on copies, and an entry may have been discarded already.
     """
@@ -68,7 +68,7 @@ def discard_unused(made: dict[K, T]) -> None:
 
 
 def _code_bytes(program: object) -> int:
-    """Return the size of a program's machine code in bytes, 0 if unknown."""
+    """Return the size [bytes] of a program's machine code, 0 if unknown."""
     return getattr(program, "code_bytes", 0)
 
 
@@ -89,7 +89,7 @@ def uncollected() -> Iterator[None]:
 
 
 def _tell(program: object, why: UnsupportedError) -> None:
-    """Warn why a program cannot be compiled by LLVM, once per reason and process."""
+    """Warn that XLA compiles a program that LLVM cannot (``why``), once per reason and process."""
     log.debug("'%s' is compiled by XLA, because of %s", program, why, exc_info=why)
     if str(why) not in _TOLD:
         _TOLD.add(str(why))
@@ -98,6 +98,6 @@ def _tell(program: object, why: UnsupportedError) -> None:
 
 
 def forget() -> None:
-    """Discard all compiled programs."""
+    """Discard all compiled programs of this process."""
     _MADE.clear()
     _TOLD.clear()

@@ -27,7 +27,7 @@ _chosen: dict[str, Any] = {"compiler": None, "threads": None}
 
 
 def configure(*, cpu_devices: int | None = None, compiler: str | None = None) -> None:
-    """Set the number of CPU devices and the compiler; call it before anything is computed.
+    """Set the number of CPU devices (``cpu_devices``) and the compiler; call it before anything is computed.
 
     Args:
         cpu_devices: cores that a rollout spreads its worlds over, and one world of thousands of vehicles its vehicles;
@@ -59,14 +59,14 @@ def configure(*, cpu_devices: int | None = None, compiler: str | None = None) ->
 
 
 def _checked_compiler(name: object, where: str) -> str:
-    """Return the name of a compiler; raises UsageError for an unknown one."""
+    """Return a compiler's name if it is known, else raise UsageError that names ``where`` it was given."""
     if name not in COMPILERS:
         raise UsageError(f"{where}: '{name}' is not known; expected one of {', '.join(COMPILERS)}")
     return str(name)
 
 
 def uses_llvm() -> bool:
-    """Return whether ticks are compiled by this package's generator: on CPUs, unless XLA is chosen.
+    """Return whether this package's own LLVM generator compiles ticks: on CPUs, unless XLA is chosen.
 
     Raises:
         UsageError: the environment names no compiler.
@@ -78,12 +78,12 @@ def uses_llvm() -> bool:
 
 
 def chosen_compiler() -> str:
-    """Return which compiler is tried first, "llvm" or "xla"; raises UsageError as ``uses_llvm`` does."""
+    """Return which compiler is tried first, "llvm" or "xla"; raise UsageError as ``uses_llvm`` does."""
     return "llvm" if uses_llvm() else "xla"
 
 
 def tier() -> str:
-    """Return which machine code ticks are compiled to: "auto", "quick" or "better", as QRSIM_TIER says.
+    """Return the tier of machine code from QRSIM_TIER: "quick", "better" or "auto" (quick, then better).
 
     "auto" runs quick code until better code is ready, which another process compiles.
 
@@ -97,24 +97,24 @@ def tier() -> str:
 
 
 def device_mesh() -> Mesh | None:
-    """Return all devices of JAX, which share the worlds of a rollout; None where there is one."""
+    """Return a mesh of all JAX devices, over which a rollout splits its worlds; None for a single device."""
     devices = jax.devices()
     return Mesh(np.array(devices), (WORLDS,)) if len(devices) > 1 else None
 
 
 def threads() -> int:
-    """Return the number of threads for a rollout or a large world."""
+    """Return the number of threads for a rollout or one large world."""
     return int(_chosen["threads"] or available_cores())
 
 
 def available_cores() -> int:
-    """Return the number of cores this process may use."""
+    """Return the number of CPU cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @lru_cache(maxsize=1)
 def quick_to_compile() -> dict[str, Any]:
-    """Return options for XLA's quick compilation of short runs, limited to those that this XLA knows."""
+    """Return XLA options for quick compilation of short runs; {} if this XLA does not know them."""
     try:
         jax.jit(lambda: 0, compiler_options=_QUICK_TO_COMPILE).lower().compile()
     except jax.errors.JaxRuntimeError:
@@ -137,7 +137,7 @@ def quick_jit(function: Callable[..., Any], **options: Any) -> Any:
 
 
 def use_compilation_cache() -> None:
-    """Make XLA cache its programs in the user's cache, unless JAX has other settings or it is off.
+    """Make XLA cache its programs in the user's cache folder, unless JAX is set otherwise or caching is off.
 
     A folder that others can write into is not used, with a warning.
     """

@@ -70,7 +70,7 @@ __all__ = [
 
 
 def gymnasium_id(scenario: str) -> str:
-    """Return the Gymnasium id of a scenario."""
+    """Return the Gymnasium id of a built-in scenario's environment, such as "qrsim/keep_spot-v0"."""
     return f"qrsim/{scenario.replace('/', '_')}-v{VERSION}"
 
 
@@ -115,7 +115,7 @@ def parallel_env(scenario: Any, **options: Any) -> ParallelTask:
 
 @checked_arguments
 def vector_parallel_env(scenario: Any, num_envs: int = 1, **options: Any) -> VectorParallelTask:
-    """Return many PettingZoo environments of a scenario side by side; see ``VectorParallelTask``.
+    """Return ``num_envs`` PettingZoo environments of a scenario in one batch; see ``VectorParallelTask``.
 
     Raises:
         MissingExtraError: Gymnasium is not installed.

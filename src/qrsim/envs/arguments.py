@@ -14,12 +14,12 @@ T = TypeVar("T")
 
 
 def checked_arguments(make: Callable[P, T]) -> Callable[P, T]:
-    """Decorate a function: wrong argument names or a missing scenario raise a helpful UsageError."""
+    """Decorate ``make`` so that wrong argument names or a missing scenario raise a UsageError with a hint."""
     signature = inspect.signature(make)
 
     @wraps(make)
     def checked(*args: P.args, **kwargs: P.kwargs) -> T:
-        """Call the function; raises UsageError for arguments that it does not take."""
+        """Call the function; raise UsageError for arguments that it does not take."""
         try:
             signature.bind(*args, **kwargs)
         except TypeError as error:
@@ -31,7 +31,7 @@ def checked_arguments(make: Callable[P, T]) -> Callable[P, T]:
 
 
 def _problem(given: dict[str, object], known: list[str]) -> str:
-    """Return the problem of wrong argument names as text, "" if they are right."""
+    """Return in words what is wrong with the names of arguments, given those known; "" if they are right."""
     from qrsim.scenarios.schema import ScenarioSpec
 
     for name, value in given.items():

@@ -33,7 +33,7 @@ STATE = 13
 
 
 def checked_seed(seed: Any) -> int:
-    """Return a seed as int; raises UsageError for other values.
+    """Return a seed as int; raise UsageError unless it is an integer from 0 to 2**63 - 1.
 
     Raises:
         UsageError: it is no integer from 0 to 2**63 - 1.
@@ -45,7 +45,7 @@ def checked_seed(seed: Any) -> int:
 
 
 def numbers(given: object, what: str, shape: tuple[int, ...]) -> Floats:
-    """Convert numbers to an array of any shape; raises UsageError for other values; ``shape`` is for the message.
+    """Convert numbers to an array of any shape; raise UsageError, which names ``what`` and ``shape``, for others.
 
     Raises:
         UsageError: it has rows of different lengths, or something else in it, such as text or complex numbers.
@@ -60,7 +60,7 @@ def numbers(given: object, what: str, shape: tuple[int, ...]) -> Floats:
 
 
 def one_line(value: object) -> str:
-    """Return a value as one line of text for a message."""
+    """Return the repr of a value as one short line of text for an error message."""
     return shortened(" ".join(repr(value).split()), 80)
 
 
@@ -116,7 +116,7 @@ class Batch:
         self.truth: dict[str, Floats] = {}
 
     def _precision_context(self) -> AbstractContextManager[object]:
-        """Return the JAX context of the batch's precision."""
+        """Return a context in which JAX uses the precision (32 or 64 bits) of the batch."""
         return jax.enable_x64(self.dtype == np.float64)
 
     def reset(self, seeds: Iterable[object], rows: Floats | None = None) -> None:
@@ -132,12 +132,12 @@ class Batch:
         self._start_episodes(which)
 
     def again(self, rows: Floats) -> None:
-        """Start the next episode of the seed's series in each of ``rows``."""
+        """Start the next episode of the seed's series in each of the environments ``rows``."""
         self.numbers[rows] += 1
         self._start_episodes(rows)
 
     def set_difficulty(self, difficulty: float) -> None:
-        """Set the difficulty of later episodes; see ``Functional.at_difficulty``.
+        """Set the difficulty, 0 to 1, of episodes that start from now on; see ``Functional.at_difficulty``.
 
         Raises:
             UsageError: as of that.
@@ -148,7 +148,7 @@ class Batch:
         self._ahead.clear()
 
     def take_options(self, options: dict[str, Any] | None) -> None:
-        """Set the difficulty if a reset's options have one; raises UsageError for other options.
+        """Set the difficulty if the options of a reset name one; raise UsageError for unknown options.
 
         Raises:
             UsageError: another option, or no difficulty.
@@ -160,7 +160,7 @@ class Batch:
             self.set_difficulty(options["difficulty"])
 
     def _start_episodes(self, rows: Floats) -> None:
-        """Start episodes in some rows of the batch."""
+        """Start the episodes ``rows``, each given by a seed and a number in the seed's series."""
         if self._answers is not None:
             self._answers[rows] = 0.0
         self._steps[rows], self._ended[rows] = 0, False
@@ -176,7 +176,7 @@ class Batch:
             jax.tree.map(lambda old, new: _set_rows(old, rows, new), whole, part)
 
     def give_away(self) -> object:
-        """Return all agents' observations (B, n, ...), in arrays that the caller may change.
+        """Return all agents' observations (B, n, ...) as arrays that the caller may change.
 
         Parts that are computed late are handed over, the others copied.
         """
@@ -187,7 +187,7 @@ class Batch:
         return {name: part if name in late else part.copy() for name, part in self.seen.items()}
 
     def step(self, action: object, words: object = None, who: str = "action") -> tuple[Floats, Floats, Floats]:
-        """Advance all episodes by actions (B, n, A), and return reward (B, n), terminated (B,) and truncated (B,).
+        """Advance all episodes by actions (B, n, A); return reward (B, n), terminated (B,) and truncated (B,).
 
         Args:
             action: of each agent.
@@ -218,7 +218,7 @@ class Batch:
         return step.reward, step.terminated, step.truncated  # type: ignore[return-value]
 
     def _keep_last_seen(self, before: Any) -> None:
-        """Restore the last observations of agents that have stopped, whose sensors report nothing."""
+        """Replace the observations of stopped agents by their last ones in flight, from ``before``."""
         stopped = self.truth["reason"] != 0
         if not stopped.any():
             return
@@ -235,14 +235,14 @@ class Batch:
             jax.tree.map(lambda new, old, which=which: _set_rows(new, which, old[which]), now, last)
 
     def _place(self, row: int, agent: int) -> str:
-        """Return text that says which agent, episode and step a wrong value of a task comes from."""
+        """Return in words which agent, episode and step a wrong reward of a task belongs to."""
         task = type(self.functional.play.task).__name__
         series = f"episode {self.numbers[row]} of seed {self.seeds[row]}"
         agents = self.agents
         return f"{self.functional.name}: task {task}: step {self._steps[row]}, {series}, '{agents[agent]}'"
 
     def checked(self, action: object, who: str) -> Floats:
-        """Return actions as an array (B, n, A); raises UsageError for a wrong shape or value."""
+        """Return actions as an array (B, n, A) in [-1, 1]; raise UsageError that names ``who`` if they are invalid."""
         agents = self.agents
         shape = (self.size, len(agents), self.width)
         try:
@@ -263,21 +263,21 @@ class Batch:
         return array
 
     def _named(self, agent: int, axis: int) -> str:
-        """Return the name of a number in an agent's action."""
+        """Return the name of a number in an agent's action, such as "pitch"."""
         mine = self.axes[agent]
         return mine[axis].name if axis < len(mine) else f"number {axis}, which is none"
 
     def of_agent(self, seen: object, number: int) -> object:
-        """Return one agent's part, leaves (B, ...), of all observations (B, n, ...), by fleet if several."""
+        """Return agent ``number``'s part, leaves (B, ...), of observations (B, n, ...) of all, by fleet if several."""
         return part_of(self.sides, seen, number)
 
     @property
     def vehicles(self) -> int:
-        """Number of vehicles in all fleets of a world."""
+        """Number of vehicles in one world, of all fleets together."""
         return sum(fleet.size for fleet in self.functional.play.world.fleets)
 
     def state(self, row: int) -> Floats:
-        """Return the true state of an episode, (STATE V + 1,) for the V vehicles of all fleets in their order.
+        """Return the true state of episode ``row``, (STATE V + 1,), for the V vehicles of all fleets in their order.
 
         Of each vehicle: position NED [m], roll, pitch and yaw [rad], velocity in body axes [m/s], body rates [rad/s],
         and 1 if it has stopped; at the end the part of the episode that is over, 0 to 1.
@@ -292,7 +292,7 @@ class Batch:
 
     @property
     def steps_per_second(self) -> float:
-        """Steps per second of simulated time."""
+        """Number of steps (actions) per second of simulated time."""
         return 1.0 / self.functional.play.task.period
 
     @property
@@ -301,7 +301,7 @@ class Batch:
         return tuple(self.functional.play.task.answer_shape(self.functional.play.world))
 
     def hand_in(self, answers: object, rows: Floats, agents: Floats) -> None:
-        """Store the answers (b, a, ...) of agents in episodes; a later answer replaces an earlier one.
+        """Store answers (b, a, ...) of ``agents`` in episodes ``rows``, such as plume maps; the last ones count.
 
         Args:
             answers: one of each.
@@ -330,7 +330,7 @@ class Batch:
         return np.asarray(found, float).reshape(len(rows), agents)
 
     def score(self, row: int, answer: object) -> Floats:
-        """Return the scores (n,) of the answers (n, ...) of the agents of an episode.
+        """Return the scores (n,) of the answers (n, ...) that an episode's agents give at its end.
 
         Raises:
             UsageError: another shape, or something that is not finite.
@@ -345,7 +345,7 @@ class Batch:
         return found
 
     def _answer(self, answer: object, lead: tuple[int, ...]) -> Floats:
-        """Return answers as an array (*lead, ...); raises UsageError for a wrong shape or value."""
+        """Return answers as an array (*lead, *answer_shape); raise UsageError for a wrong shape or value."""
         try:
             array = np.asarray(answer, self.dtype)
         except (TypeError, ValueError, OverflowError):
@@ -360,10 +360,10 @@ class Batch:
 
 
 def _zeros_like(tree: object, size: int) -> Any:
-    """Return a tree of zeros for ``size`` episodes."""
+    """Return a tree of zeros in the shape and dtype of ``tree``, with leaves for ``size`` episodes."""
     return jax.tree.map(lambda leaf: np.zeros((size, *leaf.shape[1:]), leaf.dtype), tree)
 
 
 def _set_rows(old: Floats, rows: NumpyArray, new: object) -> None:
-    """Write new values into rows of an array in place."""
+    """Write new values into these rows of an array, in place."""
     old[rows] = new

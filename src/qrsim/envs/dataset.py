@@ -60,12 +60,12 @@ class Recording:
         self.episodes: list[Recorded] = []
 
     def begin(self) -> None:
-        """Discard what was recorded, and start at the first step of the batch's episodes."""
+        """Discard all recorded episodes, and record from the first step of the batch's present ones."""
         self.seeds = self._batch.seeds.copy()
         self.episodes = [Recorded([self._observation(row)], [self._truth_of(row)]) for row in range(self._batch.size)]
 
     def add(self, rows: Iterable[int], actions: Floats, reward: Floats, ended: tuple[Floats, Floats]) -> None:
-        """Append a step to the recorded episodes.
+        """Append one step of the episodes ``rows`` to their records.
 
         Args:
             rows: the episodes that were flown in it.
@@ -83,20 +83,20 @@ class Recording:
             episode.truncated.append(bool(ended[1][row]))
 
     def score(self, row: int, number: float) -> None:
-        """Add the score of an answer to the last reward of an episode, as environments do."""
+        """Add the score of an episode's answer to its last recorded reward, as the environments do."""
         self.episodes[row].rewards[-1] += number
 
     def _observation(self, row: int) -> object:
-        """Return a copy of the observation of one episode."""
+        """Return a copy of the agent's present observation in one episode."""
         return jax.tree.map(lambda leaf: np.array(leaf[row, 0]), self._batch.seen)
 
     def _truth_of(self, row: int) -> object:
-        """Return a copy of the truth of one episode."""
+        """Return a copy of the agent's present true values in one episode."""
         return {name: np.array(leaf[row, 0]) for name, leaf in self._batch.truth.items()}
 
 
 def free_place(dataset: str) -> Path:
-    """Return the folder of a new dataset; raises UsageError if it exists or the name is invalid.
+    """Return the folder for a new Minari dataset; raise UsageError if it exists or the name is invalid.
 
     Args:
         dataset: its ID, ``NAMESPACE/NAME-vNUMBER``; the namespace may be missing.
@@ -120,7 +120,7 @@ def free_place(dataset: str) -> Path:
 
 
 def environment_spec(scenario: str, overrides: Iterable[str]) -> object:
-    """Return Gymnasium's specification of the environment of a scenario, which makes it again."""
+    """Return Gymnasium's specification from which the environment of a scenario can be made again."""
     import gymnasium
 
     register()
@@ -133,7 +133,7 @@ def environment_spec(scenario: str, overrides: Iterable[str]) -> object:
 
 
 def write(dataset: str, recording: Recording, policy: str, scenario: str, overrides: Iterable[str]) -> Path:
-    """Write episodes as a new dataset, and return its folder.
+    """Write recorded episodes as a new Minari dataset, and return its folder.
 
     Infos are the truth by name; each episode has its seed, and the dataset the specification of its environment.
 

@@ -31,7 +31,7 @@ LEAST_M = 5.0
 
 
 def checked_mode(render_mode: str | None) -> str | None:
-    """Return a render mode unchanged; raises UsageError for an unknown one.
+    """Return a render mode unchanged; raise UsageError unless it is None or a known one.
 
     Raises:
         UsageError: it is none.
@@ -59,7 +59,7 @@ class Drawing:
         return self.__dict__ | {"_scene": None}
 
     def begin(self) -> None:
-        """Discard the paths of the last episode."""
+        """Discard the drawn paths of the last episode."""
         self._ways, self._scene = [self._places(self._episode())], None
 
     def moved(self) -> None:
@@ -67,7 +67,7 @@ class Drawing:
         self._ways.append(self._places(self._episode()))
 
     def frame(self) -> Floats:
-        """Return the present picture, (480, 640, 3) uint8.
+        """Draw the episode from above, as it is now; return the picture, (480, 640, 3) uint8.
 
         Raises:
             UsageError: nothing has begun.
@@ -80,7 +80,7 @@ class Drawing:
         return self._scene.frame(episode, np.stack(self._ways))
 
     def _episode(self) -> Episode:
-        """Return the episode that is drawn."""
+        """Return the state of the episode that is drawn."""
         return self._batch.episodes.episode(self._row)
 
     def _places(self, episode: Episode) -> Floats:
@@ -116,7 +116,7 @@ class _Scene:
             self._plan.legend(loc="upper left", fontsize=7, framealpha=0.8)
 
     def frame(self, episode: Episode, ways: Floats) -> Floats:
-        """Return the picture of an episode with paths (T, n, 3) [m]."""
+        """Draw an episode with the paths (T, n, 3) [m] of its vehicles, and return the picture."""
         stopped = np.concatenate([np.asarray(fleet.violation.code) != 0 for fleet in episode.state.fleets])
         for i, (way, now, height) in enumerate(zip(self._lines, self._now, self._levels, strict=True)):
             way.set_data(ways[:, i, 1], ways[:, i, 0])
@@ -135,7 +135,7 @@ class _Scene:
         return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
     def _limits(self, ways: Floats) -> None:
-        """Set the plot's limits to hold all paths, and the area if there is one."""
+        """Set the plot's limits so that all paths (T, n, 3) and the area are visible."""
         flown = ways.reshape(-1, 3)
         flown = flown[np.isfinite(flown).all(axis=1)]
         seen = np.concatenate([self._shown, flown[:, 1::-1]])
@@ -148,7 +148,7 @@ class _Scene:
         self._heights.set_ylim(low - 0.03 * (high - low), high + 0.03 * (high - low))
 
     def _set_area(self, start: Floats) -> None:
-        """Set the shown extent from the area and the starts."""
+        """Draw the outline of the area, and set the smallest plotted extent from it and the starts (n, 3) [m]."""
         area: Any = self._play.world.area
         self._low, self._high = -float(area.z_max), -float(area.z_min)
         self._shown = np.concatenate([start[:, 1::-1] - LEAST_M, start[:, 1::-1] + LEAST_M])
@@ -159,7 +159,7 @@ class _Scene:
             self._shown = np.concatenate([self._shown, outline])
 
     def _plume(self, episode: Episode) -> None:
-        """Draw the mean concentration, the highest over all heights, and the sources."""
+        """Draw the plume from above: its mean concentration, highest over all heights, and its sources."""
         field, area = episode.state.contents.plume, self._play.world.area
         if field is None:
             return
@@ -172,7 +172,7 @@ class _Scene:
         self._plan.plot(east, north, "*", **look)
 
     def _draw_concentration(self, episode: Episode, area: BoxArea) -> None:
-        """Draw the concentration of the plume as a background."""
+        """Draw the mean concentration, highest over all heights, as the background of the plot."""
         world = self._play.world.with_drawn(episode.state.drawn)
         wind = surroundings(world, episode.state.contents, jnp.int32(0)).carrying_wind(self._dtype)
         edges = [(float(getattr(area, f"{axis}_min")), float(getattr(area, f"{axis}_max"))) for axis in "xy"]
@@ -188,7 +188,7 @@ class _Scene:
             self._plan.pcolormesh(easts, norths, shown, cmap="PuRd", vmin=-3.5, vmax=0.5, zorder=0)
 
     def _goals(self, episode: Episode) -> None:
-        """Draw the goals of a simple task, and the locations of a plume task."""
+        """Draw the goals of the vehicles, and the locations of a plume task."""
         places = places_of(self._play.task, self._play.world, episode.memory, episode.state.contents)
         if len(places.goals):
             look: dict[str, Any] = {"ms": 14, "mew": 2, "color": share(GREY), "ls": "none", "label": "goal"}
@@ -198,7 +198,7 @@ class _Scene:
             self._plan.plot(places.locations[:, 1], places.locations[:, 0], "s", **look)
 
     def _add_vehicles(self) -> None:
-        """Add the artists of the vehicles."""
+        """Add markers of the vehicles to the plot."""
         names = [name for fleet in self._play.world.fleets for name in fleet.vehicle_names]
         self._lines, self._now, self._levels = [], [], []
         for i, name in enumerate(names):
@@ -209,7 +209,7 @@ class _Scene:
         self._heights.set_xlim(-0.7, len(names) - 0.3)
 
     def _add_persons(self, episode: Episode) -> list[Any]:
-        """Add the artists of the persons, and return them."""
+        """Add markers of the persons to the plot, and return them."""
         kinds = (("person not found", MISSING), ("person found", FOUND))
         look: dict[str, Any] = {"ms": 8, "mec": "black", "ls": "none"}
         return [
@@ -219,7 +219,7 @@ class _Scene:
 
 
 def _people(episode: Episode) -> list[tuple[Floats, Floats]]:
-    """Return (east, north) of the persons not yet found, and of those found; [] without persons."""
+    """Return (east, north) of the persons not yet found, and of those found; [] if the world has none."""
     persons = episode.state.contents.persons
     if persons is None:
         return []

@@ -43,7 +43,7 @@ class Functional:
     @staticmethod
     @checked_arguments
     def of(scenario: str | Path | Content, overrides: Iterable[str] = (), precision: str = "float32") -> Functional:
-        """Return the environment of a scenario.
+        """Build the environment of a scenario as pure JAX functions.
 
         Args:
             scenario: as ``qrsim.load`` takes it.
@@ -63,16 +63,16 @@ class Functional:
 
     @property
     def agents(self) -> tuple[str, ...]:
-        """Names of the agents."""
+        """Names of the vehicles that are agents."""
         return self.play.agents
 
     @property
     def observation_axes(self) -> tuple[Axis, ...] | dict[str, Any]:
-        """Name, unit and range of each value of an observation, or of the described parts of a dict."""
+        """Description of each value of an observation: name, unit and range; of a dict, by part, those described."""
         return self.play.task.sees(self.play.world)
 
     def keys(self, seeds: object, numbers: object = 0) -> EpisodeKeys:
-        """Return the keys of episodes, one for each seed (B,), made on the host.
+        """Return the random keys of episodes, one per seed (B,) and number in its series, as NumPy arrays.
 
         Args:
             seeds: 0 <= seed < 2**63.
@@ -88,7 +88,7 @@ class Functional:
         return self.play.keys(Key.roots(seeds, np.broadcast_to(np.asarray(numbers, np.int64), seeds.shape)))
 
     def at_difficulty(self, difficulty: float) -> Functional:
-        """Return this environment with all ranges narrowed towards the scenario's values.
+        """Return this environment with random ranges narrowed towards the scenario's values (0: to these alone).
 
         Args:
             difficulty: 0: every number of ``ranges`` is what the scenario itself says; 1: it is drawn from low to high;
@@ -105,7 +105,7 @@ class Functional:
         return replace(self, play=replace(self.play, world=replace(world, ranges=grown)))
 
     def reset(self, seed: object) -> tuple[Episode, Any]:
-        """Start an episode; return it and the observations, (n, O) or a dict of arrays (n, ...).
+        """Start an episode; return its state and the observations, (n, O) or a dict of arrays (n, ...).
 
         Args:
             seed: () or, for one of 64 bits, its low and high words (2,) uint32; or one of ``keys``.
@@ -123,8 +123,9 @@ class Functional:
         return self.play.reset(seed)
 
     def step(self, episode: Episode, action: Array) -> tuple[Episode, Step]:
-        """Advance an episode by the actions of n agents; results after its end have no meaning.
+        """Advance an episode by one action of each agent; return its new state and the step's results.
 
+        Results after the episode's end have no meaning.
         The sensors of an agent that has stopped report nothing, so what it observes then is not what it saw last; the
         other forms of an environment repeat that.
 
@@ -139,7 +140,7 @@ class Functional:
         return self.play.step(episode, self._together(action))
 
     def _together(self, action: Array) -> Array:
-        """Return the action array of a radio's dict or plain actions: (n, A), or (n, A + D) with messages."""
+        """Return actions as one array, (n, A) or with radio messages (n, A + D), from that or from a dict of both."""
         sides = self.play.sides
         if len(sides) > 1:
             return self._action_of_fleets(action)
@@ -157,7 +158,7 @@ class Functional:
         return action if said is None else jnp.concatenate([action, jnp.asarray(said, action.dtype)], axis=1)
 
     def _action_of_fleets(self, action: Any) -> Array:
-        """Return the action array (n, A) from a dict of fleet -> actions."""
+        """Return actions as one array (n, A), from a dict fleet -> actions."""
         sides, size = self.play.sides, self.play.message
         by_fleet(action, [side.fleet for side in sides], "action")
         acts, said, speak = {}, [], False
@@ -178,7 +179,7 @@ class Functional:
         return jnp.concatenate([flown, jnp.concatenate(said).astype(flown.dtype)], axis=1) if speak else flown
 
     def score(self, episode: Episode, answer: Array) -> Array:
-        """Return the scores (n,) of the agents' answers, (n, L) or (n, L, K); see the task.
+        """Return the scores (n,) of the agents' answers at the end of an episode, (n, L) or (n, L, K).
 
         Raises:
             UsageError: nothing can be handed in.
@@ -189,12 +190,12 @@ class Functional:
         return score
 
     def truth(self, episode: Episode) -> dict[str, Array]:
-        """Return the ground truth of the agents (n,), which they do not observe."""
+        """Return the true values of the agents, name -> (n, ...), which they do not observe."""
         return self.play.truth(episode)
 
 
 def checked_difficulty(given: Any) -> float:
-    """Return a difficulty as float; raises UsageError unless it is a number from 0 to 1.
+    """Return a difficulty as float; raise UsageError unless it is a number from 0 to 1.
 
     Raises:
         UsageError: it is no number from 0 to 1.
@@ -206,7 +207,7 @@ def checked_difficulty(given: Any) -> float:
 
 
 def _number_at(world: World, path: tuple[str | int, ...]) -> object:
-    """Return the number at a path of a World, the first vehicle's if every vehicle has one."""
+    """Return the number at a path of attributes and indices in a world; of several vehicles, the first one's."""
     found: Any = world
     for part in path:
         found = found[part] if isinstance(part, int) else getattr(found, part)
@@ -214,10 +215,10 @@ def _number_at(world: World, path: tuple[str | int, ...]) -> object:
 
 
 def _scaled_range(item: Range, own: Any, part: float) -> Range:
-    """Return a range shrunk towards the scenario's value; ``part`` 1 is the whole range."""
+    """Return a random range shrunk towards the scenario's value ``own``; ``part``: share that remains, 0 to 1."""
 
     def between(end: Array) -> Any:
-        """Return the point between the scenario's value and an end."""
+        """Return the value between the scenario's own and one end of the range."""
         return np.asarray((1.0 - part) * own + part * np.asarray(end), np.asarray(end).dtype)
 
     return replace(item, low=between(item.low), high=between(item.high))

@@ -27,11 +27,11 @@ class KeysAhead:
         self._seeds, self._first = np.zeros(size, np.int64), np.zeros(size, np.int64)
 
     def clear(self) -> None:
-        """Discard all keys, because later episodes will be different ones."""
+        """Discard the random keys that were computed ahead, because later episodes will be different ones."""
         self._keys = None
 
     def keys(self, functional: Functional, rows: NumpyArray, seeds: NumpyArray, numbers: NumpyArray) -> EpisodeKeys:
-        """Return the keys of the episodes that environments begin, each leaf (b, ...), computed ahead if possible.
+        """Return the random keys of the episodes to start in ``rows``, leaves (b, ...), computed ahead if possible.
 
         Args:
             functional: what is played.

@@ -13,7 +13,7 @@ from qrsim.tasks.learned_rollout import RolloutPolicy
 
 
 def play_of(scenario: Scenario, what: str, precision: str = "float32") -> Play:
-    """Return the task of a scenario in its world.
+    """Return the task of a scenario in its world; raise UsageError if it has none (``what`` needs it).
 
     Args:
         scenario: with a task.
@@ -29,7 +29,7 @@ def play_of(scenario: Scenario, what: str, precision: str = "float32") -> Play:
 
 
 def rollout_policy(source: str | Path, scenario: Scenario, precision: str = "float32") -> RolloutPolicy:
-    """Return a policy file as a policy for ``qrsim.rollout``, with its period as attribute ``ticks``.
+    """Return a learned policy from its file, for ``qrsim.rollout``; its attribute ``ticks`` is its period.
 
     Raises:
         UsageError: the scenario has no task, or the file is of another task or damaged.

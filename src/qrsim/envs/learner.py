@@ -80,7 +80,7 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, object] | None = None
     ) -> tuple[NumpyArray, dict[str, Any]]:
-        """Start an episode; return the observation (F,) and the info with the ground truth.
+        """Start an episode; return the network's inputs (F,) and the info with the true values.
 
         Raises:
             UsageError: as of ``SingleTask.reset``.
@@ -91,7 +91,7 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
         return self._inputs(seen), info
 
     def step(self, action: Any) -> tuple[NumpyArray, float, bool, bool, dict[str, Any]]:
-        """Advance by one decision; return the learner's reward, and the task's own in the info as ``task_reward``.
+        """Advance by one decision; return inputs (F,), learner's reward, ends, info with the task's ``task_reward``.
 
         Raises:
             UsageError: as of ``SingleTask.step``.
@@ -108,11 +108,11 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
         return self._inputs(seen), float(own[0]), terminated, truncated, info | {"task_reward": reward}
 
     def _inputs(self, seen: object) -> NumpyArray:
-        """Return the scaled, clipped inputs (F,) of an observation, which is kept, and the last action."""
+        """Store an observation; return the network's inputs (F,) for it and the last action, scaled and clipped."""
         self._seen = np.asarray(seen)[None]
         return self.scaled(self.view.features(self._seen, self._last))[0]
 
     def scaled(self, features: NumpyArray) -> NumpyArray:
-        """Return the observations (N, F) of a policy for the inputs (N, F) of the view."""
+        """Return inputs (N, F) of the view, divided by typical values of their units and clipped."""
         found: NumpyArray = (features / self._units).clip(-LIMIT, LIMIT).astype(np.float32)
         return found

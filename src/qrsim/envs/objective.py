@@ -62,20 +62,20 @@ class Objective(Protocol):
     """Reward of the learner."""
 
     def begin(self, batch: Batch | OneSide, ended: Floats | None = None) -> None:
-        """Store the batch's values at the start of episodes, in rows ``ended`` (N,) or, for None, in all."""
+        """Note the state at the start of episodes, of the agents ``ended`` (N,) bool or, for None, of all."""
 
     def reward(self, batch: Batch | OneSide, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
-        """Return the learner's rewards (N,) for a step with the task's rewards (B, n) and ends (B,)."""
+        """Return the learner's rewards (N,) for a step; ``reward`` (B, n) is the task's, ``outputs`` the network's."""
 
     def state(self) -> dict[str, Floats]:
-        """Return the reward statistics as arrays, for a checkpoint."""
+        """Return what the reward has learned (statistics) as arrays, for a checkpoint."""
 
     def restore(self, state: dict[str, object]) -> None:
-        """Set the state that ``state`` returned."""
+        """Restore what ``state`` returned, from a checkpoint."""
 
 
 def objective_of(batch: Batch | OneSide, discount: float) -> Objective:
-    """Return the learner's reward for a task."""
+    """Return the reward on which a policy of this task is trained; ``discount``: per decision."""
     task = batch.functional.play.task
     if isinstance(task, Land):
         return Landed(batch, discount)
@@ -110,11 +110,11 @@ class Reached:
         self._potential = np.zeros(0)
 
     def begin(self, batch: Batch | OneSide, ended: Floats | None = None) -> None:
-        """Store the agents' potentials at the start of episodes."""
+        """Note the agents' potentials at the start of episodes, for the shaping of rewards."""
         self._potential = self.potential(batch, self.errors(batch))
 
     def reward(self, batch: Batch | OneSide, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
-        """Return the rewards (N,) of a step."""
+        """Return the learner's rewards (N,) for a step: fall of potential, less costs of error, effort and crash."""
         before, error = self._potential, self.errors(batch)
         now = self._potential = self.potential(batch, error)
         crashed = np.repeat(terminated, reward.shape[1])
@@ -130,29 +130,29 @@ class Reached:
         return found
 
     def potential(self, batch: Batch | OneSide, error: Floats) -> Floats:
-        """Return minus the potentials (N,) for errors (N,)."""
+        """Return minus the potential (N,) for errors (N,); a step is rewarded for lowering it."""
         found: Floats = POTENTIAL * error
         return found
 
     def crowding(self, batch: Batch | OneSide) -> Floats | float:
-        """Return the cost of each agent's lack of room per second, (N,) or 0."""
+        """Return the cost per second of being too near to other agents, (N,) or 0; 0 here."""
         return 0.0
 
     def shared(self, reward: Floats, agents: int) -> Floats:
-        """Return the rewards (N,) unchanged: each agent's own."""
+        """Share rewards (N,) within teams of ``agents``; here each agent keeps its own."""
         return reward
 
     def errors(self, batch: Batch | OneSide) -> Floats:
-        """Return the agents' true distances (N,) from their goals [m]."""
+        """Return the true distance (N,) [m] of each agent from its goal."""
         goal = batch.seen[..., 9:12] + batch.seen[..., 0:3]
         return _length(goal - batch.truth["position_ned"])
 
     def state(self) -> dict[str, Floats]:
-        """Return {}: nothing is learned."""
+        """Return {}, because this reward learns nothing."""
         return {}
 
     def restore(self, state: dict[str, object]) -> None:
-        """Do nothing: there is no state."""
+        """Do nothing, because this reward learns nothing."""
 
 
 class Steady(Reached):
@@ -163,17 +163,17 @@ class Steady(Reached):
         self._drift = np.zeros((batch.size * len(batch.agents), 3))
 
     def begin(self, batch: Batch | OneSide, ended: Floats | None = None) -> None:
-        """Store the agents' errors, and set the drift of new episodes to zero."""
+        """Note the agents' velocity errors, and set the drift of new episodes to zero."""
         self._drift[slice(None) if ended is None else ended] = 0.0
         super().begin(batch, ended)
 
     def reward(self, batch: Batch | OneSide, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
-        """Return the rewards (N,), after the drift of this step."""
+        """Integrate the velocity error over this step into the drift, and return the learner's rewards (N,)."""
         self._drift += batch.functional.play.task.period * _lacking(batch)
         return super().reward(batch, reward, terminated, outputs)
 
     def errors(self, batch: Batch | OneSide) -> Floats:
-        """Return the agents' true errors (N,) of velocity, and ``DRIFT`` of the integral of each [m/s]."""
+        """Return the agents' true velocity errors (N,) [m/s], plus ``DRIFT`` times the integral of each."""
         found: Floats = _length(_lacking(batch)) + DRIFT * _length(self._drift)
         return found
 
@@ -184,7 +184,7 @@ class Landed(Reached):
     crash = CRASH_IN_LANDING
 
     def errors(self, batch: Batch | OneSide) -> Floats:
-        """Return the true distances (N,) from the pad [m], ``OFF_GROUND`` more for a vehicle that moves."""
+        """Return the true distances (N,) [m] from the pad, increased by ``OFF_GROUND`` for a vehicle that moves."""
         moves = _length(batch.truth["velocity_body"]) > 0.0
         found: Floats = Reached.errors(self, batch) + OFF_GROUND * moves
         return found
@@ -194,7 +194,7 @@ class InFormation(Reached):
     """Reward for a small true distance from a place in a formation."""
 
     def errors(self, batch: Batch | OneSide) -> Floats:
-        """Return the agents' true distances (N,) from their places [m]."""
+        """Return the agents' true distances (N,) [m] from their places in the formation."""
         return _length(batch.truth["to_place_ned"])
 
 
@@ -208,7 +208,7 @@ class Searched(Reached):
         self._reach = float(cast(Any, batch.functional.play.world.contents.persons).found_distance)
 
     def errors(self, batch: Batch | OneSide) -> Floats:
-        """Return the distances (N,) [m] beyond that of finding, ``MISSING`` more for each other missing person."""
+        """Return distances (N,) [m] to where the nearest missing person is found, plus ``MISSING`` per other one."""
         missing = batch.truth["missing"].ravel()
         away = np.maximum(_length(batch.truth["to_person_ned"]) - self._reach, 0.0) + UNFOUND
         found: Floats = np.where(missing > 0.0, away + MISSING * (missing - 1.0), 0.0)
@@ -234,12 +234,12 @@ class Caught(Reached):
             self._middle, self._inner = 0.5 * (low + high), INNER * 0.5 * float((high - low).min())
 
     def errors(self, batch: Batch | OneSide) -> Floats:
-        """Return the observed distances (N,) [m] to the nearest mouse less that of a catch, at least 0."""
+        """Return the observed distance (N,) [m] of each cat to the nearest mouse beyond that of a catch, at least 0."""
         found: Floats = np.maximum(self._distances(batch)[:, : self._opponents].min(axis=1) - self._catch, 0.0)
         return found
 
     def potential(self, batch: Batch | OneSide, error: Floats) -> Floats:
-        """Return minus the potentials (N,) for errors (N,), and the mouse's places."""
+        """Return minus the potential (N,) for errors (N,), larger with the mouse far from the area's middle."""
         found: Floats = super().potential(batch, error) + self._outside(batch.seen[..., 0:2] + batch.seen[..., 4:6])
         return found
 
@@ -255,7 +255,7 @@ class Caught(Reached):
         return found
 
     def crowding(self, batch: Batch | OneSide) -> Floats:
-        """Return the cost (N,) of each cat's lack of room per second."""
+        """Return the cost per second (N,) of cats nearer than ``ROOM`` to a mouse or another cat."""
         lacking = np.maximum(ROOM - self._distances(batch).min(axis=1), 0.0)
         found: Floats = CROWDED * lacking * lacking
         return found
@@ -267,7 +267,7 @@ class Caught(Reached):
         return found
 
     def shared(self, reward: Floats, agents: int) -> Floats:
-        """Return the rewards (N,) half as given and half averaged over each team of ``agents``."""
+        """Average rewards (N,) with each team of ``agents``: half a cat's own, half the team's mean."""
         teams = reward.reshape(-1, agents)
         found: Floats = (0.5 * teams + 0.5 * teams.mean(axis=1, keepdims=True)).ravel()
         return found
@@ -297,7 +297,7 @@ class Escaped(Caught):
 
 
 def _lacking(batch: Batch | OneSide) -> Floats:
-    """Return the wanted velocities minus the true ones, (N, 3) NED [m/s]."""
+    """Return the wanted velocity minus the true one of each agent, (N, 3) NED [m/s]."""
     wanted = batch.seen[..., 9:12] + batch.seen[..., 3:6]
     found: Floats = (wanted - _velocity_ned(batch.truth)).reshape(-1, 3)
     return found
@@ -310,7 +310,7 @@ def _length(vectors: Floats) -> Floats:
 
 
 def _velocity_ned(truth: dict[str, Floats]) -> Floats:
-    """Rotate the true body velocities to NED, (B, n, 3)."""
+    """Return the true velocities (B, n, 3) NED [m/s] from attitude and body velocity."""
     roll, pitch, yaw = np.moveaxis(truth["attitude"], -1, 0)
     x, y, z = np.moveaxis(truth["velocity_body"], -1, 0)
     right, below = np.cos(roll) * y - np.sin(roll) * z, np.sin(roll) * y + np.cos(roll) * z
@@ -330,13 +330,13 @@ class Scaled:
         self._count, self._mean, self._squares = 1e-4, 0.0, 1e-4
 
     def begin(self, batch: Batch | OneSide, ended: Floats | None = None) -> None:
-        """Allocate the running returns, on the first call."""
+        """Allocate the discounted sums of rewards at the first call; later calls do nothing."""
         size = batch.size * len(batch.agents)
         if len(self._sum) != size:
             self._sum = np.zeros(size)
 
     def reward(self, batch: Batch | OneSide, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
-        """Return the task's rewards (N,), scaled by the standard deviation of discounted returns."""
+        """Return the task's rewards (N,), divided by the running standard deviation of discounted returns."""
         given = reward.astype(np.float64).ravel()
         self._sum = self._discount * self._sum + given
         count = len(given)
@@ -350,9 +350,9 @@ class Scaled:
         return found
 
     def state(self) -> dict[str, Floats]:
-        """Return the moments of the returns."""
+        """Return count, mean and sum of squared deviations of the discounted returns, for a checkpoint."""
         return {"reward_moments": np.array([self._count, self._mean, self._squares])}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Set the moments of the returns."""
+        """Restore count, mean and sum of squared deviations of the discounted returns from a checkpoint."""
         self._count, self._mean, self._squares = map(float, state["reward_moments"])

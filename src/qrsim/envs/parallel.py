@@ -70,17 +70,19 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         self._seeded = False
 
     def observation_space(self, agent: str) -> Space:
-        """Return the observation space of an agent."""
+        """Return the Gymnasium space of this agent's observations."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> Space:
-        """Return the action space of an agent."""
+        """Return the Gymnasium space of this agent's actions."""
         return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, object] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """Start an episode; without a seed the next one of the series. Options as of ``SingleTask``.
+        """Start an episode, without a seed the next of the series; return observations and infos by agent.
+
+        Options are those of ``SingleTask``.
 
         Raises:
             UsageError: a seed is no integer from 0 to 2**63 - 1, or a difficulty is none.
@@ -100,7 +102,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
     def step(
         self, actions: Mapping[str, object]
     ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Advance by a step.
+        """Advance by one step; return observations, rewards, terminated, truncated and infos, each by agent.
 
         Raises:
             UsageError: the episode has ended, an agent has no action or is unknown, or an action is of another shape,
@@ -131,7 +133,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         return found
 
     def _checked(self, actions: object) -> tuple[NumpyArray, NumpyArray]:
-        """Return the actions (n, A) and radio messages (n, D) of all agents; 0 and NaN for absent ones."""
+        """Return actions (n, A), 0 for agents that have left, and their radio messages (n, D), NaN for none."""
         if not isinstance(actions, dict):
             raise UsageError(f"actions: expected a dict with one for each agent, found {type(actions).__name__}")
         for agent in actions:
@@ -150,16 +152,16 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         return np.stack(flown), np.stack(said)
 
     def render(self) -> NumpyArray | None:
-        """Return the picture of the episode from above, as ``SingleTask.render``."""
+        """Return a picture of the episode from above, (480, 640, 3) uint8; None without a render mode."""
         return None if self._drawing is None else self._drawing.frame()
 
     @property
     def state_space(self) -> spaces.Box:
-        """Space of ``state``."""
+        """Gymnasium space of the true states that ``state`` returns."""
         return spaces.Box(-np.inf, np.inf, (STATE * self.batch.vehicles + 1,), self.batch.dtype.type)
 
     def state(self) -> NumpyArray:
-        """Return the true state of the episode, for a centralised critic; see ``Batch.state``.
+        """Return the true state (S,) of all vehicles in the episode, for a centralised critic; see ``Batch.state``.
 
         Raises:
             UsageError: nothing has begun.
@@ -169,7 +171,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         return self.batch.state(0)
 
     def hand_in(self, samples: Mapping[str, object]) -> None:
-        """Store answers by agent; see ``SingleTask.hand_in``.
+        """Store the agents' answers, by agent, of which the last ones are scored; see ``SingleTask.hand_in``.
 
         Raises:
             UsageError: there is no such agent, and as of ``SingleTask``.
@@ -185,7 +187,7 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
             self.batch.hand_in([[answer]], np.zeros(1, int), number)
 
     def set_difficulty(self, difficulty: float) -> None:
-        """Draw the ranges of later episodes from smaller ones; see ``Functional.at_difficulty``.
+        """Set the difficulty of later episodes, from 0 (the scenario's values) to 1 (its full random ranges).
 
         Raises:
             UsageError: it is no number from 0 to 1, or the scenario has no ranges.
@@ -193,14 +195,14 @@ class ParallelTask(ParallelEnv):  # type: ignore[misc]
         self.batch.set_difficulty(difficulty)
 
     def _observations(self) -> dict[str, object]:
-        """Return agent -> observation."""
+        """Return the present observations by agent."""
         return {
             agent: jax.tree.map(lambda leaf: leaf[0], self.batch.of_agent(self.batch.seen, i))
             for i, agent in enumerate(self.possible_agents)
         }
 
     def _truths(self) -> dict[str, dict[str, object]]:
-        """Return agent -> name -> true value."""
+        """Return the present true values by agent and name."""
         return {
             agent: {name: leaf[0, i].copy() for name, leaf in self.batch.truth.items()}
             for i, agent in enumerate(self.possible_agents)

@@ -66,11 +66,11 @@ class VecTask(VecEnv):  # type: ignore[misc]
         return seen
 
     def step_async(self, actions: object) -> None:
-        """Store actions (num_envs, A) for ``step_wait``."""
+        """Store the actions (num_envs, A) of the next ``step_wait``."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, NumpyArray, NumpyArray, list[dict[str, Any]]]:
-        """Advance by a step; return observations, rewards, ends and infos.
+        """Advance all environments by one step; return observations, rewards, ends and infos.
 
         Raises:
             UsageError: as of ``VectorTask.step``.
@@ -96,16 +96,16 @@ class VecTask(VecEnv):  # type: ignore[misc]
         return seen, rewards.astype(np.float32), ended, told
 
     def get_images(self) -> Sequence[NumpyArray | None]:
-        """Return a picture of each environment, None each without a render mode."""
+        """Return a picture of each environment, or None for each without a render mode."""
         return self.tasks.render() or [None] * self.num_envs
 
     def get_attr(self, attr_name: str, indices: object = None) -> list[object]:
-        """Return an attribute of the batch, which all environments share."""
+        """Return an attribute of the batch, once for each environment in ``indices``."""
         found = getattr(self.tasks, attr_name)
         return [found for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: object, indices: object = None) -> None:
-        """Raise an error: all environments are one batch.
+        """Raise an error: attributes of single environments cannot be set, because all are one batch.
 
         Raises:
             UsageError: always.
@@ -113,7 +113,7 @@ class VecTask(VecEnv):  # type: ignore[misc]
         raise UsageError(f"set_attr {attr_name}: all environments are one batch; give the scenario other numbers")
 
     def env_method(self, method_name: str, *args: object, indices: object = None, **options: object) -> list[object]:
-        """Raise an error: there are no single environments.
+        """Raise an error: methods of single environments cannot be called, because all are one batch.
 
         Raises:
             UsageError: always.
@@ -121,14 +121,14 @@ class VecTask(VecEnv):  # type: ignore[misc]
         raise UsageError(f"env_method {method_name}: all environments are one batch, .tasks")
 
     def env_is_wrapped(self, wrapper_class: object, indices: object = None) -> list[bool]:
-        """Return False for each environment."""
+        """Return False for each environment: none is in a wrapper."""
         return [False for _ in self._get_indices(indices)]
 
     def close(self) -> None:
-        """Close the batch."""
+        """Close the batch of environments."""
         self.tasks.close()
 
 
 def _row(infos: Mapping[str, object], i: int) -> dict[str, object]:
-    """Return the infos of one environment of a batch."""
+    """Return the infos of environment ``i``, from the infos of all."""
     return {name: leaf[i] for name, leaf in infos.items() if isinstance(leaf, np.ndarray) and name[0] != "_"}

@@ -17,7 +17,7 @@ SPREAD = 0.3
 
 
 def draw_scores(task: str, found: Sequence[Scored]) -> Figure:
-    """Draw each policy's returns with mean and interval, and from above the first policy's first episode."""
+    """Draw each policy's returns with mean and interval, and the first policy's first episode from above."""
     drawn = found[0].picture is not None
     figure = new_figure(12.0 if drawn else 7.0, 4.8)
     axes = figure.subplots(1, 2 if drawn else 1, squeeze=False)[0]
@@ -31,7 +31,7 @@ def draw_scores(task: str, found: Sequence[Scored]) -> Figure:
 
 
 def _draw_returns(axes: Axes, found: Sequence[Scored]) -> None:
-    """Draw the returns of all episodes of each policy."""
+    """Draw the returns of all episodes of each policy in a plot, with their mean and confidence interval."""
     every = np.concatenate([each.returns for each in found])
     for row, each in enumerate(found):
         colour = share(VEHICLES[row % len(VEHICLES)])

@@ -45,7 +45,7 @@ class Informed(Protocol):
     """Policy that is told the truth: an oracle, which bounds what others can reach."""
 
     def know(self, state: object) -> None:
-        """Take the true ``State`` of the world before each ``act``."""
+        """Take the true ``State`` of the world; called before each ``act``."""
         ...
 
 
@@ -57,7 +57,7 @@ class Hover:
         self._still = apart(play.sides, np.array([row + [0.0] * (play.width - len(row)) for row in rows]))
 
     def act(self, seen: object) -> Any:
-        """Return the same neutral actions (n, A) at every call."""
+        """Return the same neutral actions (n, A) at every call, such as hovering."""
         return self._still
 
 
@@ -80,12 +80,12 @@ class _Function:
         self._function = function
 
     def act(self, seen: object) -> Any:
-        """Return the action of the user's function for an observation."""
+        """Return the actions that the user's function returns for the observations."""
         return self._function(seen)
 
 
 def neutral(play: Play, axis: Axis) -> float:
-    """Return the value in [-1, 1] of a neutral action: hover throttle, full battery, else 0."""
+    """Return the value in [-1, 1] of the neutral action on an axis: hover throttle, full battery, else 0."""
     value = 0.0
     if axis.name == "throttle" and isinstance(play.task, Commanded):
         value = float(np.asarray(play.task.effort.hover_throttle))
@@ -95,7 +95,7 @@ def neutral(play: Play, axis: Axis) -> float:
 
 
 def maker(policy: str | object, play: Play) -> Callable[[Play, int], Policy]:
-    """Return a function of (play, seed) that builds a policy for an episode.
+    """Return a function (play, seed) -> policy for an episode, from a built-in policy's name, a class or a function.
 
     Args:
         policy: one of ``BUILT_IN``; a class that is called with both and has ``act(seen)``; or a function of ``seen``.
@@ -162,16 +162,16 @@ class Scored:
 
     @property
     def interval(self) -> Interval:
-        """Mean return with its interval."""
+        """Mean return over all episodes, with its confidence interval."""
         return Interval.of(self.returns)
 
     @property
     def persons_found_interval(self) -> Interval | None:
-        """Mean number of persons found in an episode, with its interval; None without persons."""
+        """Mean number of persons found per episode, with its confidence interval; None if there are no persons."""
         return None if self.persons_found is None else Interval.of(self.persons_found)
 
     def less(self, other: Scored) -> Interval:
-        """Return the mean difference of returns from another policy in the same episodes, with its interval."""
+        """Return the mean of this policy's returns minus another's in the same episodes, with confidence interval."""
         return Interval.of(self.returns - other.returns)
 
 
@@ -184,7 +184,7 @@ def play_policy(
     told: Callable[[int], None] = lambda step: None,
     recording: Recording | None = None,
 ) -> Scored:
-    """Fly a policy in one episode per seed, and return its scores.
+    """Fly one episode per seed with the policy that ``make`` builds; return its score. ``told`` is called per step.
 
     Args:
         batch: as many episodes as there are seeds.
@@ -250,14 +250,14 @@ def play_policy(
 
 
 def _finds(batch: Batch, row: int) -> int:
-    """Return the number of persons found in an episode."""
+    """Return the number of persons found so far in the episode ``row``."""
     persons = batch.episodes.episode(row).state.contents.persons
     return int(np.sum(np.asarray(persons.found_tick)[np.asarray(persons.there)] >= 0))
 
 
 @contextmanager
 def _blamed(name: str, where: str, play: Play) -> Iterator[None]:
-    """Context manager: turn exceptions of a user's policy into a RunError that names the policy.
+    """Return a context in which exceptions of a user's policy become a RunError that names it and ``where``.
 
     Raises:
         RunError: what it raised, which stays the cause.
@@ -273,7 +273,7 @@ def _blamed(name: str, where: str, play: Play) -> Iterator[None]:
 
 
 def _together(batch: Batch, given: Any, name: str) -> tuple[Floats, Floats]:
-    """Return the checked actions (n, A) and messages (n, D) of a policy's agents; NaN for no message."""
+    """Return a policy's checked actions (n, A), and its radio messages (n, D), NaN for none."""
     if len(batch.sides) > 1:
         by_fleet(given, [side.fleet for side in batch.sides], f"policy {name}: actions")
     acts, said = [], []
@@ -288,7 +288,7 @@ def _together(batch: Batch, given: Any, name: str) -> tuple[Floats, Floats]:
 
 
 def _parted(batch: Batch, given: object, agents: int, name: str) -> tuple[object, Floats]:
-    """Return a policy's actions, and its radio messages (n, D), NaN for agents that send none.
+    """Split what a policy returned into actions and radio messages (n, D), NaN for agents that send none.
 
     Raises:
         UsageError: a dict without ``act``, with something else than ``act`` and ``say``, or no D numbers to say.
@@ -313,7 +313,7 @@ def _parted(batch: Batch, given: object, agents: int, name: str) -> tuple[object
 
 
 def checked(action: object, like: Floats, name: str) -> Floats:
-    """Return a policy's actions (n, A) as an array; raises an error for a wrong shape or value.
+    """Return a policy's actions as an array in the shape of ``like``; raise UsageError that names it otherwise.
 
     Raises:
         UsageError: they have another shape, or are no numbers.
@@ -336,7 +336,7 @@ def score_task(
     told: Callable[[str, int], None] = lambda name, step: None,
     recording: Recording | None = None,
 ) -> list[Scored]:
-    """Fly all policies in the same episodes, those of ``first_seed`` and the seeds that follow.
+    """Fly all policies (name -> maker) in the same episodes, with seeds from ``first_seed`` on; return scores.
 
     Args:
         batch: as many episodes as wanted.
@@ -365,12 +365,12 @@ def score_task(
 
 
 def _no_answers(batch: Batch) -> Floats:
-    """Return zeros in the shape of the agents' answers."""
+    """Return zeros in the shape of all agents' answers, for a policy that gives none."""
     return np.zeros((len(batch.functional.agents), *batch.answer_shape))
 
 
 def _started_drawing(batch: Batch) -> Any:
-    """Return a drawing of the batch's first episode."""
+    """Return a drawing of the batch's first episode from above, at its start."""
     from qrsim.envs.drawing import Drawing
 
     drawing = Drawing(batch)

@@ -55,7 +55,7 @@ class Series:
         self._over = np.zeros(batch.size, bool)
 
     def reset(self, seed: object, options: dict[str, object] | None) -> None:
-        """Start all episodes, or those of ``options["reset_mask"]``; as ``VectorTask.reset``."""
+        """Start the next episodes, or a seed's series, in all environments or those of ``options["reset_mask"]``."""
         size = self.batch.size
         rows = self.rows((options or {}).get("reset_mask"), "reset_mask")
         if len(rows) < size and not self.batch.episodes.started:
@@ -74,7 +74,7 @@ class Series:
         self._begin_drawings(rows)
 
     def rows(self, given: object, what: str) -> NumpyArray:
-        """Return the indices of the environments in a mask, all for None; raises UsageError for a wrong mask.
+        """Return the indices of the environments in a mask (all for None); raise UsageError for an invalid one.
 
         Raises:
             UsageError: it has another shape or type.
@@ -86,7 +86,7 @@ class Series:
         return np.flatnonzero(mask)
 
     def check_going(self) -> None:
-        """Raise UsageError for a step after the end of an episode that was not reset (``DISABLED``).
+        """Raise UsageError for a step after an episode's end without a reset (autoreset mode ``DISABLED``).
 
         Raises:
             UsageError: that.
@@ -97,7 +97,7 @@ class Series:
             )
 
     def step(self, actions: NumpyArray, words: NumpyArray) -> Moved:
-        """Advance all by actions (E, n, A) and messages (E, n, D), and restart episodes by the autoreset mode.
+        """Advance all by actions (E, n, A) and radio messages (E, n, D); restart ended episodes if the mode says so.
 
         Raises:
             UsageError: nothing has started, or actions that are not finite or out of range.
@@ -127,22 +127,22 @@ class Series:
         return Moved(rewards, terminated, truncated, gone, last, ended)
 
     def frames(self) -> tuple[Floats, ...] | None:
-        """Return a picture of each environment; None without a render mode."""
+        """Return a picture of each environment from above; None without a render mode."""
         return tuple(drawing.frame() for drawing in self._drawings) or None
 
     def _restart_rows(self, rows: NumpyArray) -> None:
-        """Start the next episodes in some rows."""
+        """Start the next episodes in the environments ``rows``."""
         self.batch.again(rows)
         self._begin_drawings(rows)
 
     def _begin_drawings(self, rows: NumpyArray) -> None:
-        """Start the drawings of new episodes."""
+        """Start new drawings in the environments ``rows``, where episodes have begun."""
         for row in rows if self._drawings else ():
             self._drawings[row].begin()
 
 
 def mode_of(given: AutoresetMode | str) -> AutoresetMode:
-    """Return Gymnasium's autoreset mode from the mode itself, its name or its value.
+    """Return Gymnasium's autoreset mode from the mode itself, its name or its value; raise UsageError for others.
 
     Raises:
         UsageError: there is none such.
@@ -157,6 +157,6 @@ def mode_of(given: AutoresetMode | str) -> AutoresetMode:
 
 
 def _where(ended: NumpyArray, leaf: NumpyArray) -> NumpyArray:
-    """Return a copy of an array with zeros in the rows whose episode goes on."""
+    """Return a copy of ``leaf`` (E, ...) with zeros where the environment's episode has not ended (``ended``)."""
     shaped = ended.reshape(-1, *(1,) * (leaf.ndim - 1))
     return np.where(shaped, leaf, np.zeros((), leaf.dtype))

@@ -20,7 +20,7 @@ from qrsim.files import Content
 
 
 def only_one(batch: Batch) -> None:
-    """Raise UsageError for a task of several vehicles.
+    """Raise UsageError if the batch's task has several agents.
 
     Raises:
         UsageError: that.
@@ -34,7 +34,7 @@ def only_one(batch: Batch) -> None:
 
 
 def shaped(batch: Batch, flight: object, who: str, *lead: int, agent: int = 0) -> NumpyArray:
-    """Return an agent's actions (*lead, axes) padded with zeros to (*lead, width); raises UsageError if invalid.
+    """Return an agent's actions ``flight`` (*lead, A), padded to the batch's width; raise UsageError if invalid.
 
     Raises:
         UsageError: it has another shape, or is no numbers.
@@ -90,7 +90,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
         self._seeded = False
 
     def reset(self, *, seed: int | None = None, options: dict[str, object] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Start an episode; return the observation and the info with the ground truth.
+        """Start an episode, without a seed the next of the series; return the observation, and true values as info.
 
         Args:
             seed: of a new series; None: the next episode of this one.
@@ -113,7 +113,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
         return self._observation(), self._truth_values()
 
     def step(self, action: object) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Advance by a step; return observation, reward, terminated, truncated and info.
+        """Advance by one step; return observation, reward, terminated, truncated, and true values as info.
 
         Raises:
             UsageError: the episode has ended, or an action of another shape, not finite, out of range or incomplete.
@@ -132,7 +132,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
         return self._observation(), total, bool(terminated[0]), bool(truncated[0]), self._truth_values()
 
     def render(self) -> NumpyArray | None:
-        """Return the picture of the episode from above, (480, 640, 3) uint8; None without a render mode.
+        """Return a picture of the episode from above, (480, 640, 3) uint8; None without a render mode.
 
         Raises:
             UsageError: nothing has begun.
@@ -152,7 +152,7 @@ class SingleTask(gymnasium.Env[Any, Any]):
         self.batch.hand_in([[samples]], np.zeros(1, int), np.zeros(1, int))
 
     def set_difficulty(self, difficulty: float) -> None:
-        """Draw the ranges of later episodes from smaller ones; see ``Functional.at_difficulty``.
+        """Set the difficulty of later episodes, from 0 (the scenario's values) to 1 (its full random ranges).
 
         Raises:
             UsageError: it is no number from 0 to 1, or the scenario has no ranges.
@@ -160,9 +160,9 @@ class SingleTask(gymnasium.Env[Any, Any]):
         self.batch.set_difficulty(difficulty)
 
     def _observation(self) -> object:
-        """Return a copy of the agent's observation."""
+        """Return a copy of the agent's present observation."""
         return jax.tree.map(lambda leaf: leaf[0, 0].copy(), self.batch.seen)
 
     def _truth_values(self) -> dict[str, object]:
-        """Return name -> true value."""
+        """Return the agent's present true values by name."""
         return {name: leaf[0, 0].copy() for name, leaf in self.batch.truth.items()}

@@ -19,7 +19,7 @@ Space = spaces.Space[Any]
 
 
 def action_space(batch: Batch, agent: int = 0) -> Space:
-    """Return the action space of an agent, by its number: values in [-1, 1].
+    """Return the Gymnasium space of agent number ``agent``'s actions in [-1, 1], with a radio message if it sends any.
 
     With a radio that is the part ``act`` of a dict, which has a message ``say`` too.
     """
@@ -31,14 +31,14 @@ def action_space(batch: Batch, agent: int = 0) -> Space:
 
 
 def answer_space(batch: Batch) -> spaces.Box | None:
-    """Return the space of an agent's answer, None for a task without answers."""
+    """Return the Gymnasium space of an agent's answer at the end, None for a task without answers."""
     if not batch.functional.play.task.hands_in:
         return None
     return spaces.Box(0.0, np.inf, batch.answer_shape, batch.dtype.type)
 
 
 def observation_space(play: Play, seen: Any, agent: int = 0) -> Space:
-    """Return the observation space of one agent, by its number, from the observations (B, n, ...) of all."""
+    """Return the Gymnasium space of agent number ``agent``'s observations, given those of all (B, n, ...)."""
     axes, sides = play.task.sees(play.world), play.sides
     if len(sides) > 1:
         fleet = side_of(sides, agent).fleet
@@ -60,7 +60,7 @@ def observation_space(play: Play, seen: Any, agent: int = 0) -> Space:
 
 
 def split_say(batch: Batch, action: object, who: str, *lead: int) -> tuple[object, NumpyArray]:
-    """Split an action into its flight part and its radio message (*lead, D), NaN for none; D = 0 without a radio.
+    """Split an action into control values and radio message (*lead, D), NaN for none; D = 0 without a radio.
 
     Raises:
         UsageError: with a radio it is no dict of ``act`` and ``say``, or ``say`` are no D finite numbers.
@@ -93,7 +93,7 @@ def split_say(batch: Batch, action: object, who: str, *lead: int) -> tuple[objec
 
 
 def _space(seen: Any, axes: Any = None) -> Space:
-    """Return the observation space for observations ``seen``, with the ranges of ``axes`` (None: unbounded)."""
+    """Return a Gymnasium space in the shape of ``seen``, with the ranges of ``axes`` (None: unbounded)."""
     if isinstance(seen, dict):
         named = axes or {}
         return spaces.Dict({name: _space(part, named.get(name)) for name, part in seen.items()})

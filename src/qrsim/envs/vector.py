@@ -79,7 +79,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, object] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start all episodes, or those of ``options["reset_mask"]`` (num_envs,) bool.
+        """Start all episodes, or those of ``options["reset_mask"]`` (num_envs,) bool; return observations and infos.
 
         Args:
             seed: one for environment 0, those of the others follow; or one for each. None: the next episodes of the
@@ -93,7 +93,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         return self._observations(), self._truth_info(self.batch.truth, np.ones(self.num_envs, bool))
 
     def step(self, actions: object) -> tuple[Any, NumpyArray, NumpyArray, NumpyArray, dict[str, Any]]:
-        """Advance all episodes; those that have ended restart as ``autoreset_mode`` says.
+        """Advance all environments by one step; ended episodes restart as ``autoreset_mode`` says.
 
         Raises:
             UsageError: nothing has started, an episode has ended and nothing has begun its next (``DISABLED``), or
@@ -116,7 +116,7 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         return self._observations(), moved.rewards[:, 0], moved.terminated, moved.truncated, infos
 
     def hand_in(self, samples: object, mask: object = None) -> None:
-        """Store the answers of all episodes, or of those in a mask; the last one is scored at the end.
+        """Store answers, such as plume maps, of all environments or those in ``mask``; the last ones are scored.
 
         Args:
             samples: (num_envs, ...), each of ``answer_space``.
@@ -132,11 +132,11 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         self.batch.hand_in(array[rows][:, None], rows, np.zeros(1, int))
 
     def render(self) -> tuple[Floats, ...] | None:
-        """Return a picture of each environment, as ``SingleTask`` does; None without a render mode."""
+        """Return a picture of each environment from above; None without a render mode."""
         return self._series.frames()
 
     def set_difficulty(self, difficulty: float) -> None:
-        """Draw the ranges of later episodes from smaller ones; see ``Functional.at_difficulty``.
+        """Set the difficulty of later episodes, from 0 (the scenario's values) to 1 (its full random ranges).
 
         Raises:
             UsageError: it is no number from 0 to 1, or the scenario has no ranges.
@@ -144,10 +144,10 @@ class VectorTask(VectorEnv[Any, Any, Any]):
         self.batch.set_difficulty(difficulty)
 
     def _observations(self) -> object:
-        """Return the observations (N, ...), in arrays that the user may change."""
+        """Return the observations (num_envs, ...) as arrays that the caller may change."""
         return jax.tree.map(lambda leaf: leaf[:, 0], self.batch.give_away())
 
     def _truth_info(self, truth: dict[str, NumpyArray], there: NumpyArray) -> dict[str, NumpyArray]:
-        """Return the truth in Gymnasium's form, with a mask of the rows that have it."""
+        """Return true values as Gymnasium's vector infos: name -> array, "_name" -> which rows have it (``there``)."""
         values = {name: leaf[:, 0].copy() for name, leaf in truth.items()}
         return values | {f"_{name}": there.copy() for name in values}

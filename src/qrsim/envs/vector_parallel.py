@@ -79,21 +79,21 @@ class VectorParallelTask:
 
     @property
     def agents(self) -> list[str]:
-        """Names of the agents that act now: all."""
+        """Names of the agents that act now: all of them."""
         return list(self.possible_agents)
 
     def observation_space(self, agent: str) -> Space:
-        """Return the observation space of an agent in one environment."""
+        """Return the Gymnasium space of this agent's observations in one environment."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> Space:
-        """Return the action space of an agent in one environment."""
+        """Return the Gymnasium space of this agent's actions in one environment."""
         return self.action_spaces[agent]
 
     def reset(
         self, seed: int | list[int | None] | None = None, options: dict[str, object] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """Start all episodes, or those of ``options["reset_mask"]``; as ``VectorTask.reset``.
+        """Start all episodes, or those of ``options["reset_mask"]``, as ``VectorTask.reset``; return what agents see.
 
         Returns:
             By agent what it sees, (num_envs, ...), and what is really the case, by name (num_envs, ...).
@@ -102,7 +102,7 @@ class VectorParallelTask:
         return self._seen_by_each(self.batch.seen), self._of_each(self.batch.truth)
 
     def step(self, actions: Mapping[str, object]) -> tuple[dict[str, Any], ...]:
-        """Advance all episodes; those that have ended restart as ``autoreset_mode`` says.
+        """Advance all environments by one step; ended episodes restart as ``autoreset_mode`` says.
 
         Args:
             actions: by agent, (num_envs, A); with a radio a dict of ``act`` and ``say`` (num_envs, D).
@@ -135,10 +135,10 @@ class VectorParallelTask:
         )
 
     def hand_in(self, samples: Mapping[str, object], mask: object = None) -> None:
-        """Store answers by agent, (num_envs, ...) each; see ``VectorTask.hand_in``.
+        """Store answers by agent, (num_envs, ...) each, of all environments or those in ``mask``.
 
         Raises:
-            UsageError: as of that, or there is no such agent.
+            UsageError: as of ``VectorTask.hand_in``, or there is no such agent.
         """
         rows = self._series.rows(mask, "mask")
         for agent, answers in samples.items():
@@ -151,7 +151,7 @@ class VectorParallelTask:
             self.batch.hand_in(array[rows][:, None], rows, np.array([self.possible_agents.index(agent)]))
 
     def state(self) -> NumpyArray:
-        """Return the true states (num_envs, S), for a centralised critic; see ``Batch.state``.
+        """Return the true states (num_envs, S) of all vehicles, for a centralised critic; see ``Batch.state``.
 
         Raises:
             UsageError: nothing has begun.
@@ -161,11 +161,11 @@ class VectorParallelTask:
         return np.stack([self.batch.state(row) for row in range(self.num_envs)])
 
     def render(self) -> tuple[Floats, ...] | None:
-        """Return a picture of each environment, as ``SingleTask`` does; None without a render mode."""
+        """Return a picture of each environment from above; None without a render mode."""
         return self._series.frames()
 
     def set_difficulty(self, difficulty: float) -> None:
-        """Draw the ranges of later episodes from smaller ones; see ``Functional.at_difficulty``.
+        """Set the difficulty of later episodes, from 0 (the scenario's values) to 1 (its full random ranges).
 
         Raises:
             UsageError: it is no number from 0 to 1, or the scenario has no ranges.
@@ -176,12 +176,12 @@ class VectorParallelTask:
         """Do nothing: there is nothing to release."""
 
     def _check_agent(self, agent: object, what: str) -> None:
-        """Raise a UsageError for an unknown agent."""
+        """Raise UsageError for an unknown agent; ``what``: what was given for it, for the message."""
         if agent not in self.possible_agents:
             raise UsageError(f"{what}: no agent is called '{agent}'{did_you_mean(str(agent), self.possible_agents)}")
 
     def _checked(self, actions: object) -> tuple[NumpyArray, NumpyArray]:
-        """Return the agents' actions (num_envs, n, A) and radio messages (num_envs, n, D)."""
+        """Return actions (num_envs, n, A) and radio messages (num_envs, n, D) of all agents, from those by agent."""
         if not isinstance(actions, dict):
             raise UsageError(f"actions: expected a dict with one for each agent, found {type(actions).__name__}")
         for agent in actions:
@@ -198,11 +198,11 @@ class VectorParallelTask:
         return np.stack(flown, axis=1), np.stack(said, axis=1)
 
     def _seen_by_each(self, seen: object) -> dict[str, Any]:
-        """Return agent -> observation (num_envs, ...)."""
+        """Split observations of all agents into agent -> its own (num_envs, ...)."""
         return {agent: self.batch.of_agent(seen, i) for i, agent in enumerate(self.possible_agents)}
 
     def _of_each(self, tree: object) -> dict[str, Any]:
-        """Return agent -> arrays (num_envs, ...), from arrays (num_envs, n, ...)."""
+        """Split arrays (num_envs, n, ...) into agent -> arrays (num_envs, ...)."""
         return {
             agent: jax.tree.map(lambda leaf, i=i: leaf[:, i].copy(), tree)
             for i, agent in enumerate(self.possible_agents)

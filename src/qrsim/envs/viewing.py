@@ -29,7 +29,7 @@ GIVEN = ("battery",)
 
 
 def view_of(functional: Functional, integral: bool = False, fleet: str | None = None) -> View:
-    """Return the learner's view of a task: inputs, outputs, and the time between decisions.
+    """Return how a learner sees this task: the network's inputs and outputs, and the time between decisions.
 
     Args:
         functional: the task.
@@ -91,12 +91,12 @@ def view_of(functional: Functional, integral: bool = False, fleet: str | None = 
 
 
 def _seconds(period: float, steps: int) -> float:
-    """Return the time [s] between decisions: a multiple of the period that divides the episode's steps."""
+    """Return the time [s] between decisions: a multiple of ``period`` [s] that divides the episode's ``steps``."""
     most = max(1, round(DECISION / period))
     count = next(count for count in range(most, 0, -1) if steps % count == 0)
     return float(np.round(period * count, 9))
 
 
 def batch_of(scenario: object, size: int, overrides: list[str], view: View) -> Batch:
-    """Return a batch of episodes whose steps are the view's decisions."""
+    """Return ``size`` episodes of a scenario in a batch, with one step per decision of the view."""
     return Batch(scenario, size, [*overrides, f"task.period={view.seconds!r}"])  # type: ignore[arg-type]

@@ -33,12 +33,12 @@ class Axis:
 
 
 def penalty() -> Array:
-    """Return the dataclass field for the reward of the step in which a vehicle stops."""
+    """Declare a record's field: the reward of the step in which a vehicle stops, such as after a crash."""
     return parameter(default=-1000.0, unit="1", doc="reward of the step in which a vehicle's flight ends", maximum=0.0)
 
 
 def leaving() -> bool:
-    """Return the dataclass field for whether a stopped agent leaves, or else ends the episode."""
+    """Declare a record's field: whether an agent that stops leaves the episode (True) or ends it (False)."""
     return setting(
         default=False,
         doc="an agent that stops leaves with the penalty, and the others continue; if false, the episode ends",
@@ -46,18 +46,18 @@ def leaving() -> bool:
 
 
 def action_period(seconds: float) -> float:
-    """Return the dataclass field for the time [s] between two actions."""
+    """Declare a record's field: the time [s] between two actions of an agent, by default ``seconds``."""
     return setting(default=seconds, unit="s", doc="time between two actions, a multiple of the time step", above=0.0)
 
 
 def velocity_axes(limit: float, axes: str) -> tuple[Axis, ...]:
-    """Return the axes of a velocity over ground up to a limit [m/s]."""
+    """Return a description of velocity components as action axes, for ``axes`` such as "ned", within +-limit [m/s]."""
     names = {"n": "velocity_north", "e": "velocity_east", "d": "velocity_down"}
     return tuple(Axis(names[axis], "m/s", -limit, limit) for axis in axes)
 
 
 def number_of(world: World, name: str) -> int:
-    """Return the index of the named fleet; raises UsageError for an unknown name.
+    """Return the index of the fleet with this name in a world; raise UsageError for an unknown name.
 
     Raises:
         UsageError: there is none of that name.
@@ -69,18 +69,18 @@ def number_of(world: World, name: str) -> int:
 
 
 def fleet_of(world: World, state: State, name: str) -> tuple[Fleet, FleetState]:
-    """Return the fleet of a name, and its state."""
+    """Return the parameters and the state of the fleet with this name."""
     number = number_of(world, name)
     return world.fleets[number], state.fleets[number]
 
 
 def only(world: World, name: str, action: Action) -> tuple[Action, ...]:
-    """Return actions with the given one for the named fleet, and None for the others."""
+    """Return one action per fleet of the world: ``action`` for the fleet with this name, None for the others."""
     return tuple(action if fleet.name == name else None for fleet in world.fleets)
 
 
 def all_fly(state: State) -> Array:
-    """Return () whether every vehicle of a world flies."""
+    """Return whether no vehicle of a world has stopped, () bool."""
     return jnp.all(jnp.concatenate([fleet.violation.code for fleet in state.fleets]) == 0)
 
 
@@ -101,7 +101,7 @@ def estimate_of(state: FleetState) -> Estimate:
 
 
 def believed(state: FleetState) -> Array:
-    """Return each vehicle's estimated state (n, 9): position NED, velocity NED, roll, pitch, yaw."""
+    """Return each vehicle's estimated state (n, 9): position NED [m], velocity NED [m/s], roll, pitch, yaw [rad]."""
     estimate = estimate_of(state)
     parts = [*jax.tree.leaves(estimate.position_ned), *jax.tree.leaves(estimate.velocity_ned)]
     return jnp.stack([*parts, *jax.tree.leaves(estimate.attitude)], axis=-1)
@@ -115,5 +115,5 @@ BELIEVED = (
 
 
 def square(vector: Vec3) -> Array:
-    """Return a vector's squared length."""
+    """Return the squared length of each vector."""
     return vector.dot(vector)

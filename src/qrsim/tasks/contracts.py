@@ -24,7 +24,7 @@ class Answering(Protocol):
     """Policy that hands something in at the end of its episode."""
 
     def answer(self) -> Floats:
-        """Return the agents' answers (n, ...) at the end of an episode."""
+        """Return the agents' answers (n, ...), such as a plume's map, at the end of an episode."""
         ...
 
 
@@ -69,23 +69,23 @@ class Task(Protocol):
         return (self.fleet,)
 
     def asks(self, fleet: str) -> type | None:
-        """Return the set-point type that a fleet's controller must take; None for commands; see ``asks_for``."""
+        """Return the type of set-points with which agents steer a fleet's controller; None: agents give commands."""
         return self.asks_for
 
     def acts(self, world: World) -> tuple[Axis, ...] | dict[str, tuple[Axis, ...]]:
-        """Describe the numbers of an action, with unit and range; an agent gives each in [-1, 1]."""
+        """Describe the numbers of an action by name, unit and range (by fleet if several); agents use [-1, 1]."""
         return self.axes
 
     @abstractmethod
     def init(self, world: World, state: State, draw: Draw) -> Any:
-        """Return the task's memory at the start of an episode; ``draw`` gives its own random numbers."""
+        """Return the task's memory (its own state) at the start of an episode; ``draw`` gives random numbers."""
 
     @abstractmethod
     def commands(self, memory: Any, world: World, action: Any) -> tuple[Action, ...]:
-        """Convert actions (n, A), in physical units, to one action per fleet."""
+        """Convert actions (n, A), in physical units, to one command or set-point per fleet."""
 
     def each_tick(self, memory: Any, world: World, state: State) -> object:
-        """Return the task's memory after a tick."""
+        """Return the task's memory (its own state) after a tick of the world."""
         return memory
 
     @abstractmethod
@@ -93,19 +93,19 @@ class Task(Protocol):
         """Return the memory after step ``step`` () of ``steps``, from 1, and the reward (n,) while all vehicles fly."""
 
     def crashed(self, memory: Any, world: World, state: State, steps: int) -> Array:
-        """Return the reward () or (n,) of the step in which a vehicle stops."""
+        """Return the reward, () for the team or (n,), of the step in which a vehicle stops, such as after a crash."""
         return jnp.asarray(self.penalty)
 
     def truth(self, memory: Any, world: World, state: State) -> dict[str, Array]:
-        """Return what the infos of the agents have by name, (n, ...), in addition to their true poses."""
+        """Return true values by name, (n, ...), that the agents' infos have in addition to the true poses."""
         return {}
 
     @abstractmethod
     def observe(self, memory: Any, world: World, state: State) -> Any:
-        """Return each agent's observation, (n, O) or a dict of arrays (n, ...); never the truth."""
+        """Return the agents' observations, (n, O) or a dict of arrays (n, ...), from sensors and never the truth."""
 
     def observe_received(self, memory: Any, world: World, state: State, inbox: Inbox) -> Any:
-        """Return the observation of a task with ``receives``, from the messages that all vehicles have received."""
+        """Return the agents' observations, for a task with ``receives``, from the radio messages of all vehicles."""
         raise NotImplementedError
 
     @abstractmethod
@@ -113,22 +113,22 @@ class Task(Protocol):
         """Describe the O values of an observation by name, unit and range; for a dict, its described parts."""
 
     def later(self, world: World) -> dict[str, tuple[int, ...]]:
-        """Return name -> shape (n, ...) of the large parts of an observation that ``look`` computes on demand.
+        """Return name -> shape (n, ...) of large parts of an observation, such as pictures, that ``look`` computes.
 
         The observation is then a dict of one fleet, and ``observe_early`` returns the others.
         """
         return {}
 
     def observe_early(self, memory: Any, world: World, state: State) -> dict[str, Array]:
-        """Return the observation without the parts in ``later``."""
+        """Return the agents' observations without the large parts that ``later`` names."""
         raise NotImplementedError
 
     def shot(self, world: World, state: State) -> Any:
-        """Return the per-agent part of the state, leaves (n, ...), that ``look`` needs."""
+        """Return what ``look`` needs of each agent's state, leaves (n, ...), such as its last camera reading."""
         raise NotImplementedError
 
     def look(self, world: World, state: State, shot: Any, to: dict[str, Array]) -> dict[str, Array]:
-        """Return the parts of an observation that ``later`` names.
+        """Compute the parts of an observation that ``later`` names; ``to``: zeros of their names and shapes.
 
         Args:
             world: where.
@@ -139,9 +139,9 @@ class Task(Protocol):
         raise NotImplementedError
 
     def answer_shape(self, world: World) -> tuple[int, ...]:
-        """Return the shape of each agent's answer at the end; () without an answer."""
+        """Return the shape of an agent's answer at the end of an episode; () for a task without answers."""
         return ()
 
     def score(self, memory: Any, world: World, state: State, answer: Array) -> Array:
-        """Return the score (n,) of answers (n, *answer_shape)."""
+        """Return the score (n,) of the agents' answers (n, *answer_shape) at the end of an episode."""
         return jnp.zeros(answer.shape[0], answer.dtype)

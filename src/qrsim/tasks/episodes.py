@@ -28,10 +28,10 @@ class Begun(NamedTuple):
 
 @lru_cache
 def _score_function() -> Callable[..., jax.Array]:
-    """Return the compiled function that scores the agents' answers."""
+    """Return the jitted function that scores the agents' answers at the end of an episode."""
 
     def score(play: Play, episode: Episode, answer: jax.Array) -> jax.Array:
-        """Return the score of an answer, 0 for vehicles that have stopped."""
+        """Return the score (n,) of the agents' answers; 0 for vehicles that have stopped."""
         found = play.task.score(episode.memory, play.world, episode.state, answer)
         return found if episode.gone is None else jnp.where(episode.gone, 0.0, found)
 
@@ -39,32 +39,32 @@ def _score_function() -> Callable[..., jax.Array]:
 
 
 def score(play: Play, episode: Episode, answer: NumpyArray) -> NumpyArray:
-    """Return the score (n,) of the agents' answers (n, ...) of an episode; 0 for agents that have left."""
+    """Return the score (n,) of the agents' answers (n, ...) at the end of an episode; 0 for agents that have left."""
     return np.asarray(_score_function()(play, episode, answer))
 
 
 def _start_progress(play: Play, own: tuple[Any, Any]) -> Progress:
-    """Return the progress at the start of an episode."""
+    """Return the state of an episode at its start; ``own``: (constants, random keys) of the episode."""
     return play.progress(own[1])
 
 
 def _tick_progress(play: Play, own: tuple[Any, Any], progress: Progress, number: Any) -> Progress:
-    """Return the progress after a tick."""
+    """Return the state of an episode after tick ``number`` of a step; ``own``: (constants, action)."""
     return play.tick(own[1], progress, number)
 
 
 def _look(play: Play, progress: Progress, to: dict[str, jax.Array], tick: Any) -> dict[str, jax.Array]:
-    """Return the parts of an observation that are computed on demand."""
+    """Return the large parts of an observation, such as pictures; ``to``: zeros of their names and shapes."""
     return play.look(progress, to)
 
 
 def _merged(seen: Any, late: dict[str, NumpyArray]) -> dict[str, Any]:
-    """Return an observation with its late parts, as a dict in JAX's key order."""
+    """Join an observation with its parts that were computed on demand, sorted by name as JAX does."""
     return dict(sorted({**seen, **late}.items()))
 
 
 def _begun_of(progress: Progress) -> Begun:
-    """Return the start of an episode: whether placement succeeded, observation and truth."""
+    """Return an episode's start: whether all vehicles could be placed, the observations and the true values."""
     return Begun(progress.episode.state.placed, progress.last.observation, progress.truth)
 
 
@@ -90,7 +90,7 @@ class Episodes:
             self._worlds = self._made(self._play, keys)
 
     def _made(self, play: Play, keys: Any) -> Worlds:
-        """Return the compiled worlds of a task for the structure of one episode's keys."""
+        """Compile the programs of B episodes of a task; ``keys``: those of one episode, for their structure."""
         extent = Extent(sum(fleet.size for fleet in play.world.fleets), self._dtype, self._size)
         task = type(play.task)
         # Of a user's task another process could not tell whether it is still the same.
@@ -118,7 +118,7 @@ class Episodes:
                 self._worlds.restore(kept["state"])
 
     def _all(self, select: Any) -> Any:
-        """Return a copy of the selected part of all episodes."""
+        """Return a copy of the part of all episodes' states that ``select`` picks, leaves (B, ...)."""
         # What LLVM's states return is a copy already.
         found = self._worlds.get(select)
         return jax.tree.map(lambda leaf: leaf if isinstance(leaf, np.ndarray) else np.array(leaf), found)
@@ -134,12 +134,12 @@ class Episodes:
         return self._worlds.started
 
     def draw_from(self, play: Play) -> None:
-        """Draw later episodes from another ``Play`` that differs only in its ranges."""
+        """Make episodes that start from now on use another ``Play`` that differs only in its random ranges."""
         self._play = jax.tree.map(np.asarray, play)
         self._worlds.share_at_starts(replace(self._play, late=self._worlds.looks))
 
     def start(self, rows: NumpyArray, keys: object) -> Begun:
-        """Start the episodes ``rows`` (b,) by their keys, each leaf (b, ...)."""
+        """Start the episodes ``rows`` (b,) from their random keys, leaves (b, ...); return their first observations."""
         found: Begun = self._worlds.begin_some(rows, keys, _begun_of)
         if self._worlds.looks:
             found = found._replace(seen=_merged(found.seen, self.look(rows)))
@@ -147,11 +147,11 @@ class Episodes:
 
     @property
     def late(self) -> tuple[str, ...]:
-        """Names of the parts of an observation that ``look`` computes on demand; () for none."""
+        """Names of the large parts of an observation, such as pictures, that ``look`` computes; () for none."""
         return tuple(self._play.task.later(self._play.world)) if self._worlds.looks else ()
 
     def look(self, rows: NumpyArray | None = None) -> dict[str, NumpyArray]:
-        """Return the parts named in ``late`` of the observations, of all episodes or of some rows, (b, n, ...).
+        """Compute the parts of observations named in ``late`` (b, n, ...), of all episodes or those in ``rows``.
 
         Agents that have stopped see what they saw last. The caller owns the arrays.
         """
@@ -159,7 +159,7 @@ class Episodes:
         return found
 
     def step(self, action: NumpyArray) -> tuple[Step, dict[str, NumpyArray]]:
-        """Advance all episodes by actions (B, n, A), with a radio (B, n, A + D); return results and ground truth."""
+        """Advance all episodes by one step; ``action`` (B, n, A), with radio (B, n, A + D). Return step, truth."""
         self._worlds.advance(0, self._play.ticks, action)
         found: tuple[Step, dict[str, NumpyArray]] = self._all(lambda progress: (progress.last, progress.truth))
         if not self._worlds.looks:
@@ -171,6 +171,6 @@ class Episodes:
         return replace(step, observation=_merged(step.observation, late)), truth
 
     def episode(self, row: int) -> Episode:
-        """Return the episode in a row of the batch."""
+        """Return the state of the episode in this row of the batch."""
         found: Episode = jax.tree.map(lambda leaf: leaf[row], self._worlds.get(lambda progress: progress.episode))
         return found

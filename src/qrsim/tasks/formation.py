@@ -61,52 +61,52 @@ class KeepFormation(Task):
     receives: ClassVar[bool] = True
 
     def init(self, world: World, state: State, draw: Draw) -> FormationMemory:
-        """Return the memory at the start."""
+        """Return the task's memory at the start of an episode: costs and rewards of 0."""
         zero = jnp.zeros_like(fleet_of(world, state, self.fleet)[1].vehicle.position_ned.x)
         return FormationMemory(zero, zero)
 
     def commands(self, memory: FormationMemory, world: World, action: Array) -> tuple[Action, ...]:
-        """Return velocity set-points for actions (n, 3) [m/s], heading north."""
+        """Convert actions (n, 3), velocities [m/s], to velocity set-points with the heading north."""
         return only(world, self.fleet, VelocitySetpoint(Vec3.of(action), jnp.zeros_like(action[:, 0])))
 
     def places(self, world: World) -> Vec3:
-        """Return the places (n,) of the agents relative to the leader, NED [m]."""
+        """Return the positions (n,) NED [m] relative to the leader at which agents should fly (their places)."""
         followers, leaders = (world.fleets[number_of(world, name)] for name in (self.fleet, self.leader))
         first = followers.route.position_ned.map(lambda axis: axis[0])
         return first - leaders.start.position_ned.map(lambda axis: axis[0])
 
     def to_places(self, world: World, state: State) -> Vec3:
-        """Return the true offsets (n,) from the agents to their places, NED [m]."""
+        """Return the true offsets (n,) NED [m] from the agents to their places in the formation."""
         (_, own), (_, leaders) = (fleet_of(world, state, name) for name in (self.fleet, self.leader))
         return leaders.vehicle.position_ned.map(lambda axis: axis[0]) + self.places(world) - own.vehicle.position_ned
 
     def each_tick(self, memory: FormationMemory, world: World, state: State) -> FormationMemory:
-        """Return the memory with the squared errors of a tick added."""
+        """Return the memory with the agents' squared errors of one more tick."""
         error = jnp.minimum(square(self.to_places(world, state)), -jnp.asarray(self.penalty))
         return FormationMemory(memory.cost + error * world.time_step, memory.total)
 
     def judge(
         self, memory: FormationMemory, world: World, state: State, step: Array, steps: int
     ) -> tuple[FormationMemory, Array]:
-        """Return the memory and each agent's reward (n,): the step's share of minus its mean squared error [m^2]."""
+        """Return the memory and the agents' rewards (n,): minus this step's part of their mean squared errors [m^2]."""
         reward = -memory.cost / (steps * self.period)
         return FormationMemory(jnp.zeros_like(reward), memory.total + reward), reward
 
     def crashed(self, memory: FormationMemory, world: World, state: State, steps: int) -> Array:
-        """Return the rewards (n,) of the step in which a vehicle stops, so that the return is ``penalty``."""
+        """Return the rewards (n,) of the step of a crash, with which each agent's sum of rewards is ``penalty``."""
         return self.penalty - memory.total
 
     def truth(self, memory: FormationMemory, world: World, state: State) -> dict[str, Array]:
-        """Return the true offset (n, 3) from each agent to its place, NED [m]."""
+        """Return {"to_place_ned": (n, 3)}, the true offset NED [m] from each agent to its place in the formation."""
         return {"to_place_ned": self.to_places(world, state).stack()}
 
     def observe(self, memory: FormationMemory, world: World, state: State) -> Array:
-        """Return the observation of agents that have heard nothing (n, 9 + 8 n)."""
+        """Return the agents' observations (n, 9 + 8 n) as without radio messages: estimated states, then zeros."""
         own = believed(fleet_of(world, state, self.fleet)[1])
         return jnp.concatenate([own, jnp.zeros((own.shape[0], OTHER * own.shape[0]), own.dtype)], axis=-1)
 
     def observe_received(self, memory: FormationMemory, world: World, state: State, inbox: Inbox) -> Array:
-        """Return each agent's estimate, and what it has heard of the leader and the n - 1 other agents (n, 9 + 8 n).
+        """Return observations (n, 9 + 8 n): estimated states, and what messages tell of the leader and other agents.
 
         For each: the offset from the agent to its place by that vehicle's position, where this vehicle would be now at
         the velocity that it sent; that velocity; the age of the message [s]; and 1. All are 0 without a message. The
@@ -136,7 +136,7 @@ class KeepFormation(Task):
         return jnp.concatenate([own, others.reshape(own.shape[0], -1)], axis=-1)
 
     def sees(self, world: World) -> tuple[Axis, ...]:
-        """Describe the values of an observation."""
+        """Describe the values of an observation by name, unit and range."""
         size = world.fleets[number_of(world, self.fleet)].size
         return (
             *BELIEVED,
@@ -145,7 +145,7 @@ class KeepFormation(Task):
         )
 
     def _others(self, world: World) -> tuple[NumpyArray, Array]:
-        """Return each agent's other vehicles by number in the world (n, M), and its places from them (n, M, 3) [m].
+        """Return for each agent the others' vehicle numbers (n, M), and its place relative to each (n, M, 3) [m].
 
         M = n: the leader and the n - 1 other agents, beginning behind the agent itself.
         """
@@ -158,7 +158,7 @@ class KeepFormation(Task):
 
 
 def _other_axes(prefix: str, name: str) -> tuple[Axis, ...]:
-    """Return the axes of what is heard of another vehicle."""
+    """Describe what an observation has of another vehicle; the names begin with ``prefix`` or ``name``."""
     directions = ("north", "east", "down")
     return (
         *(Axis(f"{prefix}to_place_{axis}", "m") for axis in directions),

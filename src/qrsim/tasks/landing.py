@@ -22,12 +22,12 @@ class Land(ReachWaypoint):
     airborne: Array = parameter(default=1.0, unit="1/s", doc="cost per second off the ground", minimum=0.0)
 
     def cost_rate(self, model: Fleet, fleet: FleetState) -> Array:
-        """Return each vehicle's cost per second (n,): effort, and ``airborne`` while it flies."""
+        """Return each vehicle's cost per second (n,): of its commands, and ``airborne`` while it is off the ground."""
         effort: Array = ReachWaypoint.cost_rate(self, model, fleet)
         stands = on_ground(model, fleet)
         return effort + (self.airborne if stands is None else jnp.where(stands, 0.0, self.airborne))
 
     def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
-        """Return the largest cost (n,): that of ``reach_waypoint``, and all the time off the ground."""
+        """Return the largest possible cost (n,) in ``duration`` [s]: as in ``reach_waypoint``, and never landed."""
         highest: Array = ReachWaypoint.highest_cost(self, memory, world, duration)
         return highest + self.airborne * duration

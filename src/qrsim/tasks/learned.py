@@ -77,16 +77,16 @@ class View:
 
     @property
     def remembered(self) -> int:
-        """Size K of what a policy remembers between two decisions: its last outputs, and the integrals."""
+        """Size K of what a policy remembers between two decisions: its last outputs, and integrals of observations."""
         return len(self.flown) + len(self.summed)
 
     @property
     def inputs(self) -> int:
-        """Size of an input (F)."""
+        """Number of inputs of the network (F)."""
         return len(self.kept) + len(self.flown)
 
     def features(self, seen: Any, last: Any) -> Any:
-        """Return the inputs (N, F) of observations (N, O) and what is remembered (N, K); NumPy or JAX."""
+        """Return the network's inputs (N, F) for observations (N, O) and remembered values (N, K); NumPy or JAX."""
         lib = library(seen)
         outputs, sums = last[:, : len(self.flown)], last[:, len(self.flown) :]
         columns = [lib.asarray(seen[:, number], np.float32) for number in range(len(self.observed))] + list(sums.T)
@@ -99,7 +99,7 @@ class View:
         return lib.stack([*(columns[number] for number in self.kept), *outputs.T], axis=-1)
 
     def remember(self, output: Any, seen: Any, last: Any) -> Any:
-        """Return what is remembered (N, K) after a decision with outputs (N, len(flown)) for ``seen`` (N, O)."""
+        """Return the values (N, K) to remember after a decision: outputs (N, len(flown)), sums of ``seen`` (N, O)."""
         outputs = output.clip(-LIMIT, LIMIT)
         if not self.summed:
             return outputs
@@ -111,7 +111,7 @@ class View:
         return lib.concatenate([outputs, lib.stack(sums, axis=-1).clip(-MOST_SUM, MOST_SUM)], axis=-1)
 
     def action(self, output: Any, seen: Any = None) -> Any:
-        """Return the actions (N, A) in [-1, 1] of outputs (N, len(flown)) of the network; NumPy or JAX.
+        """Convert the network's outputs (N, len(flown)) to actions (N, A) in [-1, 1]; NumPy or JAX.
 
         Args:
             output: of the network.
@@ -138,7 +138,7 @@ class View:
         return np.stack(given, axis=-1).astype(np.float32)
 
     def _turn(self, columns: Any) -> Any:
-        """Return cosine and sine (N,) of the heading by which inputs are rotated; None if the view rotates nothing."""
+        """Return cosine and sine (N,) of the heading by which inputs are rotated; None if they are not rotated."""
         if self.ahead is not None:
             lib = library(columns[0])
             north, east = (columns[number] for number in self.ahead)
@@ -150,7 +150,7 @@ class View:
         return None
 
     def _turned_back(self, output: Any, columns: Any) -> Any:
-        """Return the outputs (N, len(flown)) with the pair ``turned`` rotated to north and east."""
+        """Return the network's outputs (N, len(flown)), the pair ``turned`` rotated from ``ahead`` to north, east."""
         cos, sin = self._turn(columns)
         parts: list[Any] = list(output.T)
         first, second = self.turned or (0, 0)
@@ -167,7 +167,7 @@ class Scaling:
     deviation: Floats
 
     def scaled(self, features: Any) -> Any:
-        """Return inputs (N, F) with mean 0 and standard deviation 1, limited to ``LIMIT``; NumPy or JAX."""
+        """Normalise the network's inputs (N, F) to mean 0 and deviation 1, limited to +-``LIMIT``; NumPy or JAX."""
         return ((features - self.mean[None]) / self.deviation[None]).clip(-LIMIT, LIMIT)
 
 
@@ -175,7 +175,7 @@ Layers = Sequence[tuple[Floats, Floats]]
 
 
 def forward(layers: Layers, inputs: Any) -> Any:
-    """Return the outputs (N, K) of a network with tanh between its layers, for inputs (N, F); NumPy or JAX."""
+    """Return the outputs (N, K) of a network of layers with tanh between them, for inputs (N, F); NumPy or JAX."""
     lib = library(inputs)
     for weights, offset in layers[:-1]:
         inputs = lib.tanh(inputs @ weights + offset[None])
@@ -202,7 +202,7 @@ class PolicyFile:
     name: str = "policy"
 
     def content(self) -> bytes:
-        """Return the policy file's bytes."""
+        """Return the content of the policy's file as bytes."""
         view = asdict(self.view)
         # Versions without integrals or fleets read the file too.
         if not self.view.summed:
@@ -219,7 +219,7 @@ class PolicyFile:
         return file.getvalue()
 
     def maker(self, play: Play, name: str, version: int) -> Any:
-        """Return a function of (play, seed) that builds this policy for an episode; raises UsageError.
+        """Return a function (play, seed) -> policy for an episode; raise UsageError if the policy is of another task.
 
         Args:
             play: the task and its world.
@@ -262,7 +262,7 @@ class PolicyFile:
                 )
 
     def pilot(self, agents: int, period: float) -> LearnedPolicy:
-        """Return the policy for ``agents`` agents, at the start of their episodes.
+        """Return this policy as an object that acts for ``agents`` agents, at the start of their episodes.
 
         Args:
             agents: how many (n).
@@ -286,7 +286,7 @@ class LearnedPolicy:
         self._action: Any = None
 
     def act(self, seen: Floats) -> Floats:
-        """Return the actions (n, A) for observations (n, O)."""
+        """Return the actions (n, A) in [-1, 1] for the observations (n, O) of one step."""
         file = self._file
         if self._steps % self._hold == 0:
             view, seen = file.view, np.asarray(seen)
@@ -298,7 +298,7 @@ class LearnedPolicy:
 
 
 def is_policy_file(source: object) -> bool:
-    """Return whether a source is a text that names a policy file."""
+    """Return whether ``source`` is the file name of a learned policy, by its suffix."""
     return isinstance(source, str | Path) and str(source).endswith(SUFFIX)
 
 
@@ -316,7 +316,7 @@ def read_policy(path: str | Path) -> PolicyFile:
 
 
 def policy_of(arrays: dict[str, Any], name: str) -> PolicyFile:
-    """Return the policy in the arrays of a policy file.
+    """Return the learned policy in the arrays of a policy file; ``name``: of the file, for messages.
 
     Raises:
         UsageError: they are no policy, or do not fit each other.
@@ -341,7 +341,7 @@ def policy_of(arrays: dict[str, Any], name: str) -> PolicyFile:
 
 
 def observed_names(play: Play, fleet: str | None = None) -> tuple[str, ...]:
-    """Return the names of the numbers of an observation.
+    """Return the names of the values in a task's observation, in order.
 
     Args:
         play: the task and its world.
@@ -359,7 +359,7 @@ def observed_names(play: Play, fleet: str | None = None) -> tuple[str, ...]:
 
 
 def _check_shapes(view: View, scaling: Scaling, layers: Layers) -> None:
-    """Raise a ValueError where parts of a policy do not fit each other."""
+    """Raise ValueError if parts of a policy do not fit each other: sizes, indices, finite or positive numbers."""
     sizes = [view.inputs, *(weights.shape[1] for weights, _ in layers)]
     fits = [scaling.mean.shape == scaling.deviation.shape == (view.inputs,), bool(layers), sizes[-1] == len(view.flown)]
     for size, (weights, offset) in zip(sizes, layers, strict=False):
@@ -381,10 +381,10 @@ def _check_shapes(view: View, scaling: Scaling, layers: Layers) -> None:
 
 
 def _frozen(value: Any) -> Any:
-    """Return parsed JSON with lists replaced by tuples."""
+    """Return parsed JSON with tuples in place of lists."""
     return tuple(map(_frozen, value)) if isinstance(value, list) else value
 
 
 def _shown(names: tuple[str, ...]) -> str:
-    """Return names as text for a message."""
+    """Return names as one text for an error message, shortened if there are many."""
     return ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")

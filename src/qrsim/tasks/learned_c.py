@@ -57,7 +57,7 @@ void qrsim_policy(const float observation[OBSERVED], float last[REMEMBERED], flo
 
 
 def c_source(file: PolicyFile) -> str:
-    """Return a policy as the text of a C99 file with one function, ``qrsim_policy``."""
+    """Return a learned policy as the text of a C99 file with one function, ``qrsim_policy``."""
     view = file.view
     ahead, turned = view.ahead or (0, 0), view.turned or (0, 0)
     sizes = [view.inputs, *(len(offset) for _, offset in file.layers)]
@@ -112,7 +112,7 @@ def c_source(file: PolicyFile) -> str:
 
 
 def _table(kind: str, name: str, values: Any, rank: str = "[]", group: int = 1) -> str:
-    """Return the C definition of a constant array, in rows of ``group`` numbers."""
+    """Return the C definition of a constant array; ``kind``: C type, ``rank``: dimensions, ``group``: last size."""
     shown = [_float(value) if kind == "float" else str(int(value)) for value in values]
     if group > 1:
         shown = [f"{{{', '.join(shown[at : at + group])}}}" for at in range(0, len(shown), group)]

@@ -28,28 +28,28 @@ class _Graph:
         self._node, self._array = helper.make_node, numpy_helper.from_array
 
     def constant(self, value: Any, dtype: Any = np.float32) -> str:
-        """Add a constant array."""
+        """Add a constant array to the ONNX graph and return its name."""
         name = f"constant_{len(self.constants)}"
         self.constants.append(self._array(np.asarray(value, dtype), name))
         return name
 
     def apply(self, operator: str, *inputs: str, name: str = "", **attributes: Any) -> str:
-        """Add an operator to the graph, and return the name of its result."""
+        """Add an operator to the ONNX graph and return the name of its result."""
         result = name or f"{operator.lower()}_{len(self.nodes)}"
         self.nodes.append(self._node(operator, list(inputs), [result], **attributes))
         return result
 
     def columns(self, source: str, which: Any) -> str:
-        """Select columns (N, len(which)) of an array."""
+        """Add a selection of columns of the array ``source`` to the graph; return its name, array (N, len(which))."""
         return self.apply("Gather", source, self.constant(which, np.int64), axis=1)
 
     def limited(self, source: str, limit: float, name: str = "") -> str:
-        """Limit numbers to [-limit, limit]."""
+        """Add a clip of the array ``source`` to [-limit, limit] to the graph and return its name."""
         return self.apply("Clip", source, self.constant(-limit), self.constant(limit), name=name)
 
 
 def onnx_model(file: PolicyFile) -> bytes:
-    """Return a policy as the bytes of an ONNX model.
+    """Return a learned policy as the bytes of an ONNX model.
 
     Its inputs are ``observation`` (N, O) and ``last`` (N, K), zeros at the start of an episode; its outputs are
     ``action`` (N, A) in [-1, 1] and ``next_last`` (N, K), all float32.
@@ -76,7 +76,7 @@ def onnx_model(file: PolicyFile) -> bytes:
     graph.limited(moved, 1.0, ACTION)
 
     def numbers(name: str, size: int) -> Any:
-        """Return ONNX's description of a float array with ``size`` numbers for each vehicle."""
+        """Return ONNX's description of a float array (N, size), one row per vehicle."""
         return helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, ["vehicles", size])
 
     given = [numbers(OBSERVATION, len(view.observed)), numbers(LAST, view.remembered)]
@@ -94,7 +94,7 @@ def onnx_model(file: PolicyFile) -> bytes:
 
 
 def _features(graph: _Graph, view: View) -> str:
-    """Add the view: the selected observations and integrals, rotated into the heading, and the last outputs."""
+    """Add the network's inputs to the graph: chosen observations and integrals, rotated, and last outputs."""
     count, pairs = len(view.observed) + len(view.summed), () if view.yaw is None else view.pairs
     source = {number: number for number in range(count)}
     known = OBSERVATION
@@ -115,11 +115,11 @@ def _features(graph: _Graph, view: View) -> str:
 
 
 def _remembered_sums(graph: _Graph, view: View) -> str:
-    """Add the selection of the integrals among what is remembered."""
+    """Add the selection of the integrals from the remembered values to the graph, and return its name."""
     return graph.columns(LAST, list(range(len(view.flown), view.remembered)))
 
 
 def _sums(graph: _Graph, view: View) -> str:
-    """Add the integrals after a decision."""
+    """Add the integrals of observations after a decision to the graph, and return their name."""
     change = graph.apply("Mul", graph.columns(OBSERVATION, list(view.summed)), graph.constant(view.seconds))
     return graph.limited(graph.apply("Add", _remembered_sums(graph, view), change), MOST_SUM)

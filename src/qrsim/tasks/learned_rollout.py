@@ -32,7 +32,7 @@ class RolloutPolicy:
         self._hold = max(1, round(file.view.seconds / play.task.period))
 
     def init(self, reading: Any) -> Memory:
-        """Return the task's memory, the last outputs (n, K) and the number of the step ()."""
+        """Return the policy's memory at the start: the task's memory, remembered values (n, K), step number ()."""
         play, state = self._play, reading.state
         like = jnp.zeros((), play.world.fleets[0].start.position_ned.x.dtype)
         ids = jnp.arange(play.task.ids, dtype=jnp.uint32)
@@ -41,7 +41,7 @@ class RolloutPolicy:
         return memory, last, jnp.int32(0)
 
     def step(self, reading: Any, memory: Memory) -> tuple[dict[str, Any], Memory]:
-        """Return the command of the agents' fleet, and the memory."""
+        """Return the commands of the agents' fleet by its name, and the policy's memory after them."""
         file, play = self._file, self._play
         own, last, number = memory
         seen = play.observed(own, reading.state, number * play.ticks)

@@ -25,14 +25,14 @@ SEEING = (Looking, Scan, IdealScan, Rangefinder, IdealRangefinder)
 
 
 def senses() -> tuple[str, ...]:
-    """Return the dataclass field for the names of the sensors in the agents' observations."""
+    """Declare a record's field: the names of the sensors with readings in the agents' observations."""
     return setting(
         default=(), doc="names of the agents' sensors of type neighbours, scan and rangefinder in their observations"
     )
 
 
 def sensed_axes(world: World, fleet: str, names: tuple[str, ...]) -> tuple[Axis, ...]:
-    """Describe the S values of ``sensed``; their ranges hold in every episode."""
+    """Describe the S values of ``sensed`` by name, unit and range; the ranges hold in every episode."""
     # An episode that draws how far a sensor sees draws no more than this.
     world = world.with_drawn(tuple(item.high for item in world.ranges))
     agents, axes = world.fleets[number_of(world, fleet)], []
@@ -53,7 +53,7 @@ def sensed_axes(world: World, fleet: str, names: tuple[str, ...]) -> tuple[Axis,
 
 
 def sensed(world: World, state: State, fleet: str, names: tuple[str, ...]) -> Array:
-    """Return the readings (n, S) of the named sensors as observations of the agents.
+    """Return the readings (n, S) of the sensors with these names, as observed by a fleet's agents.
 
     Of a sensor ``neighbours`` for each slot position and velocity (if it measures it), both 0 where it has nobody,
     whether that is one of the agents' own fleet (if it knows who they are), and whether there is one, 1 or 0. Of a scan
@@ -78,7 +78,7 @@ def sensed(world: World, state: State, fleet: str, names: tuple[str, ...]) -> Ar
 def _neighbour_columns(
     sensor: Looking, reading: NeighboursReading, reach: Array, mates: slice[int, int, None]
 ) -> list[Array]:
-    """Return the observed columns of a neighbour list, a few for each slot."""
+    """Return columns (n,) of a neighbour list, a few per slot; ``mates``: numbers of the own fleet's vehicles."""
     columns = []
     for slot in range(sensor.slots):
         seen = jnp.isfinite(reading.distance[slot])
@@ -94,12 +94,12 @@ def _neighbour_columns(
 
 
 def _clipped_range(measured: Array, reach: Array) -> Array:
-    """Return ranges [m] clipped to the sensor's reach, which also replaces a missing echo."""
+    """Return measured ranges (n,) [m] clipped to the sensor's maximum range, which also replaces missing echoes."""
     return jnp.where(jnp.isfinite(measured), jnp.clip(measured, 0.0, reach), reach)
 
 
 def _sensor_reach(sensor: Any) -> object:
-    """Return the largest range of a sensor [m]."""
+    """Return the maximum range [m] of a sensor, such as a rangefinder."""
     if isinstance(sensor, IdealScan):
         return scan.FARTHEST
     return rangefinder.FARTHEST if isinstance(sensor, IdealRangefinder) else sensor.range_max

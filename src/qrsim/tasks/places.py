@@ -16,7 +16,7 @@ from qrsim.world.state import World
 
 
 def _no_positions() -> Floats:
-    """Return an empty array (0, 3)."""
+    """Return an empty array of positions, (0, 3)."""
     return np.zeros((0, 3))
 
 
@@ -39,7 +39,7 @@ class Places:
 
 
 def places_of(task: Any, world: World, memory: Any, contents: Any) -> Places:
-    """Return the places of an episode's task that pictures show.
+    """Return the goals, sources and other places of an episode's task, for display.
 
     Args:
         task, world: of the episode.
@@ -60,10 +60,10 @@ def places_of(task: Any, world: World, memory: Any, contents: Any) -> Places:
 
 
 def goals_of(task: KeepSpot, world: World, start_ned: Vec3) -> Floats:
-    """Return the goals (n, 3) [m] of vehicles (n,) that started at ``start_ned``."""
+    """Return the goals (n, 3) NED [m] of vehicles that started at ``start_ned`` (n,)."""
     return _position_rows(task.goal(start_ned, world))
 
 
 def _position_rows(places: Vec3) -> Floats:
-    """Return positions as an array (N, 3) [m]."""
+    """Return a Vec3 of positions (N,) as an array (N, 3) [m]."""
     return np.stack([np.atleast_1d(np.asarray(axis, float)) for axis in places.axes], axis=-1)

@@ -85,7 +85,7 @@ class Play:
 
     @property
     def agents(self) -> tuple[str, ...]:
-        """Names of the vehicles that are agents."""
+        """Names of the vehicles that are agents of the task."""
         return tuple(name for side in self.sides for name in side.names)
 
     @property
@@ -95,7 +95,7 @@ class Play:
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """Axes of an agent's action; with several fleets, of the first fleet."""
+        """Description of each number of an agent's action; with several fleets, of the first fleet."""
         return self.sides[0].axes
 
     @property
@@ -105,17 +105,17 @@ class Play:
 
     @property
     def message(self) -> int:
-        """Size D of an agent's radio message; 0 without a radio, or if messages are part of the observation."""
+        """Size D of the message that an agent can send per step; 0 without a radio, or if the task receives them."""
         return 0 if self.task.receives else message_size(self.world)
 
     @property
     def ticks(self) -> int:
-        """Ticks per step."""
+        """Number of ticks in a step (one action)."""
         return period_ticks(self.task.period, self.world.time_step)
 
     @property
     def in_step(self) -> bool:
-        """Whether a step is a multiple of every period of the world, so that all worlds of a batch are in phase."""
+        """Whether a step is a multiple of all periods in the world, so that the worlds of a batch stay in phase."""
         contents = self.world.contents
         periods = [self.world.sky.period, contents.plume.period, contents.persons.period]
         periods += [sensor.period for fleet in self.world.fleets for sensor in fleet.sensors]
@@ -123,28 +123,28 @@ class Play:
         return all(self.ticks % period_ticks(period, self.world.time_step) == 0 for period in periods)
 
     def keys(self, key: Key) -> EpisodeKeys:
-        """Return the keys of an episode, or of many; on the host if the key is there."""
+        """Return the random keys of an episode, or of many; NumPy arrays if those of ``key`` are."""
         return EpisodeKeys(keys_of(self.world, key), key.streams([TASK]))
 
     def reset(self, keys: EpisodeKeys) -> tuple[Episode, Any]:
-        """Start an episode; return it and the observations."""
+        """Start an episode from its random keys; return its state and the agents' observations."""
         state = ticks_of.reset(self.world, keys.world)
         memory = self.begun(keys, state)
         episode = Episode(state, memory, jnp.int32(0), self.nobody_gone())
         return episode, self.observed(memory, state, jnp.int32(0))
 
     def nobody_gone(self) -> Array | None:
-        """Return the initial flags (n,) of agents that have left, all False; None if agents never leave."""
+        """Return flags (n,) of the agents that have left, all False at first; None if agents never leave."""
         return jnp.zeros(len(self.agents), bool) if self.task.leave else None
 
     def begun(self, keys: EpisodeKeys, state: State) -> object:
-        """Return the task's memory at the start of an episode, from the world's state there."""
+        """Return the task's memory (its own state) at the start of an episode with the world in ``state``."""
         like = jnp.zeros((), self.world.fleets[0].start.position_ned.x.dtype)
         ids = jnp.arange(self.task.ids, dtype=jnp.uint32)
         return self.task.init(self.world, state, Draw(keys.task.stream(0, ids), jnp.int32(0), like))
 
     def step(self, episode: Episode, action: Array) -> tuple[Episode, Step]:
-        """Advance an episode by a step.
+        """Advance an episode by one step (action); return its state, and observation, reward and ends.
 
         Args:
             episode: before; where it has ended, what comes has no meaning.
@@ -155,7 +155,7 @@ class Play:
         commands = self._commands_of(episode, action)
 
         def tick(number: object, now: tuple[State, object]) -> tuple[State, object]:
-            """Advance by one tick under the commands of the step."""
+            """Advance world and task by one tick under the commands of the step."""
             return self._tick(*now, commands, begun, number)
 
         carry = (episode.state, episode.memory)
@@ -163,7 +163,7 @@ class Play:
         return self._judged(Episode(state, memory, episode.step, episode.gone))
 
     def tick(self, action: Array, progress: Progress, number: Array) -> Progress:
-        """Advance an episode by one of the ``ticks`` of a step; as ``step``, for batches of worlds run tick by tick.
+        """Advance an episode by tick ``number`` of a step; like ``step``, for programs that run tick by tick.
 
         Args:
             action: as of ``step``.
@@ -177,18 +177,18 @@ class Play:
         after = Episode(state, memory, episode.step, episode.gone)
 
         def judged() -> Progress:
-            """Return the progress at the end of a step, with reward and observation."""
+            """Return the episode at the end of a step, with reward, observation and truth."""
             ended, step = self._judged(after)
             return Progress(ended, commands, step, self.truth(ended), self._shot(ended.state, progress.shot))
 
         def going() -> Progress:
-            """Return the progress after a tick that does not end the step."""
+            """Return the episode after a tick that does not end the step."""
             return Progress(after, commands, progress.last, progress.truth, progress.shot)
 
         return lax.cond(number == self.ticks - 1, judged, going)
 
     def progress(self, keys: EpisodeKeys) -> Progress:
-        """Start an episode for ``tick``; its last step holds observations only."""
+        """Start an episode that ``tick`` advances; its results hold only the first observations."""
         episode, seen = self.reset(keys)
         dtype = self.world.fleets[0].start.position_ned.x.dtype
         action = jnp.zeros((len(self.agents), self.width + self.message), dtype)
@@ -199,14 +199,14 @@ class Play:
         return Progress(episode, zeros[0], replace(zeros[1], observation=seen), self.truth(episode), shot)
 
     def _shot(self, state: State, before: Any) -> Any:
-        """Return the input of ``look`` for each agent; for stopped agents, the last value before the stop."""
+        """Return what ``look`` needs of each agent; of stopped agents what it was before they stopped."""
         if not self.late:
             return None
         _, fleet = fleet_of(self.world, state, self.task.fleet)
         return select(fleet.violation.code != 0, before, self.task.shot(self.world, state))
 
     def look(self, progress: Progress, to: dict[str, Array]) -> dict[str, Array]:
-        """Return the large parts of an observation, those of ``task.later``; stopped agents keep their last ones.
+        """Compute the parts of an observation that ``task.later`` names; stopped agents keep their last ones.
 
         Args:
             progress: at the end of a step.
@@ -215,7 +215,7 @@ class Play:
         return self.task.look(self.world, progress.episode.state, progress.shot, to)
 
     def _commands_of(self, episode: Episode, action: Array) -> tuple[Action, ...]:
-        """Return the command of each fleet for an action (n, A)."""
+        """Return one command or set-point per fleet for an action (n, A) in [-1, 1]."""
         acts, sides = self.width, self.sides
         says = self.message > 0 and action.shape[1] > acts
         flown = action[:, :acts] if says else action
@@ -225,7 +225,7 @@ class Play:
         return commands
 
     def observed(self, memory: object, state: State, tick: Array) -> Any:
-        """Return the observation at a tick () int32 of the episode, with received messages if there is a radio."""
+        """Return the agents' observations at a tick () of the episode, with received messages if there is a radio."""
         if self.task.receives:
             return self.task.observe_received(memory, self.world, state, heard(self.world, state, tick))
         observe, fleets = self.task.observe_early if self.late else self.task.observe, self.task.fleets
@@ -239,7 +239,7 @@ class Play:
     def _tick(
         self, state: State, memory: object, commands: tuple[Action, ...], begun: Array, number: Any
     ) -> tuple[State, object]:
-        """Advance the state by one tick; return it and the task's memory."""
+        """Advance world and task by tick ``number`` of the step that began at tick ``begun``; return their states."""
         # Where all are due together, the number is that of every world and slow sensors are really skipped.
         tick, before = (number, begun) if self.in_step else (begun + number, None)
         commands = at_first_period(self.world, commands, tick, number)
@@ -247,7 +247,7 @@ class Play:
         return state, self.task.each_tick(memory, self.world, state)
 
     def _judged(self, episode: Episode) -> tuple[Episode, Step]:
-        """Return the episode after a step, and the step: observation, reward, ends."""
+        """Return the episode's state after its step, and the step's observation, reward and ends."""
         state, number = episode.state, episode.step + 1
         found = self.rewarded(episode)
         after = Episode(state, found.memory, number, found.gone)
@@ -256,7 +256,7 @@ class Play:
         return after, Step(seen, found.reward, ~fly, fly & (number >= self.steps), found.gone)
 
     def rewarded(self, episode: Episode) -> Judged:
-        """Return the judgement of the step that the episode has just flown: reward, memory, end, absent agents."""
+        """Return task memory, reward, whether the episode goes on, and agents that left, after a step's last tick."""
         memory, worth = self.task.judge(episode.memory, self.world, episode.state, episode.step + 1, self.steps)
         reward = of_all(self.sides, worth)
         if not self.task.leave:
@@ -277,21 +277,21 @@ class Play:
         return Judged(memory, reward, goes_on, gone)
 
     def _crashed(self, episode: Episode) -> Array:
-        """Return the reward () of the step in which a vehicle stops."""
+        """Return the reward, () for the team or (n,), of the step in which a vehicle stops."""
         return self.task.crashed(episode.memory, self.world, episode.state, self.steps)
 
     def scaled(self, action: object) -> Any:
-        """Scale actions (n, A), clipped to [-1, 1], to their units; NumPy or JAX."""
+        """Convert actions (n, A) in [-1, 1], clipped, to physical units; NumPy or JAX."""
         return in_units(self.sides, action)
 
     def truth(self, episode: Episode) -> dict[str, Array]:
-        """Return the ground truth of the agents (n,), which they do not observe."""
+        """Return the true values of the agents, name -> (n, ...), which they do not observe."""
         each = [self._fleet_truth(episode, fleet) for fleet in self.task.fleets]
         own = each[0] if len(each) == 1 else {name: jnp.concatenate([one[name] for one in each]) for name in each[0]}
         return own | self.task.truth(episode.memory, self.world, episode.state)
 
     def _fleet_truth(self, episode: Episode, name: str) -> dict[str, Array]:
-        """Return quantity -> true value of the vehicles of a fleet."""
+        """Return the true values of a fleet's vehicles, name -> (n, ...)."""
         model, fleet = fleet_of(self.world, episode.state, name)
         vehicle = model.vehicle.pose(fleet.vehicle)
         return {

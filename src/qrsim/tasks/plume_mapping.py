@@ -73,11 +73,11 @@ class PlumeMapping(Task):
 
     @property
     def ids(self) -> int:
-        """Number of random streams: one per location or source."""
+        """Number of random streams that ``init`` draws from: one per location or source."""
         return self.locations
 
     def init(self, world: World, state: State, draw: Draw) -> PlumeMemory:
-        """Return the memory with randomly drawn locations."""
+        """Return the memory with random locations at which agents must state the concentration."""
         world = world.with_drawn(state.drawn)
         around = surroundings(world, state.contents, jnp.int32(0))
         wind, plume = around.carrying_wind(draw.like.dtype), world.contents.plume
@@ -85,12 +85,12 @@ class PlumeMapping(Task):
         free = jnp.arange(self.locations) < self.anywhere
 
         def place(look: Array) -> Vec3:
-            """Return a random point in the area for draw number ``look``."""
+            """Return random positions (L,) in the area; ``look``: number of the draw, from 0."""
             bounds = [(getattr(world.area, f"{axis}_min"), getattr(world.area, f"{axis}_max")) for axis in "xyz"]
             return Vec3(*(uniform(draw, 3 * look + i, low, high) for i, (low, high) in enumerate(bounds)))
 
         def again(now: tuple[Array, Vec3, Array]) -> tuple[Array, Vec3, Array]:
-            """Draw another point, unless the last one was accepted."""
+            """Draw positions again for locations that are not accepted; ``now``: (draw number, positions, accepted)."""
             look, kept, done = now
             tried = place(look)
             taken = Vec3(*(jnp.where(done, getattr(kept, axis), getattr(tried, axis)) for axis in "xyz"))
@@ -101,18 +101,18 @@ class PlumeMapping(Task):
         return PlumeMemory(found, replace(draw, tick=draw.tick + 1))
 
     def commands(self, memory: PlumeMemory, world: World, action: Array) -> tuple[Action, ...]:
-        """Return velocity set-points for actions (n, 3) [m/s], heading north."""
+        """Convert actions (n, 3), velocities [m/s], to velocity set-points with the heading north."""
         return only(world, self.fleet, VelocitySetpoint(Vec3.of(action), jnp.zeros_like(action[:, 0])))
 
     def judge(
         self, memory: PlumeMemory, world: World, state: State, step: Array, steps: int
     ) -> tuple[PlumeMemory, Array]:
-        """Return the memory and a reward of 0; the answers are rewarded by ``score``."""
+        """Return the memory and a reward of 0 (n,): only the answers at the end are rewarded, by ``score``."""
         _, fleet = fleet_of(world, state, self.fleet)
         return memory, jnp.zeros_like(fleet.vehicle.position_ned.x)
 
     def observe(self, memory: PlumeMemory, world: World, state: State) -> dict[str, Array]:
-        """Return the observation of each vehicle (n,).
+        """Return the vehicles' observations by name: estimated state, measured concentration, locations.
 
         ``vehicle`` (n, 10) is what it believes of itself and the last concentration it measured, ``locations``
         (n, L, 3) where the concentration is asked for [m]. ``sensed`` (n, S) is what the sensors of ``senses`` say.
@@ -130,7 +130,7 @@ class PlumeMapping(Task):
         }
 
     def sees(self, world: World) -> dict[str, tuple[Axis, ...]]:
-        """Describe the named parts of an observation."""
+        """Describe the values of each named part of an observation by name, unit and range."""
         more = {"sensed": sensed_axes(world, self.fleet, self.senses)} if self.senses else {}
         # Locations are drawn within the area.
         area = world.area
@@ -146,12 +146,12 @@ class PlumeMapping(Task):
         return more | {"vehicle": (*BELIEVED, Axis("concentration", "1")), "locations": asked}
 
     def answer_shape(self, world: World) -> tuple[int, ...]:
-        """Return the shape of an agent's answer: (L,) concentrations, or (L, K) samples for puffs."""
+        """Return the shape of an agent's answer: concentrations (L,), or K samples of them (L, K) for puffs."""
         puffs = isinstance(world.contents.plume, PuffPlume)
         return (self.locations, self.samples) if puffs else (self.locations,)
 
     def score(self, memory: PlumeMemory, world: World, state: State, answer: Array) -> Array:
-        """Return the score (n,) of the agents' answers (n, L) or (n, L, K)."""
+        """Return the score (n,) of the agents' answers, (n, L) or (n, L, K), against the true plume."""
         world = world.with_drawn(state.drawn)
         around = surroundings(world, state.contents, jnp.int32(0))
         plume, sources = world.contents.plume, state.contents.plume
@@ -163,14 +163,14 @@ class PlumeMapping(Task):
         return -jax.vmap(lambda samples: divergence(reference, samples.T))(answer)
 
     def reference(self, memory: PlumeMemory, plume: PuffPlume, sources: PuffState, wind: Wind, area: Area) -> Array:
-        """Simulate the concentrations (K, L) of puffs at the locations, at times ``sample_gap`` apart.
+        """Simulate K samples of the concentration (K, L) of puffs at the L locations, ``sample_gap`` [s] apart.
 
         They are of a flight of puffs of its own that has gone on for long: of the same sources, other puffs.
         """
         draw = replace(memory.draw, stream=replace(memory.draw.stream, ids=jnp.arange(plume.most, dtype=jnp.uint32)))
 
         def advance(now: tuple[Array, PuffState]) -> tuple[Array, PuffState]:
-            """Advance the plume by one step."""
+            """Advance the puffs by one of their steps; ``now``: (step number, puffs)."""
             tick, puffs = now
             return tick + 1, plume.step(puffs, replace(draw, tick=draw.tick + tick))
 
@@ -179,7 +179,7 @@ class PlumeMapping(Task):
         steps = jnp.round(jnp.asarray(self.sample_gap) / plume.period).astype(jnp.int32)
 
         def sample(now: tuple[Array, PuffState], _: None) -> tuple[tuple[Array, PuffState], Array]:
-            """Return the concentration at the locations after some steps."""
+            """Advance ``now``, (step number, puffs), by the gap between samples; return it and concentrations (L,)."""
             now = lax.fori_loop(0, steps, lambda _, before: advance(before), now)
             since = jnp.zeros((), now[1].age.dtype)
             return now, plume.concentration(now[1], memory.locations_ned, wind, area, since)
@@ -189,7 +189,7 @@ class PlumeMapping(Task):
 
 
 def divergence(one: Array, other: Array) -> Array:
-    """Estimate the Kullback-Leibler divergence D(P | Q), (), from samples of P (n, d) and of Q (m, d).
+    """Estimate the Kullback-Leibler divergence D(P | Q), (), from samples ``one`` of P (n, d), ``other`` of Q (m, d).
 
     By distances to nearest neighbours: (d/n) sum ln(nu/rho) + ln(m/(n-1)), with rho the distance of a sample of P to
     the next of P and nu that to the next of Q (Wang, Kulkarni, Verdu, IEEE Trans. Inf. Theory 55, 2009, eq. 5).
@@ -197,7 +197,7 @@ def divergence(one: Array, other: Array) -> Array:
     count, dimensions = one.shape
 
     def nearest(number: Array) -> tuple[Array, Array]:
-        """Return the distances from a sample to its nearest own and other neighbours."""
+        """Return the distances from a sample of P to the nearest other sample of P and to the nearest of Q."""
         own = jnp.sum((one - one[number][None]) ** 2, axis=1).at[number].set(jnp.inf)
         return jnp.sqrt(jnp.min(own)), jnp.sqrt(jnp.min(jnp.sum((other - one[number][None]) ** 2, axis=1)))
 

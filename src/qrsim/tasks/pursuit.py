@@ -52,13 +52,13 @@ class Pursuit(Task):
     asks_for: ClassVar[type | None] = VelocityHeightSetpoint
 
     def init(self, world: World, state: State, draw: Draw) -> PursuitMemory:
-        """Return the memory at the start."""
+        """Return the task's memory at the start of an episode: the heights (z) that vehicles keep."""
         starts = [fleet_of(world, state, name)[1].vehicle.position_ned.z for name in self.fleets]
         return PursuitMemory(starts[0], starts[1] if self._both else None)
 
     @property
     def _both(self) -> bool:
-        """Whether the mice are agents too."""
+        """Whether the mice are agents of the task too, and not flown by a guidance."""
         return self.mouse == "agent"
 
     @property
@@ -67,11 +67,11 @@ class Pursuit(Task):
         return (self.fleet, self.prey) if self._both else (self.fleet,)
 
     def acts(self, world: World) -> Any:
-        """Describe the values of an action, a horizontal velocity; by fleet if the mice are agents too."""
+        """Describe an action, a horizontal velocity, by name, unit and range; by fleet if the mice are agents too."""
         return dict.fromkeys(self.fleets, self.axes) if self._both else self.axes
 
     def commands(self, memory: PursuitMemory, world: World, action: Any) -> tuple[Action, ...]:
-        """Return velocity set-points for actions (n, 2) [m/s], at the starting height and heading north."""
+        """Convert actions (n, 2), velocities [m/s], to set-points at the starting height with the heading north."""
         if not self._both:
             return only(world, self.fleet, _level_setpoint(action, memory.z))
         each = {
@@ -83,7 +83,7 @@ class Pursuit(Task):
     def judge(
         self, memory: PursuitMemory, world: World, state: State, step: Array, steps: int
     ) -> tuple[PursuitMemory, Any]:
-        """Return the memory and each cat's reward, shared by the team; 0 before the last step."""
+        """Return the memory, and the reward that all cats share (mice: the negative one); 0 before the last step."""
         _, cats = fleet_of(world, state, self.fleet)
         _, mice = fleet_of(world, state, self.prey)
         offset = _between(cats.vehicle.position_ned, mice.vehicle.position_ned)
@@ -96,7 +96,7 @@ class Pursuit(Task):
         return memory, {self.fleet: of_cats, self.prey: jnp.broadcast_to(-reward, mice.vehicle.position_ned.x.shape)}
 
     def observe(self, memory: PursuitMemory, world: World, state: State) -> Any:
-        """Return each cat's measured position and velocity, and measured offsets to mice and other cats.
+        """Return each cat's measured position, velocity, and offsets to mice and other cats; mice that are agents too.
 
         North and east of each: position, velocity, offsets to the m mice, offsets to the n - 1 other cats in the order
         of the fleet, beginning behind the cat itself. With ``senses``, what these sensors say in place of all offsets.
@@ -108,7 +108,7 @@ class Pursuit(Task):
         return {self.fleet: of_cats, self.prey: self._seen(world, state, self.prey, self.fleet, sensing=False)}
 
     def _seen(self, world: World, state: State, own_fleet: str, others_fleet: str, sensing: bool) -> Array:
-        """Return the observations (n, size) of one side, in the order of ``observe`` [m, m/s].
+        """Return the observations (n, O) of one side, in the order of ``observe`` [m, m/s].
 
         Args:
             world, state: those of the flight.
@@ -136,7 +136,7 @@ class Pursuit(Task):
         return jnp.concatenate(parts, axis=-1)
 
     def sees(self, world: World) -> Any:
-        """Return a description of each value of an observation."""
+        """Describe the values of an observation by name, unit and range; by fleet if the mice are agents too."""
         sizes = {fleet.name: fleet.size for fleet in world.fleets}
         cats, mice = sizes[self.fleet], sizes[self.prey]
         of_cats = _seen_axes(0 if self.senses else mice, "mouse", 0 if self.senses else cats, "cat")
@@ -145,17 +145,17 @@ class Pursuit(Task):
 
 
 def _seen_axes(others: int, other: str, count: int, mate: str) -> tuple[Axis, ...]:
-    """Return the axes of an observation: own position and velocity, then offsets to the other side and to mates."""
+    """Describe the values of one fleet's observation: own position and velocity, offsets to others and to mates."""
     names = [("position", "m"), ("velocity", "m/s"), *((f"{other}_{i}_offset", "m") for i in range(others))]
     names += [(f"{mate}_{i}_offset", "m") for i in range(1, count)]
     return tuple(Axis(f"{name}_{axis}", unit) for name, unit in names for axis in ("north", "east"))
 
 
 def _level_setpoint(action: Array, z: Array) -> VelocityHeightSetpoint:
-    """Return a set-point with a horizontal velocity [m/s] and a height."""
+    """Return a set-point with a horizontal velocity (n, 2) [m/s], heading north, at down coordinate ``z`` [m]."""
     return VelocityHeightSetpoint(action[:, 0], action[:, 1], z, jnp.zeros_like(action[:, 0]))
 
 
 def _between(one: Vec3, other: Vec3) -> Vec3:
-    """Return the differences (n, m) of positions ``one`` (n,) minus ``other`` (m,)."""
+    """Return the offsets (n, m) to each position of ``one`` (n,) from each of ``other`` (m,)."""
     return Vec3(*(getattr(one, axis)[:, None] - getattr(other, axis)[None] for axis in "xyz"))

@@ -35,7 +35,7 @@ class Ticks(Protocol):
 
     @property
     def state(self) -> Any:
-        """States of the ticks, leaves (T, ...)."""
+        """States of the world after these ticks, leaves (T, ...)."""
 
 
 @dataclass(frozen=True)
@@ -61,17 +61,17 @@ class TaskScore:
 
     @property
     def mean(self) -> float | None:
-        """Mean return of the agents (of several fleets, of the first); None if it is not finite."""
+        """Mean return of the agents (of several fleets, of the first one's); None if it is not finite."""
         return self._mean_return(next(iter(self.fleets.values()), tuple(self.returns)))
 
     def _mean_return(self, agents: tuple[str, ...]) -> float | None:
-        """Return the mean return of agents, None if one of them has none."""
+        """Return the mean return of these agents, None if it is unknown for one of them."""
         known = [self.returns[agent] for agent in agents]
         finite = [value for value in known if value is not None]
         return float(np.mean(finite)) if finite and len(finite) == len(known) else None
 
     def to_json(self) -> dict[str, object]:
-        """Return the fields by name, for JSON; of several fleets the mean return of each too."""
+        """Return the score's fields for JSON; with several fleets, also each one's mean return."""
         several = (
             {"fleets": {name: self._mean_return(agents) for name, agents in self.fleets.items()}} if self.fleets else {}
         )
@@ -114,21 +114,21 @@ class Referee:
             _watch_function()(self._play, self._carried, still, np.int32(1), np.int32(0))
 
     def _precision_context(self) -> AbstractContextManager[object]:
-        """Return the JAX context of the world's precision."""
+        """Return a context in which JAX uses the precision (32 or 64 bits) of the world."""
         return jax.enable_x64(self._dtype == np.float64)
 
     @property
     def places(self) -> Places:
-        """Places of the task, for pictures."""
+        """Goals and other places of the task, for display."""
         return self._places
 
     @property
     def asks(self) -> bool:
-        """Whether the task requires an answer at the end."""
+        """Whether the task requires an answer from its agents at the end."""
         return self._play.task.hands_in
 
     def watch(self, history: Ticks) -> None:
-        """Take the states of the next ticks; the first call begins with the tick after the start."""
+        """Take the states after the next ticks, to judge in chunks; the first call begins with the first tick."""
         if len(history.ticks) == CHUNK:
             # As a flight without a policy of its own comes: nothing is copied.
             self._judge_all()
@@ -140,7 +140,7 @@ class Referee:
                 self._judge_all()
 
     def _judge_all(self) -> None:
-        """Judge the queued ticks."""
+        """Judge all states that wait, in chunks of the same size."""
         if not self._waiting or self._over:
             return
         ticks = np.concatenate([ticks for ticks, _ in self._waiting])
@@ -155,7 +155,7 @@ class Referee:
                 return
 
     def _judge(self, ticks: Floats, states: object, count: int) -> None:
-        """Judge the first ``count`` of a chunk of CHUNK states."""
+        """Compute the rewards of the first ``count`` of CHUNK states, and add those at the ends of steps."""
         with self._precision_context():
             self._carried, rewards, flies = jax.tree.map(
                 np.asarray, _watch_function()(self._play, self._carried, states, np.int32(ticks[0]), np.int32(count))
@@ -167,7 +167,7 @@ class Referee:
                 return
 
     def _add_reward(self, reward: Floats, flies: bool) -> None:
-        """Add the reward of a step, and note whether the episode is over."""
+        """Add the rewards (n,) of a step, and note whether the episode is over; ``flies``: whether it goes on."""
         self._rewards.append(reward.astype(np.float64))
         if not np.isfinite(reward).all():
             self._over = SPOILT
@@ -209,10 +209,10 @@ class Referee:
 
 @lru_cache
 def _begin_function() -> Callable[..., tuple[object, Array | None]]:
-    """Return the compiled function that starts the judging of an episode."""
+    """Return the jitted function that starts the judging of an episode."""
 
     def begin(play: Play, key: Key, state: State) -> tuple[object, Array | None]:
-        """Return the task's memory and the vehicles that have stopped."""
+        """Return the task's memory at the start of an episode, and flags of agents that have left."""
         return play.begun(play.keys(key), state), play.nobody_gone()
 
     return quick_jit(begin)
@@ -220,29 +220,29 @@ def _begin_function() -> Callable[..., tuple[object, Array | None]]:
 
 @lru_cache
 def _watch_function() -> Callable[..., tuple[tuple[object, Array | None], Array, Array]]:
-    """Return the compiled function that judges a stretch of ticks."""
+    """Return the jitted function that judges a chunk of states."""
     return quick_jit(_watch)
 
 
 def _watch(play: Play, carried: object, states: object, first: Array, count: Array) -> tuple[Any, Array, Array]:
-    """Return memory and absent agents after ``count`` ticks from ``first``; rewards (T, n), and what goes on (T,).
+    """Judge ``count`` ticks from ``first``; return (memory, agents gone) after them, rewards (T, n), goes on (T,).
 
     What is returned of ticks that end no step has no meaning.
     """
 
     def tick(before: Any, item: tuple[Any, Array]) -> tuple[Any, tuple[Array, Array]]:
-        """Judge one tick; return reward and whether the episode goes on."""
+        """Judge one tick (``item``: state, row); return (memory, agents gone) after it, reward, whether it goes on."""
         state, place = item
         number = first + place
         memory = play.task.each_tick(before[0], play.world, state)
         episode = Episode(state, memory, number // play.ticks - 1, before[1])
 
         def judged() -> Judged:
-            """Return the judgement at the end of a step."""
+            """Return the reward of a tick that ends a step."""
             return play.rewarded(episode)
 
         def going() -> Judged:
-            """Return no reward for a tick that does not end the step."""
+            """Return a reward of zeros for a tick that does not end a step."""
             empty = jax.eval_shape(judged).reward
             return Judged(memory, jnp.zeros(empty.shape, empty.dtype), jnp.ones((), bool), before[1])
 

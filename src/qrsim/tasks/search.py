@@ -66,18 +66,18 @@ class Search(Task):
     asks_for: ClassVar[type | None] = VelocitySetpoint
 
     def init(self, world: World, state: State, draw: Draw) -> SearchMemory:
-        """Return the memory at the start."""
+        """Return the task's memory at the start of an episode: vehicles' headings, and no persons found."""
         model, fleet = fleet_of(world, state, self.fleet)
         return SearchMemory(model.vehicle.pose(fleet.vehicle).attitude.yaw, jnp.int32(0))
 
     def commands(self, memory: SearchMemory, world: World, action: Array) -> tuple[Action, ...]:
-        """Return velocity set-points for actions (n, 3) [m/s], with the starting heading."""
+        """Convert actions (n, 3), velocities [m/s], to velocity set-points with the starting heading."""
         return only(world, self.fleet, VelocitySetpoint(Vec3.of(action), memory.yaw))
 
     def judge(
         self, memory: SearchMemory, world: World, state: State, step: Array, steps: int
     ) -> tuple[SearchMemory, Array]:
-        """Return the memory and each vehicle's reward (n,) for a step."""
+        """Return the memory and each vehicle's reward (n,): persons found in a step; if none, -1 / ``steps``."""
         found = jnp.sum(state.contents.persons.found_tick >= 0).astype(jnp.int32)
         fresh = found - memory.found
         yaw = memory.yaw
@@ -85,13 +85,13 @@ class Search(Task):
         return SearchMemory(yaw, found), jnp.broadcast_to(reward, yaw.shape)
 
     def picture(self, world: World, state: State) -> Picture:
-        """Return the last picture of each vehicle (n,)."""
+        """Return the last camera picture of each vehicle (n,)."""
         world = world.with_drawn(state.drawn)
         number = number_of(world, self.fleet)
         return picture(world, state, number, self.camera)
 
     def observe(self, memory: SearchMemory, world: World, state: State) -> Any:
-        """Return the observation of each vehicle (n,).
+        """Return the vehicles' observations by name: estimated state and last camera picture, arrays (n, ...).
 
         ``vehicle`` (n, 9) is what it believes of itself, ``ratio`` (n, R, C) the log-likelihood ratio of each window of
         its last picture, 0 beyond the grid, ``grid`` (n, 2) the rows and columns of the grid, and ``corners`` (n, 4, 2)
@@ -109,14 +109,14 @@ class Search(Task):
         return self.observe_early(memory, world, state) | {"ratio": jnp.where(jnp.isfinite(ratio), ratio, 0.0)}
 
     def later(self, world: World) -> dict[str, tuple[int, ...]]:
-        """Return {"ratio": (n, R, C)}; {} for other observations, or a subclass with its own."""
+        """Return {"ratio": (n, R, C)}; {} without pictures, or if a subclass overrides ``observe`` or ``picture``."""
         if self.observes != "picture" or (type(self).observe, type(self).picture) != (Search.observe, Search.picture):
             return {}
         lens = self.lens(world)
         return {"ratio": (world.fleets[number_of(world, self.fleet)].size, lens.most_rows, lens.most_columns)}
 
     def observe_early(self, memory: SearchMemory, world: World, state: State) -> dict[str, Array]:
-        """Return the observation without the pictures' ratios."""
+        """Return the observations without the log-likelihood ratios ("ratio") of the pictures."""
         _, fleet = fleet_of(world, state, self.fleet)
         world = world.with_drawn(state.drawn)
         taking, reading, _ = film(world, state, number_of(world, self.fleet), self.camera)
@@ -131,11 +131,11 @@ class Search(Task):
         }
 
     def shot(self, world: World, state: State) -> Any:
-        """Return the camera reading of each vehicle (n,)."""
+        """Return the last camera reading of each vehicle (n,), from which ``look`` computes its picture."""
         return film(world, state, number_of(world, self.fleet), self.camera)[1]
 
     def look(self, world: World, state: State, shot: Any, to: dict[str, Array]) -> dict[str, Array]:
-        """Return {"ratio": log ratios (n, R, C)} of the pictures that the readings in ``shot`` describe."""
+        """Compute {"ratio": (n, R, C)}, the pictures' log-likelihood ratios, for the camera readings in ``shot``."""
         world = world.with_drawn(state.drawn)
         taking, _, stream = film(world, state, number_of(world, self.fleet), self.camera)
         # Persons count as they were when the picture was taken, whatever the tick is.
@@ -143,7 +143,7 @@ class Search(Task):
         return {"ratio": taking.ratios(shot, around, stream, world.contents.persons.size, to["ratio"])}
 
     def truth(self, memory: SearchMemory, world: World, state: State) -> dict[str, Array]:
-        """Return the offsets (n, 3) NED [m] to the nearest missing person, and the number missing.
+        """Return name -> true values: offset (n, 3) NED [m] to the nearest missing person, number missing (n,).
 
         The offset is 0 once all are found. With ``observes: picture`` the dict is empty.
         """
@@ -162,7 +162,7 @@ class Search(Task):
         return {"to_person_ned": to_person.stack(), "missing": jnp.broadcast_to(number, here.x.shape)}
 
     def _likeliest(self, world: World, state: State) -> Array:
-        """Return the observation (n, 12 + S) of ``observes: likeliest``."""
+        """Return observations (n, 12 + S): estimated state, offset to the likeliest picture cell, ratio, sensors."""
         _, fleet = fleet_of(world, state, self.fleet)
         picture, taken_at = self.picture(world, state), self.shot(world, state).taken_at_ned
         shown = jnp.isfinite(picture.ratio)
@@ -174,7 +174,7 @@ class Search(Task):
         count = jnp.maximum(jnp.sum(best, axis=(1, 2)), 1).astype(ratio.dtype)
 
         def offset(corners: Array, start: Array) -> Array:
-            """Return the offset (n,) [m] along one axis to the middle of the best window, or of equal ones."""
+            """Return the offset (n,) [m] along one axis from ``start`` to the middle of the likeliest picture cell."""
             middle = 0.25 * (corners[:, 1:, 1:] + corners[:, 1:, :-1] + corners[:, :-1, 1:] + corners[:, :-1, :-1])
             return jnp.sum(jnp.where(best, middle - start[:, None, None], 0.0), axis=(1, 2)) / count
 
@@ -184,7 +184,7 @@ class Search(Task):
         return jnp.concatenate([*parts, *more], axis=-1)
 
     def sees(self, world: World) -> Any:
-        """Describe the named parts of an observation, or with ``observes: likeliest`` its values."""
+        """Describe an observation's values, or those of each named part, by name, unit and range."""
         if self.observes == "likeliest":
             return (*BELIEVED, *LIKELIEST, *sensed_axes(world, self.fleet, self.senses))
         more = {"sensed": sensed_axes(world, self.fleet, self.senses)} if self.senses else {}
@@ -193,7 +193,7 @@ class Search(Task):
         return more | {"vehicle": BELIEVED, "grid": tuple(Axis(name, "1", 0.0, float(high)) for name, high in most)}
 
     def lens(self, world: World) -> Camera:
-        """Return the camera of the fleet."""
+        """Return the camera that the agents' vehicles carry."""
         fleet = world.fleets[number_of(world, self.fleet)]
         camera = fleet.sensors[fleet.sensor_names.index(self.camera)]
         assert isinstance(camera, Camera)

@@ -48,7 +48,7 @@ SHORTEST_REACH = 1.0
 
 
 def axes_of(kind: type) -> tuple[Axis, ...]:
-    """Return the fields of a command record as axes of an action."""
+    """Describe the fields of a command record as numbers of an action: name, unit and range."""
     limits = limits_of(kind)
     return tuple(Axis(field.name, field_info(field).unit, *limits[field.name]) for field in fields(kind))
 
@@ -61,22 +61,22 @@ class NoTask(Task):
     axes: ClassVar[tuple[Axis, ...]] = ()
 
     def init(self, world: World, state: State, draw: Draw) -> None:
-        """Return None: there is no memory."""
+        """Return None: the task has no memory."""
 
     def commands(self, memory: None, world: World, action: Array) -> tuple[Action, ...]:
-        """Return None, no action, for each fleet."""
+        """Return one None (no command) per fleet."""
         return (None,) * len(world.fleets)
 
     def judge(self, memory: None, world: World, state: State, step: Array, steps: int) -> tuple[None, Array]:
-        """Return no memory, and an empty reward (0,): there are no agents."""
+        """Return no memory and an empty reward (0,), because there are no agents."""
         return None, jnp.zeros(0)
 
     def observe(self, memory: None, world: World, state: State) -> Array:
-        """Return an empty observation, (0, 0)."""
+        """Return empty observations (0, 0), because there are no agents."""
         return jnp.zeros((0, 0))
 
     def sees(self, world: World) -> tuple[Axis, ...]:
-        """Return (): the observation is empty."""
+        """Return (): observations have no values."""
         return ()
 
 
@@ -90,13 +90,13 @@ class Effort:
     hover_throttle: Array = parameter(default=0.59, unit="1", doc="throttle without cost", minimum=0.0, maximum=1.0)
 
     def rate(self, command: Any) -> Array:
-        """Return the cost per second of commands (n,) of tilt, throttle and yaw rate."""
+        """Return the cost per second (n,) of commands (n,): weighted squares of tilt, throttle and yaw rate."""
         tilt = self.tilt * self.tilt * (command.pitch * command.pitch + command.roll * command.roll)
         throttle, yaw = self.throttle * (command.throttle - self.hover_throttle), self.yaw_rate * command.yaw_rate
         return tilt + throttle * throttle + yaw * yaw
 
     def highest_rate(self, kind: type = Command) -> Array:
-        """Return the largest possible cost per second () of a command of a type."""
+        """Return the largest cost per second () that a command of type ``kind`` can have."""
         limits = limits_of(kind).values()
         low, high = (kind(*(jnp.full(1, each[end]) for each in limits)) for end in (0, 1))
         low = replace(low, pitch=high.pitch, roll=high.roll, yaw_rate=high.yaw_rate)
@@ -143,53 +143,53 @@ class Commanded(Task):
     axes: ClassVar[tuple[Axis, ...]] = axes_of(Command)
 
     def asks(self, fleet: str) -> type | None:
-        """Return the set-point type that the controller must take; None if agents give commands."""
+        """Return the type of set-points with which agents steer a fleet; None if they give commands."""
         return VelocitySetpoint if self.actions == "velocity" else None
 
     def init(self, world: World, state: State, draw: Draw) -> SimpleMemory:
-        """Return the memory at the start."""
+        """Return the task's memory at the start of an episode: vehicles' starts, and costs of 0."""
         _, fleet = fleet_of(world, state, self.fleet)
         start = fleet.vehicle.position_ned
         zero = jnp.zeros_like(start.x)
         return SimpleMemory(start, zero, zero, jnp.zeros((), zero.dtype))
 
     def acts(self, world: World) -> tuple[Axis, ...]:
-        """Describe the values of an action: a command of the fleet's vehicles, or a velocity."""
+        """Describe an action, a command of the fleet's vehicles or a velocity, by name, unit and range."""
         if self.actions == "velocity":
             return velocity_axes(FASTEST, "ned")
         return axes_of(self.command_type(world))
 
     def command_type(self, world: World) -> type:
-        """Return the command record of the fleet's vehicles."""
+        """Return the record type of commands to the fleet's vehicles."""
         return world.fleets[number_of(world, self.fleet)].vehicle.command_type
 
     def commands(self, memory: SimpleMemory, world: World, action: Array) -> tuple[Action, ...]:
-        """Convert actions (n, A) to commands, or to velocities with the heading north."""
+        """Convert actions (n, A), in physical units, to commands, or to velocity set-points heading north."""
         if self.actions == "velocity":
             return only(world, self.fleet, VelocitySetpoint(Vec3.of(action), jnp.zeros_like(action[:, 0])))
         return only(world, self.fleet, self.command_type(world)(*(action[:, i] for i in range(action.shape[1]))))
 
     def each_tick(self, memory: SimpleMemory, world: World, state: State) -> SimpleMemory:
-        """Return the memory with the cost of a tick added."""
+        """Return the memory (costs so far) with the cost of one more tick."""
         cost = self.cost_rate(*fleet_of(world, state, self.fleet))
         return replace(memory, cost=memory.cost + cost * world.time_step)
 
     def cost_rate(self, model: Fleet, fleet: FleetState) -> Array:
-        """Return each vehicle's cost per second (n,)."""
+        """Return the cost per second (n,) of each vehicle's present command."""
         return self.effort.rate(fleet.command)
 
     def distance_squared(self, memory: SimpleMemory, world: World, state: State) -> Array:
-        """Return each vehicle's extra cost (n,) if the episode ended now; 0 here."""
+        """Return each vehicle's extra cost (n,) if the episode ended in this state; 0 here."""
         return jnp.zeros_like(memory.owed)
 
     def danger(self, memory: SimpleMemory, world: World, state: State) -> Array:
-        """Return how near each vehicle (n,) is to a crash, from 0 at its goal to 1; 0 here."""
+        """Return each vehicle's share (n,) of the crash cost to charge now, from 0 at its goal to 1; 0 here."""
         return jnp.zeros_like(memory.owed)
 
     def judge(
         self, memory: SimpleMemory, world: World, state: State, step: Array, steps: int
     ) -> tuple[SimpleMemory, Array]:
-        """Return the memory and each vehicle's reward (n,): the negative cost of the step."""
+        """Return the memory and the reward (n,) of a step: minus the cost of all vehicles, the same for each."""
         distance = self.distance_squared(memory, world, state)
         stake = -self.stake * self.crash_return(memory, world, state, steps) / distance.shape[0]
         owed = distance + jnp.where(step < steps, stake * self.danger(memory, world, state), 0.0)
@@ -198,11 +198,11 @@ class Commanded(Task):
         return after, jnp.broadcast_to(reward, owed.shape)
 
     def crashed(self, memory: SimpleMemory, world: World, state: State, steps: int) -> Array:
-        """Return the reward () of the step in which a vehicle stops, so that the return is ``crash_return``."""
+        """Return the reward () of the step of a crash, with which the episode's sum of rewards is ``crash_return``."""
         return self.crash_return(memory, world, state, steps) - memory.total
 
     def crash_return(self, memory: SimpleMemory, world: World, state: State, steps: int) -> Array:
-        """Return the sum of rewards () of an episode that ends in a crash.
+        """Return the sum of rewards () that an episode with a crash has.
 
         Raises:
             UsageError: the area cannot say how far away one can be in it.
@@ -214,7 +214,7 @@ class Commanded(Task):
         return jnp.minimum(penalty, -jnp.sum(cost))
 
     def with_sensed(self, world: World, state: State, *parts: Array) -> Array:
-        """Return parts (n, ...) of an observation and the readings of ``senses``, concatenated."""
+        """Return parts (n, ...) of an observation, concatenated with the readings of the sensors in ``senses``."""
         more = [sensed(world, state, self.fleet, self.senses)] if self.senses else []
         return jnp.concatenate([*parts, *more], axis=-1)
 
@@ -228,12 +228,12 @@ class KeepSpot(Commanded):
     """Stay at the start with little effort; the costs of several vehicles are added."""
 
     def sees(self, world: World) -> tuple[Axis, ...]:
-        """Describe the values of an observation."""
+        """Describe the values of an observation by name, unit and range: estimated state, offset to the goal."""
         goal = tuple(Axis(f"to_{name}", "m") for name in ("north", "east", "down"))
         return (*BELIEVED, *goal, *sensed_axes(world, self.fleet, self.senses))
 
     def danger(self, memory: SimpleMemory, world: World, state: State) -> Array:
-        """Return squared distance from the goal over squared distance from goal to area limit (n,), at most 1.
+        """Return the squared distance from the goal (n,), relative to that of the area's limit; at most 1.
 
         Who starts farther away than that limit has far to go in some directions and not in others: there it is the sum
         over north, east and down, of how much nearer the limits are at the vehicle than at the goal, each squared.
@@ -249,12 +249,12 @@ class KeepSpot(Commanded):
         return jnp.minimum(jnp.where(is_near, square(here - goal) / (reach * reach), by_axis), 1.0)
 
     def distance_squared(self, memory: SimpleMemory, world: World, state: State) -> Array:
-        """Return the squared distance of each vehicle (n,) from its goal [m^2]."""
+        """Return the squared distance (n,) [m^2] of each vehicle from its goal."""
         _, fleet = fleet_of(world, state, self.fleet)
         return square(fleet.vehicle.position_ned - self.goal(memory.start_ned, world))
 
     def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
-        """Return the largest cost (n,): full effort, and the farthest corner of the area from the goal."""
+        """Return the largest cost (n,): of commands for ``duration`` [s], and of ending at the farthest corner."""
         effort: Array = Commanded.highest_cost(self, memory, world, duration)
         return effort + world.area.farthest_squared(self.goal(memory.start_ned, world))
 
@@ -263,7 +263,7 @@ class KeepSpot(Commanded):
         return start_ned
 
     def observe(self, memory: SimpleMemory, world: World, state: State) -> Array:
-        """Return each vehicle's own estimate, and the goal relative to it."""
+        """Return each vehicle's observation (n, O): its estimated state and the offset to its goal."""
         _, fleet = fleet_of(world, state, self.fleet)
         offset = self.goal(memory.start_ned, world) - estimate_of(fleet).position_ned
         return self.with_sensed(world, state, believed(fleet), offset.stack())
@@ -288,23 +288,23 @@ class KeepVelocity(Commanded):
     velocity_down: Array = parameter(default=0.0, unit="m/s", doc="wanted velocity over ground, down")
 
     def sees(self, world: World) -> tuple[Axis, ...]:
-        """Return a description of each value of an observation."""
+        """Describe the values of an observation by name, unit and range: estimated state, velocity error."""
         lacking = tuple(Axis(f"wanting_{name}", "m/s") for name in ("north", "east", "down"))
         return (*BELIEVED, *lacking, *sensed_axes(world, self.fleet, self.senses))
 
     def cost_rate(self, model: Fleet, fleet: FleetState) -> Array:
-        """Return each vehicle's cost per second (n,): effort plus squared velocity error."""
+        """Return each vehicle's cost per second (n,): of its command, plus the squared velocity error."""
         error = velocity_of(model.vehicle.pose(fleet.vehicle)) - self._target_velocity()
         return self.effort.rate(fleet.command) + square(error)
 
     def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
-        """Return the largest cost (n,): full effort, and the largest velocity error within the limits."""
+        """Return the largest cost (n,) in ``duration`` [s]: of commands, and of velocity errors within the limits."""
         fleet = world.fleets[number_of(world, self.fleet)]
         error = math.sqrt(3.0) * fleet.limits.velocity + jnp.sqrt(square(self._target_velocity()))
         return Commanded.highest_cost(self, memory, world, duration) + error * error * duration
 
     def observe(self, memory: SimpleMemory, world: World, state: State) -> Array:
-        """Return each vehicle's own estimate, and its velocity error."""
+        """Return each vehicle's observation (n, O): its estimated state and its velocity error."""
         _, fleet = fleet_of(world, state, self.fleet)
         lacking = self._target_velocity() - estimate_of(fleet).velocity_ned
         return self.with_sensed(world, state, believed(fleet), lacking.stack())

@@ -20,12 +20,12 @@ HEARD, SENDER, AGE, RSSI, MASK = "heard", "sender", "age", "rssi", "mask"
 
 
 def message_size(world: World) -> int:
-    """Return the size D of a radio message; 0 without a radio."""
+    """Return the size D of the messages that agents can send by radio; 0 if the world has no radio."""
     return 0 if world.radio is None else world.radio.size
 
 
 def spoken(world: World, name: str, actions: tuple[Action, ...], words: Array) -> tuple[Action, ...]:
-    """Return the fleets' actions with the radio messages of the named fleet's agents (n, D) added.
+    """Add the radio messages ``words`` (n, D) of a fleet's agents to that fleet's action.
 
     Args:
         world: with a radio.
@@ -41,7 +41,7 @@ def spoken(world: World, name: str, actions: tuple[Action, ...], words: Array) -
 
 
 def at_first_period(world: World, actions: tuple[Action, ...], tick: Array, number: Array) -> tuple[Action, ...]:
-    """Return actions that send their radio messages only in the first radio period of a step.
+    """Return actions that send their radio messages only in the first radio period of a step, not again.
 
     That is the first tick of a step at which a period of the radio begins: so every message is sent once, and of steps
     within one period those that cannot be sent do not crowd the queue.
@@ -57,7 +57,7 @@ def at_first_period(world: World, actions: tuple[Action, ...], tick: Array, numb
     first = (tick % ticks == 0) & (number < ticks)
 
     def of(action: Action) -> Action:
-        """Return an action that sends its messages in the first period alone."""
+        """Return the action of a fleet with its messages sent only in the first radio period."""
         if not isinstance(action, Saying):
             return action
         return replace(action, outbox=replace(action.outbox, send=action.outbox.send & first))
@@ -66,7 +66,7 @@ def at_first_period(world: World, actions: tuple[Action, ...], tick: Array, numb
 
 
 def overheard(world: World, state: State, name: str, seen: object, tick: Array) -> dict[str, object]:
-    """Return observations with the radio messages that the named fleet's agents have received by a tick.
+    """Join observations with the radio messages that a fleet's agents have received by this tick.
 
     Returns:
         see; heard (n, K, D); sender (n, K) int32 number of a vehicle in the world, -1 for none; age (n, K) [s];

@@ -40,7 +40,7 @@ class Side:
 
 
 def sides_of(task: Task, world: World) -> tuple[Side, ...]:
-    """Return the agents of each fleet of a task, a ``Side`` each.
+    """Return the agents of a task grouped by fleet, one ``Side`` per fleet.
 
     Raises:
         UsageError: a fleet is none, or is named twice, or a task of several fleets does not say what each of them does.
@@ -62,17 +62,17 @@ def sides_of(task: Task, world: World) -> tuple[Side, ...]:
 
 
 def width(sides: tuple[Side, ...]) -> int:
-    """Return the largest number of axes of any agent (A)."""
+    """Return the size A of the action array: the largest number of action axes of any agent."""
     return max(len(side.axes) for side in sides)
 
 
 def axes_of_agents(sides: tuple[Side, ...]) -> tuple[tuple[Axis, ...], ...]:
-    """Return the axes of each agent, (n,)."""
+    """Return for each agent the description of its action's numbers."""
     return tuple(side.axes for side in sides for _ in side.names)
 
 
 def in_units(sides: tuple[Side, ...], action: Any) -> Any:
-    """Scale actions (n, A), clipped to [-1, 1], to the units of their axes; NumPy or JAX."""
+    """Convert actions (n, A) in [-1, 1], clipped, to physical units; NumPy or JAX."""
     lib, most = library(action), width(sides)
     ends = []
     for end, nothing in (("low", -1.0), ("high", 1.0)):
@@ -83,14 +83,14 @@ def in_units(sides: tuple[Side, ...], action: Any) -> Any:
 
 
 def apart(sides: tuple[Side, ...], action: Any) -> Any:
-    """Return actions (n, A) unchanged for one fleet, else as a dict of fleet -> (n_f, A_f)."""
+    """Split actions (n, A) into a dict fleet -> (n_f, A_f) if there are several fleets, else return them."""
     if len(sides) == 1:
         return action
     return {side.fleet: action[side.rows, : len(side.axes)] for side in sides}
 
 
 def together(sides: tuple[Side, ...], given: Any, what: str = "action") -> Any:
-    """Return actions by fleet (n_f, A_f) as one array (n, A) of NumPy or JAX; the inverse of ``apart``.
+    """Join actions by fleet (n_f, A_f) to one array (n, A), NumPy or JAX; the inverse of ``apart``.
 
     Args:
         sides: of several fleets.
@@ -114,7 +114,7 @@ def together(sides: tuple[Side, ...], given: Any, what: str = "action") -> Any:
 
 
 def by_fleet(given: object, names: list[str], what: str) -> None:
-    """Raise UsageError unless ``given`` is a dict with one entry for each fleet.
+    """Raise UsageError unless ``given`` is a dict with one entry per fleet; ``what``: its name in the message.
 
     Raises:
         UsageError: it is not.
@@ -131,19 +131,19 @@ def by_fleet(given: object, names: list[str], what: str) -> None:
 
 
 def of_all(sides: tuple[Side, ...], values: Any) -> Array:
-    """Return a task's values as one array (n,), joined from a dict by fleet if there are several."""
+    """Return a task's values (n,), such as rewards, joined from a dict by fleet if there are several."""
     return values if len(sides) == 1 else jnp.concatenate([values[side.fleet] for side in sides])
 
 
 def part_of(sides: tuple[Side, ...], seen: Any, number: int) -> Any:
-    """Return a copy of one agent's observation, leaves (B, ...), from all agents' (B, n, ...), by fleet if several."""
+    """Return a copy of agent ``number``'s observation, leaves (B, ...), from all (B, n, ...), by fleet if several."""
     side = side_of(sides, number)
     mine = seen if len(sides) == 1 else seen[side.fleet]
     return jax.tree.map(lambda leaf: leaf[:, number - side.rows.start].copy(), mine)
 
 
 def side_of(sides: tuple[Side, ...], number: int) -> Side:
-    """Return the side that an agent, by its number among all, belongs to."""
+    """Return the ``Side`` (fleet of agents) to which agent ``number`` belongs."""
     return next(side for side in sides if number < side.rows.stop)
 
 

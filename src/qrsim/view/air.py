@@ -53,7 +53,7 @@ class Air(Contents):
     most_in_film = 300
 
     def begin(self) -> None:
-        """Add the arrows, and set the plane's height by the vehicles' starts."""
+        """Add the wind arrows to the scene, on a horizontal plane at the height of the vehicles' starts."""
         cast = self.stage.cast
         seen = cast.start_ned if cast.around is None else np.vstack([cast.start_ned, cast.around])
         side = max(LEAST_SIDE, SIDES * float(np.ptp(seen[:, :2], axis=0).max()))
@@ -78,16 +78,16 @@ class Air(Contents):
 
     @property
     def highest(self) -> float:
-        """Return the largest height [m] that users can choose."""
+        """Return the largest height [m] of the arrows' plane that users can choose."""
         return max(60.0, 2.0 * self.height)
 
     @property
     def label(self) -> str:
-        """Return the layer's name on a page without controls: title, kind and height."""
+        """Return the text for the layer in an exported page's list: title, kind of wind and height."""
         return f"{self.title}: {self.shows} at {self.height:g} m"
 
     def draw(self, frame: Frame) -> None:
-        """Turn the arrows along the wind; the grid moves with the vehicles."""
+        """Turn the arrows along the wind of this frame; their grid moves with the vehicles."""
         if frame.beside is None:
             return
         places = self._places(frame)
@@ -103,14 +103,14 @@ class Air(Contents):
         self._handle.batched_colors = np.broadcast_to(shapes.linear(colours), (ALONG**2, 3)).copy()
 
     def _places(self, frame: Frame) -> Floats:
-        """Return the positions of the arrows, a grid around the vehicles that moves in steps of its spacing."""
+        """Return the arrows' positions (k, 3) NED [m]: a grid around the vehicles that moves in whole cells."""
         known = frame.position_ned[frame.valid & np.isfinite(frame.position_ned).all(axis=1)]
         middle = np.zeros(3) if not len(known) else 0.5 * (known.min(axis=0) + known.max(axis=0))
         corner = self.cell * np.round(middle / self.cell)
         return (self._offsets + np.array([corner[0], corner[1], -self.height])).astype(np.float32)
 
     def _asked(self, beside: Beside, time: float, places: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return mean wind, gusts [m/s] and heights [m] at places (k, 3) [m] and a time [s], as float64."""
+        """Compute mean wind, gusts (k, 3) [m/s], heights above ground (k,) [m] at a time [s], places (k, 3) NED [m]."""
         tick = np.int32(round(time / self.world.time_step))
         with jax.enable_x64(self._dtype == np.float64):
             found = self._ask(beside.world, beside.drawn, beside.field, tick, places.astype(self._dtype))
@@ -119,17 +119,17 @@ class Air(Contents):
 
 
 def blows_as_a_field(world: World) -> bool:
-    """Return whether the turbulence is a function of position, and not separate for each vehicle."""
+    """Return whether a world's turbulence is a function of position, and not separate for each vehicle."""
     return "position_ned" in world.turbulence.reads
 
 
 def has_a_plane(world: World) -> bool:
-    """Return whether the air varies in space in a way that needs no vehicles to compute."""
+    """Return whether the wind varies with position in a way that can be computed away from vehicles."""
     return blows_as_a_field(world) or "position_ned" in world.wind.reads or bool(world.updrafts)
 
 
 def air_at(world: World, drawn: Any, field: object, tick: Array, places: Array) -> tuple[Array, Array, Array]:
-    """Return mean wind and gusts (M, 3) [m/s] at places (M, 3) [m], and heights (M,) above ground [m].
+    """Return mean wind and gusts (M, 3) [m/s] and heights above ground (M,) [m] at places (M, 3) NED [m].
 
     Gusts that are each vehicle's own, a turbulence's or its residual's, are nowhere else and are left out.
 
@@ -151,5 +151,5 @@ def air_at(world: World, drawn: Any, field: object, tick: Array, places: Array) 
 
 
 def air_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return a list with the layer of the air, [] for a world whose air is the same everywhere."""
+    """Return a list with the layer of wind arrows, [] for a world with the same wind everywhere."""
     return [Air(stage, world)] if has_a_plane(world) else []

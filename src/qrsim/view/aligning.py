@@ -16,7 +16,7 @@ OFF_M = 0.5
 
 
 def shift_of(runs: list[Run], align: str) -> list[float]:
-    """Return the delay [s] at which to show each run, so that an event is at its time in the first run.
+    """Return the delay [s] with which to show each run, so that its event ``align`` coincides with the first run's.
 
     Args:
         runs: of which the first is not shifted.
@@ -30,7 +30,7 @@ def shift_of(runs: list[Run], align: str) -> list[float]:
 
 
 def _time_of(run: Run, align: str) -> float:
-    """Return the time [s] of the first event of a kind in a run; UsageError without one."""
+    """Return the time [s] of the first event of the kind ``align`` in a run; raise UsageError if it has none."""
     events = run.events if EVENTS in run else []
     kinds = {event.kind: event.time for event in reversed(events)}
     stops = [event.time for event in events if event.kind not in NOT_A_STOP and event.vehicle]
@@ -49,7 +49,7 @@ def _time_of(run: Run, align: str) -> float:
 
 
 def _off_ground(run: Run) -> float | None:
-    """Return the time [s] at which the first vehicle that began at rest is OFF_M above its start; None without."""
+    """Return the time [s] at which the first vehicle that began at rest is OFF_M above its start; None if never."""
     truth = run["truth"]
     names = ("position_ned.z", *(f"velocity_body.{axis}" for axis in "xyz"))
     if any(name not in truth for name in names):

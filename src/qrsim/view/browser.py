@@ -39,12 +39,12 @@ PATIENCE_S = 60.0
 
 
 def find_browser() -> str | None:
-    """Return the path of a browser that runs headless, None if none is installed."""
+    """Return the path of an installed browser that can run headless, None if there is none."""
     return next((path for path in map(shutil.which, NAMES) if path), None)
 
 
 def require_browser() -> str:
-    """Return the path of a browser that runs headless; raises an error if none is installed.
+    """Return the path of an installed browser that can run headless; raise an error if there is none.
 
     Raises:
         RunError: there is none; it says how to install one.
@@ -97,7 +97,7 @@ class Browser:
         self.close()
 
     def close(self) -> None:
-        """End the browser."""
+        """Close the headless browser and end its process."""
         if hasattr(self, "_socket"):
             with suppress(OSError):
                 self._socket.close()
@@ -110,7 +110,7 @@ class Browser:
         self._profile.cleanup()
 
     def _connect(self) -> None:
-        """Wait for the browser's debugging port, open its page over a WebSocket and start to read."""
+        """Wait for the browser's debugging port, connect to its page and start the thread that reads messages."""
         from urllib.request import urlopen
 
         note = Path(self._profile.name) / "DevToolsActivePort"
@@ -131,7 +131,7 @@ class Browser:
         self.call("Page.enable")
 
     def call(self, method: str, **parameters: object) -> dict[str, Any]:
-        """Call a method of the DevTools protocol and return its result.
+        """Call a method of the Chrome DevTools protocol, such as "Page.navigate", and return its result.
 
         Raises:
             RunError: it was refused, or the browser is gone.
@@ -148,7 +148,7 @@ class Browser:
         return result
 
     def _send(self, method: str, parameters: Mapping[str, object], **more: str) -> int:
-        """Send a command of the DevTools protocol and return its number; a closed browser is ignored."""
+        """Send a command of the DevTools protocol, and return its number at once; a closed browser is ignored."""
         with self._arrived:
             self._number += 1
             number = self._number
@@ -157,7 +157,7 @@ class Browser:
         return number
 
     def _read(self) -> None:
-        """Handle the browser's messages until it ends; the body of a thread."""
+        """Handle the browser's messages until its connection ends; runs in a thread."""
         with suppress(OSError, EOFError, ConnectionClosed):
             for text in self._socket:
                 message = json.loads(text)
@@ -172,7 +172,7 @@ class Browser:
             self._arrived.notify_all()
 
     def _note(self, method: str, parameters: dict[str, Any]) -> None:
-        """Record the addresses that the page requests, and attach to each worker before it starts."""
+        """Record an address that the page requests; attach to a new worker before it starts."""
         if method == "Network.requestWillBeSent":
             self.requested.append(parameters["request"]["url"])
         elif method == "Network.webSocketCreated":
@@ -183,7 +183,7 @@ class Browser:
                 self._send(wish, {}, sessionId=parameters["sessionId"])
 
     def open(self, url: str) -> None:
-        """Load an address in the page."""
+        """Load an address in the headless browser's page."""
         self.call("Page.navigate", url=url)
 
     def evaluate(self, expression: str) -> Any:
@@ -192,7 +192,7 @@ class Browser:
         return found["result"].get("value")
 
     def picture(self) -> bytes:
-        """Take a screenshot of the page, as PNG."""
+        """Return a screenshot of the page, as PNG."""
         deadline = time.monotonic() + PATIENCE_S
         while True:
             try:
@@ -204,7 +204,7 @@ class Browser:
                 time.sleep(0.1)
 
     def click(self, x: float, y: float) -> None:
-        """Click with the left button at a position [pixels]."""
+        """Click on the page with the left mouse button at a position [pixels] from its top left."""
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
             button: dict[str, object] = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **button)

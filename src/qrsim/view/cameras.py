@@ -36,7 +36,7 @@ class Cameras(Contents):
     of_chosen = True
 
     def begin(self) -> None:
-        """Add the nodes of the layer, without pictures yet."""
+        """Add the scene nodes for camera pictures, without pictures yet."""
         first = np.cumsum([0, *(fleet.size for fleet in self.world.fleets)])
         self._owners = [
             (int(first[number]) + i, number, index, i)
@@ -53,7 +53,7 @@ class Cameras(Contents):
         )
 
     def look(self, beside: Beside, time: float) -> None:
-        """Redraw the last pictures of the chosen vehicles' cameras, if there are new ones."""
+        """Draw the latest pictures of the chosen vehicles' cameras on the ground, if there are new ones."""
         owners = [owner for owner in self._owners if owner[1:3] in beside.cameras]
         chosen = [owner for owner in owners if owner[0] in self.stage.chosen] or owners[:MOST_SHOWN]
         shown = []
@@ -74,7 +74,7 @@ class Cameras(Contents):
         self._edges.points = np.concatenate(edges).astype(np.float32)
 
     def _picture(self, beside: Beside, number: int, index: int, i: int) -> tuple[Floats, Any]:
-        """Return the position (3,) at which a vehicle took its last picture, and the picture."""
+        """Return the position (3,) NED [m] at which vehicle ``i`` of a fleet took its last picture, and the picture."""
         reading = jax.tree.map(lambda leaf: np.asarray(leaf)[i : i + 1], beside.cameras[number, index])
         with jax.enable_x64(self._dtype == np.float64):
             keys = beside.fleet_keys[number]
@@ -85,7 +85,7 @@ class Cameras(Contents):
         return np.array([np.asarray(axis)[0] for axis in vars(reading.taken_at_ned).values()]), picture
 
     def _put(self, windows: list[tuple[Floats, ...]]) -> None:
-        """Draw windows: (K, 3) positions, (K, 4) quaternions, (K, 3) scales, (K, 3) colours, of each picture."""
+        """Draw pictures' pixels; each picture: positions (K, 3), quaternions (K, 4), scales (K, 3), colours (K, 3)."""
         rest = -sum(len(part[0]) for part in windows) % INSTANCES or (0 if windows else INSTANCES)
         nothing = (np.zeros((rest, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (rest, 1)), np.zeros((rest, 3)))
         parts = zip(*windows, (*nothing, np.zeros((rest, 3), np.uint8)), strict=True)
@@ -106,7 +106,7 @@ def _developed(
     index: int,
     i: Any,
 ) -> object:
-    """Return the last picture of vehicle ``i`` of a fleet, in arrays (1, ...)."""
+    """Compute the last camera picture of vehicle ``i`` of fleet ``number`` by its sensor ``index``, arrays (1, ...)."""
     world = world.with_drawn(drawn)
     fleet = world.fleets[number]
     # A number of a camera may differ from vehicle to vehicle.
@@ -116,13 +116,13 @@ def _developed(
 
 
 def _window() -> shapes.Mesh:
-    """Return a flat square of side 1, for one window of a picture on the ground."""
+    """Return the mesh of a flat square of side 1, for one pixel of a picture on the ground."""
     corners = np.array([(-0.5, -0.5, 0.0), (0.5, -0.5, 0.0), (0.5, 0.5, 0.0), (-0.5, 0.5, 0.0)])
     return corners, np.array([(0, 1, 2), (0, 2, 3)])
 
 
 def _windows(picture: Any, z: float) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return positions, quaternions, scales and colours of the windows of a picture, at a height -z [m]."""
+    """Return positions, quaternions, scales and colours to draw a picture's pixels with, at down coordinate z [m]."""
     corners = np.stack([picture.north, picture.east], axis=-1).astype(np.float64)
     middle = 0.25 * (corners[:-1, :-1] + corners[:-1, 1:] + corners[1:, :-1] + corners[1:, 1:])
     across, down = corners[:-1, 1:] - corners[:-1, :-1], corners[1:, :-1] - corners[:-1, :-1]
@@ -139,7 +139,7 @@ def _windows(picture: Any, z: float) -> tuple[Floats, Floats, Floats, Floats]:
 
 
 def _edges(where: Floats, picture: Any, z: float) -> Floats:
-    """Return lines (8, 2, 3) from the camera to the picture's corners at a height -z [m], and around the picture."""
+    """Return lines (8, 2, 3) from a camera to its picture's corners at down coordinate z [m], and around them."""
     rows, columns = int(picture.rows), int(picture.columns)
     ends = ((0, 0), (0, columns), (rows, columns), (rows, 0))
     corners = np.array([(picture.north[end], picture.east[end], z) for end in ends])
@@ -158,5 +158,5 @@ def camera_places(world: World) -> list[tuple[int, int]]:
 
 
 def camera_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return a list with the layer of the cameras, [] without cameras."""
+    """Return a list with the layer of camera pictures, [] if the world has no cameras."""
     return [Cameras(stage, world)] if camera_places(world) else []

@@ -43,43 +43,43 @@ class Clock:
 
     @property
     def speed(self) -> float:
-        """Simulated seconds per second."""
+        """Simulated seconds that pass per real second."""
         return self._speed
 
     @speed.setter
     def speed(self, speed: float) -> None:
-        """Set the speed, in simulated seconds per second, from now on."""
+        """Set how many simulated seconds pass per second from now on."""
         with self._changed:
             self._speed, self._anchor = checked_speed(speed), self._now()
             self._changed.notify_all()
 
     @property
     def playing(self) -> bool:
-        """Whether the simulation plays (not paused)."""
+        """Whether simulated time advances (not paused)."""
         return self._playing
 
     @playing.setter
     def playing(self, playing: bool) -> None:
-        """Start or pause the clock."""
+        """Let simulated time advance, or pause it."""
         with self._changed:
             self._playing, self._anchor = playing, self._now()
             self._changed.notify_all()
 
     def step(self) -> None:
-        """Advance by one time step, then pause."""
+        """Let one time step of the simulation pass, then pause."""
         with self._changed:
             self._playing = False
             self._steps += 1
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Release all waiting threads; time then runs as fast as possible."""
+        """Release all threads that wait for simulated time, which from now on passes as fast as possible."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
     def wait(self, step_s: float, most: int) -> int:
-        """Wait until time steps are due, and return their number, at most ``most``.
+        """Wait until time steps of ``step_s`` [s] are due, and return how many, at most ``most``.
 
         What is too slow for the speed falls behind; it does not hurry after it later.
 
@@ -95,7 +95,7 @@ class Clock:
                 self._changed.wait(0.25 if not self._playing else max(0.001, self._missing(step_s)))
 
     def _due(self, step_s: float, most: int) -> int:
-        """Return how many of at most ``most`` steps of ``step_s`` [s] to take now, and count their time as spent."""
+        """Return how many of at most ``most`` steps of ``step_s`` [s] are due now, and count them as taken."""
         if self._closed:
             return most
         if self._steps:
@@ -115,12 +115,12 @@ class Clock:
         return min(count, limit)
 
     def _missing(self, step_s: float) -> float:
-        """Return the time [s] until a frame and a step are due."""
+        """Return the real time [s] until the next frame and the next step of ``step_s`` [s] are due."""
         return max(self._sent + FRAME_S, self._anchor + step_s / self._speed) - self._now()
 
 
 def checked_speed(speed: float) -> float:
-    """Return a speed unchanged; raises UsageError if it is out of range.
+    """Return a playback speed (simulated seconds per second); raise UsageError if it is out of range.
 
     Raises:
         UsageError: it is out of range.

@@ -46,7 +46,7 @@ class Columns:
             self._read(run[stream].batches([column for columns in known.values() for column in columns]), known)
 
     def _read(self, batches: Iterable[Batch], known: dict[str, tuple[str, ...]]) -> None:
-        """Copy every ``stride``-th row of the batches into the stored vectors."""
+        """Copy every ``stride``-th row of logged batches into vectors; ``known``: vector name -> its columns."""
         seen = kept = 0
         for batch in batches:
             chosen = slice(-seen % self.stride, None, self.stride)
@@ -57,7 +57,7 @@ class Columns:
                     self._vectors[name][rows, :, part] = batch.arrays[column][chosen]
 
     def at(self, name: str, time: Any) -> Floats:
-        """Return the last values (..., n, k) at or before times (...) [s]; NaN before the first."""
+        """Return last logged values (..., n, k) of a vector up to times (...) [s], else the first; NaN if unknown."""
         shape = (*np.shape(time), self._size, 3)
         if name not in self._vectors or not len(self.time):
             return np.full(shape, np.nan, np.float32)
@@ -67,6 +67,6 @@ class Columns:
 
 
 def vector(run: Run, stream: str, name: str, parts: tuple[str, ...]) -> tuple[str, ...] | None:
-    """Return the columns of a vector, None if one of them was not recorded."""
+    """Return the column names of a vector's ``parts`` (such as x, y, z) in a log's stream, None if one is missing."""
     columns = tuple(f"{name}.{part}" for part in parts)
     return columns if stream in run and all(column in run[stream] for column in columns) else None

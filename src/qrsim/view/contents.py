@@ -32,12 +32,12 @@ class Contents(Layer):
         super().__init__(stage)
 
     def draw(self, frame: Frame) -> None:
-        """Draw the layer at the frame's time, if the world's contents are known."""
+        """Draw ground cover, persons or plume at the frame's time, if the frame has the world's contents."""
         if frame.beside is not None:
             self.look(frame.beside, frame.time)
 
     def look(self, beside: Beside, time: float) -> None:
-        """Draw the layer from the world's contents (``beside``) at a time [s]."""
+        """Draw the layer at a time [s] from the world's contents (``beside``)."""
 
 
 class Cover(Contents):
@@ -46,11 +46,11 @@ class Cover(Contents):
     title = "terrain"
 
     def begin(self) -> None:
-        """Add no nodes: the ground's cover is drawn once per episode."""
+        """Add no nodes yet: the ground cover is drawn once its map is known."""
         self._drawn = False
 
     def look(self, beside: Beside, time: float) -> None:
-        """Add a plate for each ground class except clear ground."""
+        """Add a flat plate to the scene for each class of ground cover except clear ground."""
         if self._drawn:
             return
         self._drawn = True
@@ -73,7 +73,7 @@ class Cover(Contents):
 
 
 def plate(there: Floats, low: Floats, high: Floats) -> shapes.Mesh:
-    """Return a flat mesh without seams of the True cells of a grid (N, M) between two corners (2,) [m].
+    """Return a flat mesh of the True cells of ``there`` (N, M), a grid between corners ``low``, ``high`` (2,) [m].
 
     Neighbours share their corners, so nothing shows through between them.
     """
@@ -96,11 +96,11 @@ class Persons(Contents):
     title = "persons"
 
     def begin(self) -> None:
-        """Add no pins: persons are drawn once per episode."""
+        """Add no nodes yet: the persons are drawn once their positions are known."""
         self._handle: Any = None
 
     def look(self, beside: Beside, time: float) -> None:
-        """Colour the pins of persons that are found at a time [s]."""
+        """Draw a pin for each person on the ground, in another colour if it has been found by ``time`` [s]."""
         persons = beside.contents.persons
         there, found = np.asarray(persons.there), np.asarray(persons.found_tick) >= 0
         colours = shapes.linear(np.where(found[:, None], FOUND_COLOUR, MISSING_COLOUR))
@@ -121,7 +121,7 @@ class Plume(Contents):
     every = 30
 
     def begin(self) -> None:
-        """Add the nodes, and draw random sample points."""
+        """Add the scene nodes of the plume, and draw random sample points in the area."""
         area, rng = self.world.area, np.random.default_rng(1)
         low, high = ([float(getattr(area, f"{axis}_{end}")) for axis in "xyz"] for end in ("min", "max"))
         self._dtype = np.asarray(self.world.fleets[0].start.position_ned.x).dtype
@@ -139,7 +139,7 @@ class Plume(Contents):
         )
 
     def look(self, beside: Beside, time: float) -> None:
-        """Evaluate the concentration at the sample points and show the strongest ones."""
+        """Evaluate the concentration at random points at a time [s] and show the points of highest concentration."""
         tick = np.int32(round(time / self.world.time_step))
         with jax.enable_x64(self._dtype == np.float64):
             found = np.asarray(self._ask(beside.world, beside.drawn, beside.contents, tick, self._places))
@@ -152,7 +152,7 @@ class Plume(Contents):
 
 
 def _concentration(world: World, drawn: Any, contents: ContentsState, tick: Any, places: Any) -> jax.Array:
-    """Return the concentration of plumes (k,) at places (k, 3) in NED [m] at a tick."""
+    """Return the summed plume concentration (k,) at places (k, 3) NED [m] at a tick."""
     from qrsim.core.vectors import Vec3
     from qrsim.world.episode import surroundings
 
@@ -161,7 +161,7 @@ def _concentration(world: World, drawn: Any, contents: ContentsState, tick: Any,
 
 
 def contents_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return the layers of a world's contents, whose area must be a box."""
+    """Return the layers of ground cover, persons and plume that a world has; its area must be a box."""
     if not world.area.is_box:
         return []
     parts = (("terrain", Cover), ("persons", Persons), ("plume", Plume))

@@ -40,7 +40,7 @@ class Derived:
 
 
 def axes(name: str) -> tuple[str, ...]:
-    """Return the column names of a vector's components, ``name`` with .x, .y, .z."""
+    """Return the column names of a vector's three components: ``name`` with .x, .y and .z."""
     return tuple(f"{name}.{axis}" for axis in "xyz")
 
 
@@ -54,7 +54,7 @@ MEAN, GUST = axes("wind.mean_ned"), axes("wind.gust_ned")
 
 
 def vector(read: Read, names: tuple[str, ...]) -> Floats:
-    """Return the columns of these names, stacked as (T, n, k)."""
+    """Return logged columns of these names, stacked as (T, n, k); ``read`` returns the column (T, n) of a name."""
     return np.stack([read(name) for name in names], axis=-1)
 
 
@@ -64,7 +64,7 @@ def _length(values: Floats) -> Floats:
 
 
 def _beyond(read: Read) -> Floats:
-    """Return the error of the estimated position (T, n), of the worst axis in standard deviations; NaN without any."""
+    """Return the position estimate's error (T, n) on its worst axis, in reported standard deviations, or NaN."""
     std = vector(read, STD)
     error = np.abs(vector(read, ESTIMATE) - vector(read, TRUE))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -113,7 +113,7 @@ ALWAYS = (
 
 
 def nearest(places: Floats) -> Floats:
-    """Return each vehicle's distance (T, n) [m] to its nearest other at places (T, n, 3); NaN for a single one."""
+    """Return the distance (T, n) [m] to each vehicle's nearest other one, from positions (T, n, 3); NaN if alone."""
     ticks, count, _ = places.shape
     found = np.full((ticks, count), np.nan, np.float32)
     if count < 2:
@@ -134,10 +134,10 @@ def nearest(places: Floats) -> Floats:
 
 
 def to_fence(area: Area) -> Derived:
-    """Return the quantity "distance to the nearest side or the ceiling of a flight area" [m], negative outside."""
+    """Return the quantity "distance to the nearest side or the ceiling" [m] of a flight area, negative outside."""
 
     def compute(read: Read) -> Floats:
-        """Return the smaller of the distances (T, n) to the sides and to the ceiling [m]."""
+        """Compute the smaller of the distances (T, n) [m] to the area's sides and to its ceiling."""
         columns = [read(name) for name in TRUE]
         places = record_of(Vec3, *(np.ravel(column).astype(np.float32) for column in columns))
         sides, ceiling, _ = area.clearances(places)
@@ -153,7 +153,7 @@ def to_fence(area: Area) -> Derived:
 
 
 def gnss_error(sensor: str) -> Derived:
-    """Return the quantity "horizontal error [m] of the position that a receiver reports"."""
+    """Return the quantity "horizontal error [m] of the position that this GNSS receiver reports"."""
     names = axes(f"measurements.{sensor}.position_ned")[:2]
     return Derived(
         f"{sensor}_error",

@@ -46,7 +46,7 @@ class Details:
 
 
 def details_of_state(state: State, world: World) -> Details:
-    """Return the details of a state of NumPy arrays."""
+    """Return what the page shows about each vehicle (speeds, attitude, estimate ...) from a state of NumPy arrays."""
     parts = [_of_fleet(fleet, own) for fleet, own in zip(world.fleets, state.fleets, strict=True)]
     actions = np.concatenate([part.pop("action") for part in parts]).astype(int)
     together = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
@@ -54,17 +54,17 @@ def details_of_state(state: State, world: World) -> Details:
 
 
 def _of_fleet(fleet: Any, state: FleetState) -> dict[str, Floats]:
-    """Return the details of a fleet by name, and the number of the failsafe's action."""
+    """Return name -> values (n, 3) or (n,) of what the page shows about a fleet's vehicles in a state."""
     size = fleet.size
 
     def axes(value: object) -> Floats:
-        """Return a Vec3 as (n, 3), NaN for None."""
+        """Return a Vec3 or None as an array (n, 3), NaN for None."""
         if value is None:
             return np.full((size, 3), np.nan)
         return np.stack([np.broadcast_to(np.asarray(axis), (size,)) for axis in vars(value).values()], axis=-1)
 
     def one(value: object) -> Floats:
-        """Return a value as one number (n,) for each vehicle of the fleet."""
+        """Return a number as an array (n,), one element for each vehicle of the fleet."""
         return np.broadcast_to(np.asarray(value, np.float64), (size,))
 
     pose = fleet.vehicle.pose(state.vehicle)
@@ -82,7 +82,9 @@ def _of_fleet(fleet: Any, state: FleetState) -> dict[str, Floats]:
 
 
 class RecordedDetails:
-    """The details of a recorded run; each stream is read when it is first asked for, with a warning if it is damaged.
+    """The details of a recorded run; each stream is read when it is first asked for.
+
+    Estimates that are damaged are left out, with a warning.
 
     Args:
         run: what was recorded.
@@ -93,7 +95,7 @@ class RecordedDetails:
 
     @cached_property
     def _truth(self) -> Columns:
-        """Return the columns of the true state: velocity, attitude and single quantities."""
+        """Read the logged columns of the true state: velocity, attitude and scalar quantities."""
         truth = self._run["truth"]
         ones = {name: (column,) if column in truth else None for name, column in _OF_TRUTH.items()}
         parts = {"velocity": ("velocity_body", AXES), "attitude": ("attitude", ANGLES)}
@@ -101,7 +103,7 @@ class RecordedDetails:
 
     @cached_property
     def _commands(self) -> Columns:
-        """Return the columns of the estimate and of the waypoint that the vehicle flies to."""
+        """Read the logged columns of the estimate, and of the waypoint that each vehicle flies to."""
         parts = {"believed": "estimate.position_ned", "std": "estimate_std.position_ned"}
         try:
             columns = self._run["commands"].columns() if "commands" in self._run else ()
@@ -114,7 +116,7 @@ class RecordedDetails:
 
     @cached_property
     def modes(self) -> list[tuple[float, int, str]]:
-        """Return (time [s], vehicle, text) of each change of a failsafe, in order of time."""
+        """Return (time [s], vehicle number, text) of each change of a failsafe's action, in order of time."""
         numbers = {name: i for i, name in enumerate(self._run.vehicles)}
         try:
             events = self._run.events if EVENTS in self._run else []
@@ -127,14 +129,14 @@ class RecordedDetails:
         ]
 
     def at(self, time: float) -> Details:
-        """Return the details at a time [s]."""
+        """Return what the page shows about each vehicle at a time [s] of a recorded run."""
         modes: dict[int, str] = {}
         for since, vehicle, words in self.modes:
             if since <= time + 1e-6:
                 modes[vehicle] = words
 
         def one(columns: Columns, name: str) -> Floats:
-            """Return the values (n,) of a column."""
+            """Return the values (n,) of a logged column at this time."""
             return columns.at(name, time)[..., 0]
 
         return Details(

@@ -15,12 +15,12 @@ class Differences(Layer):
 
 
 def difference_layers(stage: Stage) -> list[Layer]:
-    """Return the layer of lines between the runs in a list; [] where no vehicle is in two runs."""
+    """Return a list with the layer of lines between the same vehicles of runs; [] if none is in two runs."""
     return [Differences(stage)] if pairs_of(stage) else []
 
 
 def pairs_of(stage: Stage) -> list[tuple[int, int]]:
-    """Return pairs of vehicle numbers: one of the first run, and the one of the same name in another run."""
+    """Return (vehicle of the first run, vehicle of the same name in another run), as numbers among all vehicles."""
     cast = stage.cast
     if cast.run_of is None:
         return []
@@ -31,7 +31,7 @@ def pairs_of(stage: Stage) -> list[tuple[int, int]]:
 
 
 def differences_of(stage: Stage) -> dict[str, object] | None:
-    """Return for browsers the layer's node, the pairs of vehicles and each vehicle's run; None without pairs."""
+    """Return for browsers (JSON) the layer's node, the vehicle pairs and each vehicle's run; None without pairs."""
     pairs = pairs_of(stage)
     if not pairs or stage.cast.run_of is None:
         return None

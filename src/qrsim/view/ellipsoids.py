@@ -28,11 +28,11 @@ class Ellipsoids(Layer):
     most = 20
 
     def begin(self) -> None:
-        """Make one ball for each vehicle."""
+        """Add one ball per vehicle to the scene, to show the uncertainty of its estimated position."""
         self._handle = self.batch("balls", shapes.ball(), self.stage.colours, opacity=0.3)
 
     def draw(self, frame: Frame) -> None:
-        """Move and stretch the balls; a vehicle without an estimate has none."""
+        """Move each ball to the estimated position, scaled by its standard deviations; hidden without an estimate."""
         if frame.details is None:
             return
         found = frame.details()
@@ -42,7 +42,7 @@ class Ellipsoids(Layer):
 
 
 def ellipsoid_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return the layer of a world with estimators that report standard deviations."""
+    """Return a list with the layer of uncertainty ellipsoids, [] if no estimator reports standard deviations."""
     return [Ellipsoids(stage)] if any(map(_states_std, world.fleets)) else []
 
 

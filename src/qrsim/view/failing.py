@@ -40,7 +40,7 @@ class Target:
     is_part: bool = False
 
     def numbers(self, kind: str) -> str:
-        """Return the default parameters of a kind of fault as text, such as "field=height bias=2"."""
+        """Return the default parameters of a kind of fault as editable text, such as "field=height bias=2"."""
         part = kind in TAKES and TAKES[kind].field and self.fields
         field = f"field={self.fields[0]} " if part else ""
         taken = PARTS[self.name.split()[0]][kind] if self.is_part else kind
@@ -48,12 +48,12 @@ class Target:
 
 
 def targets_of_all(world: World) -> list[list[Target]]:
-    """Return for each vehicle of a world its sensors and parts that a fault can affect."""
+    """Return for each vehicle of a world the sensors and parts that can be made to fail."""
     return [found for fleet in world.fleets for found in [_targets(fleet)] * fleet.size]
 
 
 def _targets(fleet: Fleet) -> list[Target]:
-    """Return a fleet's targets of faults: its sensors with fault slots, then its parts."""
+    """Return the sensors of a fleet that have room for faults, then its vehicles' parts."""
     sensors = [Target(slot.sensor, KINDS, slot.fields) for slot in fleet.fault_slots]
     parts = [name for name in targets_of(fleet) if name not in fleet.sensor_names]
     return sensors + [Target(name, tuple(PARTS[name.split()[0]]), is_part=True) for name in parts]
@@ -93,7 +93,7 @@ class FailingControls:
         self.clear.on_click(lambda _: self.ask_clear())
 
     def show(self, vehicle: int | None) -> None:
-        """Show the fault controls of a vehicle; None hides them."""
+        """Show the fault controls for this vehicle on the page; None hides them."""
         self._vehicle = vehicle
         own = [] if vehicle is None else self._targets[vehicle]
         if own:
@@ -105,25 +105,25 @@ class FailingControls:
             control.visible = bool(own)
 
     def _chosen(self) -> Target | None:
-        """Return the target selected for the chosen vehicle; None without a vehicle."""
+        """Return the selected sensor or part of the chosen vehicle; None if no vehicle is chosen."""
         own = [] if self._vehicle is None else self._targets[self._vehicle]
         return next((each for each in own if each.name == self.target.value), None)
 
     def _retarget(self) -> None:
-        """Update the kinds of fault to those of the selected target."""
+        """Update the menu of fault kinds to those of the selected sensor or part."""
         chosen = self._chosen()
         if chosen is not None and self.kind.options != chosen.kinds:
             self.kind.options = chosen.kinds
         self._renumber()
 
     def _renumber(self) -> None:
-        """Fill in the default numbers of the selected kind of fault."""
+        """Fill in the default parameters of the selected kind of fault."""
         chosen = self._chosen()
         if chosen is not None:
             self.numbers.value = chosen.numbers(self.kind.value)
 
     def ask_inject(self) -> None:
-        """Request the fault that the controls describe."""
+        """Request the injection of the fault that the controls describe."""
         chosen = self._chosen()
         if chosen is None or self._vehicle is None:
             return
@@ -138,7 +138,7 @@ class FailingControls:
         )
 
     def ask_clear(self) -> None:
-        """Request the end of the faults of the selected target."""
+        """Request the end of all faults of the selected sensor or part."""
         chosen = self._chosen()
         if chosen is not None and self._vehicle is not None:
             self._ask(Request(chosen.name, OK, (self._names[self._vehicle],)))

@@ -42,13 +42,13 @@ Progress = Callable[[int, int], None]
 
 
 def untold(done: int, total: int) -> None:
-    """Ignore the progress of a film; the default of ``progress``."""
+    """Ignore the progress of an export (frames done, frames in all); the default of ``progress``."""
 
 
 def export(
     recording: Recording | Several, folder: Path, progress: Progress = untold, colour: str | None = None
 ) -> Path:
-    """Write a page that plays the run into a folder, and return the page's path.
+    """Write an HTML page that plays the run to a folder; return its path. ``colour``: quantity that colours vehicles.
 
     Args:
         recording: what is played.
@@ -78,30 +78,30 @@ def export(
 
 
 def film(recording: Recording | Several) -> str:
-    """Return the page that plays the run as text."""
+    """Return an HTML page that plays the run without a server, as text."""
     file = io.BytesIO()
     write_film(recording, file)
     return file.getvalue().decode("utf-8")
 
 
 def times_of(recording: Recording | Several) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Return the times [s] of the frames of a film."""
+    """Return the times [s] of the frames of an exported page."""
     count = min(_most_frames(recording), _frames(recording))
     return np.linspace(float(recording.time[0]), recording.end, max(1, count))
 
 
 def _most_frames(recording: Recording | Several) -> int:
-    """Return the largest number of frames that this recording's page may have, at least 2."""
+    """Return the largest number of frames that an exported page of this recording may have, at least 2."""
     return min(MOST_FRAMES, max(2, MOST_POSES // recording.cast.size))
 
 
 def _frames(recording: Recording | Several) -> int:
-    """Return the number of frames at the usual rate, before any limit."""
+    """Return the number of frames of an exported page at the usual rate, before any limit."""
     return min(int(recording.end * FASTEST_HZ) + 1, len(recording.time))
 
 
 def thinned(recording: Recording | Several) -> list[str]:
-    """Return a line of text for each thing that a long run's page leaves out."""
+    """Return lines of text that say what an exported page of a long run leaves out."""
     found, times = [], times_of(recording)
     if _frames(recording) > len(times) or recording.shown > 1:
         found.append(f"so long a run is exported at every {times[1] - times[0]:.2g} s")
@@ -118,7 +118,7 @@ def write_film(
     free: Callable[[], int] | None = None,
     colour: str | None = None,
 ) -> None:
-    """Write the page that plays the run into an open file.
+    """Write an HTML page that plays the run to a file; ``free()``: bytes left, ``colour``: quantity to colour by.
 
     Args:
         recording: what is played.
@@ -157,25 +157,25 @@ def write_film(
 
 
 def _check_room(wanted: int, free: int) -> None:
-    """Raise RunError if a page of ``wanted`` bytes does not fit on the disk."""
+    """Raise RunError if a page of ``wanted`` bytes does not fit into ``free`` bytes on the disk."""
     if wanted > free:
         raise RunError(f"no room for the page: it would have about {wanted / 1e6:.3g} MB, {free / 1e6:.3g} MB are free")
 
 
 def _write_element(file: BinaryIO, name: str, text: str) -> None:
-    """Write text as an inert HTML element, which the page's scripts read."""
+    """Write text to an HTML file as a script element of this name that is data for the page's scripts."""
     file.write(f'<script type="text/plain" id="qrsim-{name}">{text}</script>\n'.encode())
 
 
 def _lines(plots: Plots) -> Iterator[str]:
-    """Yield the plotted values of each vehicle as packed text."""
+    """Yield the values that each vehicle's plots show, as packed text, one vehicle after the other."""
     for values in plots.of_vehicles():
         packing = Packing()
         yield packing.text({"values": packing.array(values)})
 
 
 def _write_skies(file: BinaryIO, recording: Recording | Several) -> dict[str, object]:
-    """Write the receivers' satellites over time; return the times, and the satellites' names by number."""
+    """Write each receiver's satellites over time to the HTML file; return {"times", "names": by satellite number}."""
     first = recording.members[0].recording
     skies = Skies(first.run, first.end)
     numbers: set[int] = set()
@@ -188,7 +188,7 @@ def _write_skies(file: BinaryIO, recording: Recording | Several) -> dict[str, ob
 
 
 def _script(recording: Recording | Several, plots: Plots) -> str:
-    """Return the script element that plays the page, with player, timeline, event marks and plots."""
+    """Return the HTML script element of an exported page, with its player, timeline, event marks and plots."""
     scripts = ("film_details.js", "film.js", "timeline.js")
     details, player, timeline = (files("qrsim.view").joinpath(name).read_text("utf-8") for name in scripts)
     data = json.dumps({"end": recording.end, "marks": _marks(recording)}).replace("<", "\\u003c")
@@ -198,7 +198,7 @@ def _script(recording: Recording | Several, plots: Plots) -> str:
 
 
 def _marks(recording: Recording | Several) -> list[tuple[float, str]]:
-    """Return (time [s], text) of the events of a run; none if events were not recorded."""
+    """Return (time [s], text) of the events to mark on the timeline; [] if events were not recorded."""
     return marks(recording.events)
 
 
@@ -221,7 +221,7 @@ class _Film:
                 layer.every = max(layer.every, len(self._times) / layer.most_in_film)
 
     def _draw(self, time: float, everything: bool = False) -> Floats:
-        """Draw the frame at a time [s], and return the vehicles' positions (n, 3) [m]."""
+        """Draw the frame at a time [s] (``everything``: slow layers too), and return vehicle positions (n, 3) [m]."""
         frame = self._recording.frame(time)
         remember_paths(self._scene, self._recording, frame.time)
         self._scene.draw(frame, everything)
@@ -231,7 +231,7 @@ class _Film:
         return np.nan_to_num(frame.position_ned)
 
     def first_page(self, serializer: Callable[[], Any]) -> str:
-        """Return viser's page of the first frame."""
+        """Return viser's HTML page of the first frame; ``serializer`` makes viser's scene serializer."""
         self._draw(self._times[0], everything=True)
         text: str = serializer().as_html()
         name = html.escape(self._recording.title)
@@ -239,7 +239,7 @@ class _Film:
         return text.replace("<body>", f"<body>{loading_element(self._recording.heading)}", 1)
 
     def parts(self, tape: Tape, progress: Progress) -> Iterator[str]:
-        """Draw all frames, and yield each FRAMES_OF_A_PART of them as text for the film's HTML file."""
+        """Draw all frames, and yield every FRAMES_OF_A_PART of them as text to write to the HTML file."""
         for first in self.first:
             positions = []
             for number, time in enumerate(self._times[first : first + FRAMES_OF_A_PART].tolist(), first):
@@ -254,7 +254,7 @@ class _Film:
         progress(len(self._times), len(self._times))
 
     def about(self, plots: Plots) -> dict[str, object]:
-        """Return the content of the page's heading, timeline, panel and plots, for JSON."""
+        """Return what the page shows in heading, timeline, panel and plots, as content for JSON."""
         recording, layers = self._recording, self._scene.layers
         times = plots.times()
         return {

@@ -22,7 +22,7 @@ RELOAD_S = 3.0
 
 
 def completed(arguments: Sequence[str]) -> list[str]:
-    """Return command-line arguments with a bare ``--view`` replaced by ``--view=now``."""
+    """Return the command line's arguments with a bare ``--view`` replaced by ``--view=now``."""
     found = list(arguments)
     for i, word in enumerate(found):
         following = found[i + 1] if i + 1 < len(found) else ""
@@ -33,7 +33,7 @@ def completed(arguments: Sequence[str]) -> list[str]:
 
 @contextmanager
 def shown(how: str, port: int, host: str) -> Iterator[LiveView | None]:
-    """Open the page in the context and yield it, None if not requested; with "wait", first wait for a browser."""
+    """Open the live page and yield it, None if ``how`` requests none; "wait": first wait for a browser."""
     if how == OFF:
         yield None
         return
@@ -55,7 +55,7 @@ def shown(how: str, port: int, host: str) -> Iterator[LiveView | None]:
 
 
 def replay(page: LiveView, folder: Path) -> None:
-    """Replace the live page by a replay of the run that was flown."""
+    """Replace the live page by a replay of the run that was recorded in this folder."""
     from qrsim.runs import open_run
     from qrsim.view.recording import Recording
 

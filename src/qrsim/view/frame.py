@@ -132,7 +132,7 @@ class Cast:
 
     @property
     def kinds(self) -> list[tuple[Outline | None, Floats]]:
-        """Outlines (looks), each with the numbers (k,) of its vehicles."""
+        """Shapes of vehicles (None: quadrotor), each with the numbers (k,) of its vehicles."""
         of_fleets = self.outlines or (None,) * (int(self.fleets.max(initial=0)) + 1)
         each = [of_fleets[number] for number in self.fleets]
         return [(kind, np.array([i for i, own in enumerate(each) if own == kind])) for kind in dict.fromkeys(each)]
@@ -146,7 +146,7 @@ class Cast:
 
     @property
     def others(self) -> str:
-        """How many vehicles do not fly, in words, such as "2 rovers, 1 station"; "" if all do."""
+        """Count of the vehicles that do not fly, in words, such as "2 rovers, 1 station"; "" if all fly."""
         of_fleets = self.outlines or (None,) * (int(self.fleets.max(initial=0)) + 1)
         kinds = [None if look is None or look.rotors else look.kind for look in of_fleets]
         counts = {word: sum(kinds[own] == kind for own in self.fleets.tolist()) for kind, word in NOT_FLYING.items()}
@@ -154,12 +154,12 @@ class Cast:
 
     @property
     def waypoints(self) -> tuple[int, ...]:
-        """Number of waypoints or legs of each vehicle, (n,); 0 without a route."""
+        """Number of waypoints or legs of each vehicle's route, (n,); 0 without a route."""
         return self.counts or tuple(max(0, len(route) - 1) for route in self.routes) or (0,) * self.size
 
     @property
     def true_span(self) -> float:
-        """Size of the largest vehicle [m]."""
+        """Size [m] of the largest vehicle."""
         spans = [
             2.0 * (math.hypot(x, y) + outline.rotor_radius)
             for outline in self.outlines
@@ -175,7 +175,7 @@ class Cast:
 
     @property
     def extent(self) -> float:
-        """Diagonal [m] of the box around everything in the scene and the ground below."""
+        """Diagonal [m] of the box around all that the initial view contains, and the ground below."""
         corners = np.vstack([self._seen, self._seen * [1.0, 1.0, 0.0]])
         return max(10.0, float(np.linalg.norm(np.ptp(corners, axis=0))))
 
@@ -188,20 +188,20 @@ class Cast:
 
     @property
     def ways(self) -> Floats:
-        """Positions (K, 3) NED [m] along routes and paths for the initial view; K may be 0."""
+        """Positions (K, 3) NED [m] along routes and flown paths that the initial view should contain; K may be 0."""
         found = np.vstack([np.zeros((0, 3)), *self.routes, *(() if self.flown is None else (self.flown,))])
         found = found[np.isfinite(found).all(axis=1)]
         return found[:: 1 + len(found) // MOST_WAYS]
 
     @property
     def centre(self) -> Floats:
-        """Centre (3,) of everything in the scene [m]."""
+        """Centre (3,) NED [m] of the box around all that the initial view contains."""
         middle: Floats = 0.5 * (self._seen.min(axis=0) + self._seen.max(axis=0))
         return middle
 
 
 def cast_of(world: World, start_ned: Floats, places: Places | None = None) -> Cast:
-    """Return the cast of a world whose vehicles start at positions (n, 3) [m], with the places of a task."""
+    """Return a scene's fixed content: vehicles' names and shapes, starts (n, 3) NED [m], routes, the task's places."""
     return Cast(
         tuple(name for fleet in world.fleets for name in fleet.vehicle_names),
         np.repeat(np.arange(len(world.fleets)), [fleet.size for fleet in world.fleets]),
@@ -214,7 +214,7 @@ def cast_of(world: World, start_ned: Floats, places: Places | None = None) -> Ca
 
 
 def _routes(fleet: Fleet) -> Iterator[Floats]:
-    """Yield each vehicle's start and waypoints or ends of legs, (P, 3) [m]; (0, 3) without a route."""
+    """Yield for each vehicle its start and its waypoints or ends of legs, (P, 3) NED [m]; (0, 3) without a route."""
     starts, places = axes_of(fleet.start.position_ned), axes_of(fleet.route.position_ned)
     for i, count in enumerate(np.ravel(np.asarray(fleet.route.count)).tolist()):
         way = np.vstack([starts[i], places[:count, i]]).astype(np.float64)
@@ -224,7 +224,7 @@ def _routes(fleet: Fleet) -> Iterator[Floats]:
 
 
 def _contents_corners(world: World) -> Floats | None:
-    """Return the corners of the area if the world has contents; None otherwise."""
+    """Return two opposite corners (2, 3) [m] of a box area if the world has ground cover, persons, plume; else None."""
     area = world.area
     if not (area.is_box and world.contents.random):
         return None
@@ -232,10 +232,10 @@ def _contents_corners(world: World) -> Floats | None:
 
 
 def frame_of(state: State, time: float, world: World) -> Frame:
-    """Return the frame of a state of NumPy arrays of a world at a simulated time [s]."""
+    """Return what the page draws of a state (NumPy arrays) at a simulated time [s]."""
 
     def gather(pick: Any) -> Floats:
-        """Return a vector of all fleets' vehicles, (n, 3); ``pick`` selects it from a fleet's state."""
+        """Return a vector (n, 3) of all vehicles; ``pick`` selects it from the state of one fleet."""
         return np.concatenate([axes_of(pick(fleet)) for fleet in state.fleets])
 
     models = [fleet.vehicle for fleet in world.fleets]
@@ -261,7 +261,7 @@ def frame_of(state: State, time: float, world: World) -> Frame:
 
 
 def _links(state: State, world: World) -> Links | None:
-    """Return the links of a world's radio."""
+    """Return the radio links of the last period in a state; None if the world has no radio."""
     if world.radio is None:
         return None
     links: Any = world.radio.links(state.radio)
@@ -269,7 +269,7 @@ def _links(state: State, world: World) -> Links | None:
 
 
 def _pictures(state: State) -> dict[tuple[int, int], CameraReading]:
-    """Return the readings of all cameras."""
+    """Return (fleet number, sensor number) -> last reading, for all cameras."""
     return {
         (number, index): reading
         for number, fleet in enumerate(state.fleets)
@@ -284,7 +284,7 @@ def axes_of(vector: object) -> Floats:
 
 
 def _fix(fleet: FleetState) -> object:
-    """Return the position that a fleet's first GNSS receiver reports; NaN without a receiver."""
+    """Return the position NED that a fleet's first GNSS receiver reports; NaN without a receiver."""
     for reading in fleet.readings:
         if isinstance(reading, GnssReading):
             return reading.position_ned

@@ -51,18 +51,18 @@ class Link:
 
     @property
     def lag_s(self) -> float:
-        """Delay of the browser [s]: the age of the oldest unacknowledged window, at least the last answer time."""
+        """Delay [s] of the browser: age of the oldest unacknowledged message window, at least the last round trip."""
         oldest = next(iter(tuple(self._sent)), None)
         return self.answer_s if oldest is None else max(self.answer_s, time.perf_counter() - oldest)
 
     @property
     def _most(self) -> int:
-        """Number of windows of messages that may be unacknowledged at once."""
+        """Number of message windows that may be sent before the first one is acknowledged."""
         # Of a link that is far but not narrow, as many as fill the time of its answers.
         return 1 + int((self._quickest_s or 0.0) / FRAME_S)
 
     async def send(self, window: bytes) -> None:
-        """Send a window of messages, and wait until the next may be sent."""
+        """Send a window (batch) of messages to a browser, and wait until another may be sent."""
         if self._quickest_s is None:
             # How far it is while nothing else is on its way.
             begun = time.perf_counter()
@@ -76,7 +76,7 @@ class Link:
             await self._freed.wait_for(lambda: len(self._sent) < self._most)
 
     def _acknowledged(self, answer: asyncio.Future[float]) -> None:
-        """Handle the acknowledgement of the oldest window: measure its time, and allow the next."""
+        """Measure the round trip of the oldest message window, and allow the next to be sent."""
         # Also where the connection has ended.
         if not answer.cancelled() and answer.exception() is None:
             self.answer_s = time.perf_counter() - self._sent[0]
@@ -85,7 +85,7 @@ class Link:
         self._waking = asyncio.ensure_future(self._wake())
 
     async def _wake(self) -> None:
-        """Wake the sender, which waits for an acknowledgement."""
+        """Wake the sender that waits for an acknowledgement."""
         async with self._freed:
             self._freed.notify_all()
 
@@ -106,7 +106,7 @@ class Gate:
         self.wish: Callable[[Any], bytes | None] = lambda wish: None
 
     def refusal(self, path: str, host: str | None, origin: str | None) -> str | None:
-        """Return why a request is refused; None if it is allowed."""
+        """Return why an HTTP request is refused, from its path, Host and Origin; None if it is allowed."""
         if self.token and not compare_digest(path.split("/")[1].split("?")[0].encode(), self.token.encode()):
             return "the address lacks the token that qrsim has printed"
         name = urlsplit(f"//{host or ''}").hostname
@@ -117,10 +117,10 @@ class Gate:
         return None
 
     def _request(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-        """Return viser's HTTP handler with a check of path, host and origin before it."""
+        """Wrap viser's HTTP handler ``answer`` with a check of path, Host and Origin."""
 
         def process(connection: Any, request: Any) -> Any:
-            """Answer 403 to a refused request, and pass others on without the token."""
+            """Answer 403 to a refused request; pass others on with the access token removed from their path."""
             headers = request.headers
             found = [headers.get_all(name) for name in ("Host", "Origin")]
             host, origin = (values[0] if len(values) == 1 else None for values in found)
@@ -135,14 +135,14 @@ class Gate:
 
     @property
     def lag_s(self) -> float:
-        """Delay of the slowest browser [s]; 0 without browsers."""
+        """Delay [s] of the slowest browser; 0 without browsers."""
         return max((link.lag_s for link in tuple(self._links)), default=0.0)
 
     def _guarded(self, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        """Return viser's WebSocket handler with a ``Link`` for each connection."""
+        """Wrap viser's WebSocket handler so that messages to each browser are sent through a ``Link``."""
 
         async def handle(connection: Any) -> None:
-            """Serve a connection of a page through a link, or of its script."""
+            """Serve the WebSocket of a page through a ``Link``, or the one of the page's own script."""
             if connection.request.path.partition("?")[0].endswith(WISHES):
                 return await self._listen(connection)
             link = Link(connection)
@@ -155,7 +155,7 @@ class Gate:
         return handle
 
     async def _listen(self, connection: Any) -> None:
-        """Handle the requests of a page's script, one after the other, and send it the answers."""
+        """Answer the requests of the page's own script, one after the other."""
         loop = asyncio.get_running_loop()
         async for text in connection:
             with contextlib.suppress(ValueError):
@@ -166,7 +166,7 @@ class Gate:
 
     @contextlib.contextmanager
     def installed(self) -> Iterator[None]:
-        """Context in which the server that viser starts is guarded by this gate."""
+        """Return a context in which a server that viser starts accepts only allowed requests."""
         import websockets.asyncio.server
 
         library: Any = websockets.asyncio.server
@@ -187,7 +187,7 @@ class Gate:
                     await super().__aexit__(*error)
 
             def serve(handler: Any, *place: Any, **options: Any) -> object:
-                """Start a server as websockets does, and one of viser's behind this gate."""
+                """Start a WebSocket server; a server of viser gets this gate's checks, others are unchanged."""
                 if not getattr(handler, "__module__", "").startswith("viser."):
                     return plain(handler, *place, **options)
                 options["process_request"] = self._request(options["process_request"])

@@ -44,7 +44,7 @@ class Ground(Layer):
         super().__init__(stage)
 
     def begin(self) -> None:
-        """Add the ground plane, the grid and the north arrow, beyond all starts and the area."""
+        """Add the ground plane, grid and north arrow to the scene, larger than all starts and the area."""
         found, extent = corners_of(self._area), self.stage.cast.extent
         edge = 0.0 if found is None else float(np.abs(found[0]).max())
         reach = max(float(np.abs(self.stage.cast.start_ned[:, :2]).max()), edge) + extent
@@ -97,7 +97,7 @@ class Ground(Layer):
 
 
 def arrow_of(cast: Cast, span: float, length: float) -> tuple[float, float, float]:
-    """Return the north arrow's start (north, east) [m] and its length [m], at most ``length``."""
+    """Return (north, east, length) [m]: start of the north arrow, and its length, at most ``length``."""
     places = np.vstack([cast.start_ned, cast.ways])[:, :2]
     # West of all vehicles and routes, which it would cover, and short beside them.
     length = min(length, max(2.0 * span, 0.2 * float(np.ptp(places, axis=0).max())))
@@ -115,7 +115,7 @@ class Area(Layer):
         super().__init__(stage)
 
     def begin(self) -> None:
-        """Add the lines of the area's edges."""
+        """Add the edges of the flight area to the scene."""
         found = corners_of(self._area)
         if isinstance(self._area, ZonesArea):
             rings = [_levels(zone, ring, self._area) for zone, ring in rings_of(self._area, keep=True)]
@@ -139,7 +139,7 @@ class KeepOuts(Layer):
         super().__init__(stage)
 
     def begin(self) -> None:
-        """Add the edges and walls of the exclusion zones."""
+        """Add the edges and walls of the keep-out zones to the scene."""
         edges = []
         for number, (zone, ring) in enumerate(rings_of(self._area, keep=False)):
             low, high = _levels(zone, ring, self._area)
@@ -164,7 +164,7 @@ class KeepOuts(Layer):
 
 
 def keep_out_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return a list with the layer of exclusion zones, [] without such zones."""
+    """Return a list with the layer of keep-out zones, [] if there are none."""
     area = world.area
     return [KeepOuts(stage, area)] if isinstance(area, ZonesArea) and rings_of(area, keep=False) else []
 
@@ -179,7 +179,7 @@ class Obstacles(Layer):
         super().__init__(stage)
 
     def begin(self) -> None:
-        """Add a box or a cylinder for each obstacle, and one mesh for all prisms."""
+        """Add a box or cylinder for each obstacle to the scene, and one mesh for all prisms."""
         boxes, cylinders = self._obstacles.boxes, self._obstacles.cylinders
         low = np.stack([boxes.x_min, boxes.y_min, boxes.z_min], axis=1)
         high = np.stack([boxes.x_max, boxes.y_max, boxes.z_max], axis=1)
@@ -199,14 +199,14 @@ class Obstacles(Layer):
             )
 
     def _add(self, name: str, mesh: shapes.Mesh, middle: Floats, size: Floats) -> None:
-        """Draw obstacles of one mesh at their centres (k, 3) and sizes (k, 3) [m]."""
+        """Add instances of a mesh to the scene at obstacles' centres (k, 3) [m], with sizes (k, 3) [m]."""
         if len(middle):
             colour, scales = shapes.linear(OBSTACLE_COLOUR), np.asarray(size, np.float32)
             self.several(name, mesh, middle, colour, scales, opacity=0.8, receive_shadow=True)
 
 
 def solids(prisms: Prisms) -> shapes.Mesh:
-    """Return all prisms as one mesh."""
+    """Return one mesh of all prism-shaped obstacles."""
     pieces = prisms.pieces
     parts = np.stack(
         [
@@ -225,7 +225,7 @@ def solids(prisms: Prisms) -> shapes.Mesh:
 
 
 def surface(ground: contracts.Ground, outline: tuple[Floats, float, float] | None, reach: float) -> shapes.Mesh:
-    """Return a ground as a mesh over the area, or over ``reach`` [m] around the origin without an area."""
+    """Return the terrain as a mesh, over the area ``outline``, or within ``reach`` [m] of the origin without it."""
     low, high = np.array([-reach, -reach]), np.array([reach, reach])
     if outline is not None:
         low, high = outline[0].min(axis=0), outline[0].max(axis=0)
@@ -239,13 +239,13 @@ def surface(ground: contracts.Ground, outline: tuple[Floats, float, float] | Non
 
 
 def grid_cell(extent: float) -> float:
-    """Return a cell size [m] of 1, 2 or 5 times a power of ten, about a twentieth of an extent [m]."""
+    """Return a grid cell size [m], 1, 2 or 5 times a power of ten, about a twentieth of ``extent`` [m]."""
     decade = 10.0 ** math.floor(math.log10(extent / 20.0))
     return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= extent / 20.0)
 
 
 def corners_of(area: object) -> tuple[Floats, float, float] | None:
-    """Return corners (V, 2) north and east, ceiling and floor [m] of an area; None for an unknown shape."""
+    """Return an area's corners (V, 2) north and east, ceiling and floor [m]; None for an unknown shape."""
     if isinstance(area, PolygonArea):
         return np.stack([area.north, area.east], axis=1), float(area.z_min), float(area.z_max)
     if isinstance(area, BoxArea):
@@ -261,13 +261,13 @@ def corners_of(area: object) -> tuple[Floats, float, float] | None:
 
 
 def _edges(corners: Floats, z_min: float, z_max: float) -> Floats:
-    """Return the edges (3 V, 2, 3) of an upright prism over corners (V, 2) [m]."""
+    """Return the edges (3 V, 2, 3) NED [m] of an upright prism on a polygon (V, 2), between two z values [m]."""
     low, high = (np.insert(corners, 2, z, axis=1) for z in (z_max, z_min))
     return _between(low, high)
 
 
 def rings_of(area: ZonesArea, keep: bool) -> list[tuple[Zone, Sequence[Point]]]:
-    """Return (zone, ring) for the rings to stay in, or out of; a hole counts as a ring of the other kind."""
+    """Return (zone, polygon) to stay in (``keep``) or to stay out of; a hole counts as the opposite kind."""
     return [
         (zone, ring)
         for zone in area.zones
@@ -277,13 +277,13 @@ def rings_of(area: ZonesArea, keep: bool) -> list[tuple[Zone, Sequence[Point]]]:
 
 
 def _between(low: Floats, high: Floats, sides: bool = True) -> Floats:
-    """Return the edges of a prism between two rings (V, 3) [m]; without ``sides`` only those of the rings."""
+    """Return the edges of a prism between two polygons (V, 3) [m]; without ``sides`` only the polygons' own."""
     pairs = [(low, np.roll(low, -1, 0)), (high, np.roll(high, -1, 0)), *([(low, high)] if sides else [])]
     return np.concatenate([np.stack(pair, axis=1) for pair in pairs])
 
 
 def _levels(zone: Zone, ring: Sequence[Point], area: ZonesArea) -> tuple[Floats, Floats]:
-    """Return the corners (V, 3) [m] of a ring of a zone at its floor and at its ceiling, within the area's."""
+    """Return a zone's polygon at its floor and at its ceiling, each (V, 3) NED [m], within the area's heights."""
     corners = np.array(ring, np.float64)
     ground = down_at(area.ground, *corners.T) if zone.terrain else np.zeros(len(corners))
     low = ground if zone.floor <= 0.0 else ground - zone.floor

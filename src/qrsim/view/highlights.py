@@ -38,7 +38,7 @@ EXTREMES: tuple[tuple[str, bool, str], ...] = (
 
 
 def highlights_of(runs: Sequence[Series]) -> list[Highlight]:
-    """Return the highlights of some runs, quantity by quantity; quantities that were not logged are left out."""
+    """Return (time [s] or None, text) of notable moments of runs, such as extremes; unlogged quantities are skipped."""
     found = [
         line for name, most, words in EXTREMES for own in runs for line in _guarded(_extreme, own, name, most, words)
     ]
@@ -48,24 +48,24 @@ def highlights_of(runs: Sequence[Series]) -> list[Highlight]:
 
 
 def _guarded(find: Callable[..., Iterator[Highlight]], *given: object) -> list[Highlight]:
-    """Return the highlights that ``find`` yields; none if a part of the log is damaged."""
+    """Return the highlights that ``find(*given)`` yields; none if a part of the log is damaged."""
     with suppress(QrsimError):
         return list(find(*given))
     return []
 
 
 def _named(own: Series, vehicle: int) -> str:
-    """Return the name of a vehicle, after the letter of its run."""
+    """Return a vehicle's name, preceded by the letter of its run if there are several runs."""
     return f"{own.member.letter} {own.member.recording.run.vehicles[vehicle]}".strip()
 
 
 def _of_run(own: Series) -> str:
-    """Return the end of a text about a whole run: its letter, or nothing if there is one run."""
+    """Return the end of a highlight's text that names its run, such as ": A"; "" if there is a single run."""
     return f": {own.member.letter}" if own.member.letter else ""
 
 
 def _extreme(own: Series, name: str, most: bool, words: str) -> Iterator[Highlight]:
-    """Yield the first time at which a quantity was largest (``most``) or smallest."""
+    """Yield the first time [s] at which a quantity was largest (``most``) or smallest; ``words``: text template."""
     if name not in own.quantities:
         return
     time, values = own.values(name)
@@ -82,7 +82,7 @@ def _extreme(own: Series, name: str, most: bool, words: str) -> Iterator[Highlig
 
 
 def _beyond_fence(own: Series, time: Floats, values: Floats) -> Iterator[Highlight]:
-    """Yield which vehicles were outside the fence, with their first times [s] there, the earliest first.
+    """Yield which vehicles were outside the fence (distances ``values`` < 0), with times [s], the earliest first.
 
     Args:
         own: the run.
@@ -106,14 +106,14 @@ def _beyond_fence(own: Series, time: Floats, values: Floats) -> Iterator[Highlig
 
 
 def _then(others: Sequence[tuple[float, int]], names: Sequence[str]) -> str:
-    """Return the end of a text about the first of some vehicles: the others, with their times [s]; "" for none."""
+    """Return the end of a highlight's text: further vehicles with their times [s], such as "; then b 3.10 s"."""
     also = [f"{names[i]} {at:.2f} s" for at, i in others[:MOST_NAMED]]
     more = [f"{len(others) - MOST_NAMED} more"] if len(others) > MOST_NAMED else []
     return f"; then {', '.join([*also, *more])}" if also else ""
 
 
 def _counts(own: Series, time: Floats) -> Floats:
-    """Return whether (T, n) each vehicle flies, at times (T,) [s] that are shown."""
+    """Return whether each vehicle was in flight (T, n) at times (T,) [s]."""
     ends = np.full(len(own.member.recording.run.vehicles), np.inf)
     for event, vehicle in own.member.recording.stops:
         ends[vehicle] = event.time + own.member.shift
@@ -121,7 +121,7 @@ def _counts(own: Series, time: Floats) -> Floats:
 
 
 def _first_above(own: Series, name: str, level: float) -> tuple[float, int] | None:
-    """Return the first time [s] at which a quantity was above a level, and the vehicle; None if never or unknown."""
+    """Return (time [s], vehicle) when a quantity first exceeded ``level``; None if never or not logged."""
     if name not in own.quantities:
         return None
     time, values = own.values(name)
@@ -132,7 +132,7 @@ def _first_above(own: Series, name: str, level: float) -> tuple[float, int] | No
 
 
 def _outside(own: Series) -> Iterator[Highlight]:
-    """Yield which estimates left their 95 % band, each with its first time [s], the earliest first."""
+    """Yield the estimates that left their 95 % band, each with its first time [s], the earliest first."""
     if SIGMAS not in own.quantities:
         return
     time, values = own.values(SIGMAS)
@@ -148,7 +148,7 @@ def _outside(own: Series) -> Iterator[Highlight]:
 
 
 def _stopped(own: Series) -> Iterator[Highlight]:
-    """Yield the speed [m/s] of each vehicle that stopped, such as after a collision, at the last time before."""
+    """Yield for each vehicle that stopped, as after a collision, its last speed [m/s] before."""
     if SPEED not in own.quantities:
         return
     time, values = own.values(SPEED)
@@ -159,13 +159,13 @@ def _stopped(own: Series) -> Iterator[Highlight]:
 
 
 def _lost_satellite(own: Series) -> Iterator[Highlight]:
-    """Yield which satellite a receiver lost first."""
+    """Yield the time [s] and name of the first satellite that a receiver lost."""
     for event in first_lost([own.member], 1):
         yield event.time, f"first satellite lost: {event.message}"
 
 
 def _apart(own: Series) -> Iterator[Highlight]:
-    """Yield when a vehicle was first 1 m from itself in the first run, and when farthest."""
+    """Yield when a vehicle was first 1 m from its position in the first run, and when it was farthest."""
     first = _first_above(own, BETWEEN, APART)
     if first is not None:
         yield first[0], f"first {APART:g} m from run A: {_named(own, first[1])}"
@@ -173,7 +173,7 @@ def _apart(own: Series) -> Iterator[Highlight]:
 
 
 def _worst_link(own: Series) -> Iterator[Highlight]:
-    """Yield the radio link that lost the largest part of its packets, or that none was lost."""
+    """Yield the radio link that lost the largest share of its packets, or that no packet was lost."""
     run = own.member.recording.run
     if "measurements" not in run or not links_logged(run["measurements"].columns()):
         return

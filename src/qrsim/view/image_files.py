@@ -21,7 +21,7 @@ DARK, BRIGHT = 2.0, 98.0
 
 
 def read_geotiff(path: str, bounds: Bounds, size: tuple[int, int]) -> NumpyArray:
-    """Return red, green, blue and opacity (rows, columns, 4) of a box of latitude and longitude; row 0 is its north.
+    """Return RGBA (rows, columns, 4) of a GeoTIFF within latitude and longitude bounds; row 0 is the north.
 
     Args:
         path: of the file.
@@ -67,7 +67,7 @@ def read_geotiff(path: str, bounds: Bounds, size: tuple[int, int]) -> NumpyArray
 
 
 def _eight_bits(colours: NumpyArray, there: NumpyArray) -> NumpyArray:
-    """Return colours as uint8, stretched if they are of another type."""
+    """Return colours as uint8, other types stretched over the values of the valid pixels (``there``)."""
     if colours.dtype == np.uint8:
         return colours
     low, high = np.nanpercentile(colours[there].astype(np.float64), [DARK, BRIGHT])
@@ -75,7 +75,7 @@ def _eight_bits(colours: NumpyArray, there: NumpyArray) -> NumpyArray:
 
 
 def read_mbtiles(path: str, bounds: Bounds, size: tuple[int, int]) -> NumpyArray:
-    """Return the same as ``read_geotiff`` from a file of tiles in Web Mercator, by the zoom that suits the size.
+    """Return RGBA as ``read_geotiff`` does, from an MBTiles file (Web Mercator) at the zoom that suits ``size``.
 
     Raises:
         UsageError: it is no such file, its tiles are no pictures, or it shows another place.
@@ -88,7 +88,7 @@ def read_mbtiles(path: str, bounds: Bounds, size: tuple[int, int]) -> NumpyArray
 
 
 def _from_tiles(database: sqlite3.Connection, bounds: Bounds, size: tuple[int, int]) -> NumpyArray:
-    """Return the picture of a box from the tiles of a database."""
+    """Return RGBA within latitude and longitude bounds, put together from the tiles of an MBTiles database."""
     zooms = [row[0] for row in database.execute("SELECT DISTINCT zoom_level FROM tiles ORDER BY zoom_level")]
     zooms = [zoom for zoom in zooms if isinstance(zoom, int) and 0 <= zoom <= DEEPEST]
     if not zooms:
@@ -121,19 +121,19 @@ def _from_tiles(database: sqlite3.Connection, bounds: Bounds, size: tuple[int, i
 
 
 def _tile(latitude: float, longitude: float, zoom: int) -> tuple[float, float]:
-    """Return column and row, counted from the north, of a place in tiles of a zoom."""
+    """Return the fractional tile column and row (from the north) of a latitude and longitude [deg] at a zoom."""
     angle = math.radians(max(-85.0, min(85.0, latitude)))
     return (longitude + 180.0) / 360.0 * 2**zoom, (1.0 - math.asinh(math.tan(angle)) / math.pi) / 2.0 * 2**zoom
 
 
 def _count(bounds: Bounds, zoom: int) -> int:
-    """Return the number of tiles of a box."""
+    """Return how many tiles cover these bounds at a zoom."""
     (x0, y0), (x1, y1) = _tile(bounds[2], bounds[1], zoom), _tile(bounds[0], bounds[3], zoom)
     return (math.floor(x1) - math.floor(x0) + 1) * (math.floor(y1) - math.floor(y0) + 1)
 
 
 def _decoded(data: Any) -> NumpyArray:
-    """Return the pixels (TILE, TILE, 4) of a tile."""
+    """Return the pixels (TILE, TILE, 4) of an encoded image tile."""
     from PIL import Image, UnidentifiedImageError
 
     try:
@@ -146,10 +146,10 @@ def _decoded(data: Any) -> NumpyArray:
 
 
 def _elsewhere(own: Bounds, wanted: Bounds) -> UsageError:
-    """Return the error for a picture of another place."""
+    """Return the error for an image that shows another place than the wanted bounds."""
     return UsageError(f"it shows another place, {_place(own)}; the run is at {_place(wanted)}")
 
 
 def _place(bounds: Bounds) -> str:
-    """Return the middle of a box in words."""
+    """Return the centre of latitude and longitude bounds as text."""
     return f"{0.5 * (bounds[0] + bounds[2]):.4f}, {0.5 * (bounds[1] + bounds[3]):.4f}"

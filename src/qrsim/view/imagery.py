@@ -53,7 +53,7 @@ class Imagery:
 
 
 def read_imagery(path: Path, cast: Cast, world: World | None) -> Imagery:
-    """Read the part of a file around a scene.
+    """Read the part of an aerial image file that covers the scene.
 
     Args:
         path: of the file, .tif, .tiff or .mbtiles.
@@ -92,7 +92,7 @@ def read_imagery(path: Path, cast: Cast, world: World | None) -> Imagery:
 
 
 def _outline(cast: Cast, world: World | None) -> Floats:
-    """Return the corners (2, 2) [m] of the ground that a picture covers: around the scene; on terrain, in the area."""
+    """Return two corners (2, 2) [m] of the ground that an image covers: around the scene; on terrain, in the area."""
     around = AROUND * cast.extent
     low, high = cast.centre[:2] - around, cast.centre[:2] + around
     found = None if world is None or world.ground.at_zero else corners_of(world.area)
@@ -112,7 +112,7 @@ class Image(Layer):
         super().__init__(stage)
 
     def begin(self) -> None:
-        """Add the surface of the ground with the picture on it."""
+        """Add the ground's surface to the scene with the aerial image on it."""
         from PIL import Image as Picture
         from trimesh import Trimesh
         from trimesh.visual.material import PBRMaterial
@@ -140,7 +140,7 @@ class Image(Layer):
 
 
 def places_in(imagery: Imagery, corners: Floats) -> Floats:
-    """Return the places (V, 2) in a picture of corners (V, 3) NED [m]: from its left and from its bottom, 0 to 1."""
+    """Return image coordinates (V, 2) from left and bottom, 0 to 1, of the points ``corners`` (V, 3) NED [m]."""
     south, west, north, east = imagery.bounds
     latitude, longitude, _ = imagery.site.ned_to_geodetic(corners * [1.0, 1.0, 0.0])
     across = (np.degrees(longitude) - west) / (east - west)

@@ -31,7 +31,7 @@ class Interference(Layer):
         super().__init__(stage)
 
     def begin(self) -> None:
-        """Add a mast and a label for each interferer, and a hidden fence around its reach."""
+        """Add a mast and a label for each GNSS interferer, and a hidden fence around its reach."""
         places = np.array([item.place_ned for item in self._found])
         tall, colour = 1.5 * self.stage.span, shapes.linear(GREY)
         self._places, self._active = places, np.zeros(len(places), bool)
@@ -43,7 +43,7 @@ class Interference(Layer):
             )
 
     def draw(self, frame: Frame) -> None:
-        """Show the fences of the interferers that are on."""
+        """Show the fences of the interferers that are on at this frame's time."""
         active = np.array([item.acts(frame.time) for item in self._found])
         if np.array_equal(active, self._active):
             return
@@ -55,7 +55,7 @@ class Interference(Layer):
 
 
 def fence() -> shapes.Mesh:
-    """Return an upright cylindrical band of radius 1 and height 1 above its position."""
+    """Return the mesh of an upright cylindrical band of radius 1 and height 1, centred on the origin."""
     angles = np.arange(CORNERS) * 2.0 * math.pi / CORNERS
     rim = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     corners = np.concatenate([np.column_stack([rim, np.full(CORNERS, z)]) for z in (-0.5, 0.5)])
@@ -65,7 +65,7 @@ def fence() -> shapes.Mesh:
 
 
 def mast() -> shapes.Mesh:
-    """Return a mast of height 1 above its position, with a ball at its top."""
+    """Return the mesh of a mast of height 1, from the origin upwards, with a ball at its top."""
     parts = [shapes.box((-0.03, -0.03, -1.0), (0.03, 0.03, 0.0))]
     parts += [
         shapes.box((-a, -b, -1.0 - c), (a, b, -1.0 + c))
@@ -75,6 +75,6 @@ def mast() -> shapes.Mesh:
 
 
 def interference_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return a list with the layer of interferers that have a position, [] without any."""
+    """Return a list with the layer of GNSS interferers that have a position, [] if there are none."""
     found = tuple(item for item in of_world(world) if item.place_ned is not None)
     return [Interference(stage, found)] if found else []

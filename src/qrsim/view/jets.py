@@ -38,11 +38,11 @@ class Wakes(Layer):
         super().__init__(stage)
 
     def begin(self) -> None:
-        """Make one cone for each vehicle."""
+        """Add one cone per vehicle to the scene, to show its rotors' wake."""
         self._handle = self.batch("cones", shapes.funnel(NARROW), GUST_COLOUR, opacity=0.22)
 
     def draw(self, frame: Frame) -> None:
-        """Turn and stretch the cones along the wakes; who has no thrust has none."""
+        """Turn and stretch the cones along the wakes; vehicles without thrust have none."""
         if frame.details is None:
             return
         found, position = frame.details(), frame.position_ned
@@ -64,14 +64,14 @@ class Wakes(Layer):
         self._handle.batched_scales = scales.astype(np.float32)
 
     def _room(self, position: Floats, along: Floats) -> Floats:
-        """Return the distance (n,) [m] along wakes to the height of the ground below each vehicle."""
+        """Return the distance (n,) [m] from each vehicle along its wake to the ground's height below it."""
         ground, place = self.stage.ground, np.nan_to_num(position)
         down = 0.0 if ground is None or ground.at_zero else down_at(ground, place[:, 0], place[:, 1])
         return np.maximum(down - place[:, 2], 0.0) / np.maximum(along[:, 2], 1e-3)
 
 
 def _flow(wake: Wake, thrust: Array, down: Vec3, relative: Vec3) -> tuple[Vec3, Array, Array]:
-    """Return the axes of wakes, their lengths (n,) down to ``SLOWEST``, and the half widths (n,) at the rotors [m]."""
+    """Return wakes' axes, lengths (n,) down to speed ``SLOWEST``, half widths at the rotors (n,) [m]."""
     push = thrust * jet_share(wake, thrust, down, relative)
     # The speed on the axis is the strength over the half width, which grows by SPREAD.
     end = jet_strength(push) * (1.0 / (SLOWEST * SPREAD))
@@ -79,7 +79,7 @@ def _flow(wake: Wake, thrust: Array, down: Vec3, relative: Vec3) -> tuple[Vec3, 
 
 
 def _parameters(world: World) -> tuple[Floats, Floats]:
-    """Return size (n,) [m] and area of the discs (n,) [m^2] of all vehicles; NaN for those without a wake."""
+    """Return size (n,) [m] and rotor disc area (n,) [m^2] of all vehicles; NaN for those without a wake."""
     parts = []
     for fleet in world.fleets:
         wake = fleet.vehicle.wake()
@@ -89,5 +89,5 @@ def _parameters(world: World) -> tuple[Floats, Floats]:
 
 
 def wake_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return the layer of a world in which vehicles have wakes."""
+    """Return a list with the layer of rotor wakes, [] if no vehicle has a wake."""
     return [Wakes(stage, world)] if any(fleet.vehicle.wake() is not None for fleet in world.fleets) else []

@@ -26,11 +26,11 @@ class LabelStates(Layer):
     of_chosen = always = True
 
     def begin(self) -> None:
-        """Start without lines in the labels."""
+        """Start with labels that have no lines about a vehicle's state."""
         self.tell: Callable[[dict[int, list[str]]], None] = lambda lines: None
 
     def draw(self, frame: Frame) -> None:
-        """Send the overlay the lines of the vehicles that have labels."""
+        """Send browsers the state lines of the vehicles that have labels."""
         size = self.stage.cast.size
         every = self.root.visible and size <= MOST_LABELS
         shown = range(size) if every else sorted(self.stage.chosen)
@@ -41,12 +41,12 @@ class LabelStates(Layer):
         self.tell(lines)
 
     def _lines(self, frame: Frame, found: Details, vehicle: int) -> list[str]:
-        """Return the lines of a vehicle."""
+        """Return the lines of text about one vehicle's state."""
         return lines_of(frame, found, vehicle, self.stage.cast.waypoints[vehicle])
 
 
 def lines_of(frame: Frame, found: Details, vehicle: int, waypoints: int) -> list[str]:
-    """Return the lines of a vehicle with a number of waypoints; unknown quantities are left out."""
+    """Return the lines of a vehicle's label; unknown quantities are left out. ``waypoints``: number of its own."""
     speed, height = float(np.linalg.norm(found.velocity_ned[vehicle])), -float(frame.position_ned[vehicle, 2])
     lines = [f"{speed:.1f} m/s, {height:z.1f} m high"] if np.isfinite(speed + height) else []
     charge = float(found.charge[vehicle])
@@ -62,7 +62,7 @@ def lines_of(frame: Frame, found: Details, vehicle: int, waypoints: int) -> list
 
 
 def doing_of(found: Details, vehicle: int, waypoints: int) -> list[str]:
-    """Return the failsafe, or the waypoint of a number of them, of a vehicle as one text in a list; [] for neither."""
+    """Return [text] of a vehicle's failsafe, else of its waypoint, such as "waypoint 2 of 5"; [] for neither."""
     mode, leg = found.modes.get(vehicle), float(found.waypoint[vehicle])
     if mode:
         return [mode]

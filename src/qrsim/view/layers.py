@@ -61,12 +61,12 @@ class Stage:
 
     @property
     def lift(self) -> float:
-        """Height step [m] between things drawn on the ground, so that a browser can order them."""
+        """Height [m] between flat things drawn on the ground one above the other, so that none flickers."""
         return max(0.1, self.cast.extent / 800.0)
 
     @property
     def few(self) -> bool:
-        """Whether each vehicle has a colour of its own."""
+        """Whether there are so few vehicles that each has a different colour."""
         return self.cast.run_of is None and self.cast.size <= len(self.palette)
 
     @property
@@ -77,12 +77,12 @@ class Stage:
 
     @property
     def colours(self) -> Floats:
-        """Colours (n, 3) of the vehicles."""
+        """Colours (n, 3) of the vehicles, sRGB 0 to 255."""
         return self.palette[self.hues]
 
 
 def down_at(ground: Ground, north: Floats, east: Floats) -> Floats:
-    """Return the down coordinate [m] of a ground at places of any shape."""
+    """Return the down coordinate [m] of the ground at north and east [m] of any shape."""
     places = record_of(Vec3, np.float32(north), np.float32(east), np.zeros_like(north, np.float32))
     return np.asarray(ground.down(places))
 
@@ -119,17 +119,17 @@ class Layer:
 
     @property
     def label(self) -> str:
-        """Return the layer's name on a page without a server."""
+        """Return the layer's name in the list of an exported page."""
         return self.title
 
     def begin(self) -> None:
-        """Add the layer's nodes to the scene."""
+        """Add the layer's nodes to viser's scene."""
 
     def draw(self, frame: Frame) -> None:
-        """Update the layer's nodes to a frame."""
+        """Update the layer's scene nodes to a frame: the vehicles and surroundings at one time."""
 
     def batch(self, name: str, mesh: shapes.Mesh, colours: Any, members: Any = slice(None), **options: Any) -> Any:
-        """Add one instance of a mesh for each vehicle, or each of ``members`` (k,), at its start."""
+        """Add an instance of a mesh to the scene at the start of each vehicle, or of each of ``members`` (k,)."""
         return self.several(name, mesh, self.stage.cast.start_ned[members], shapes.linear(colours), **options)
 
     def several(
@@ -141,7 +141,7 @@ class Layer:
         scales: Floats | None = None,
         **options: object,
     ) -> Any:
-        """Add one instance of a mesh at each place (k, 3) [m].
+        """Add an instance of a mesh to the scene at each position (k, 3) NED [m], with colours and scales.
 
         Args:
             name: of the node.
@@ -208,7 +208,7 @@ class Bodies:
             handle.batched_scales = scales[members]
 
     def paint(self, colours: Floats) -> None:
-        """Give each vehicle a colour (n, 3)."""
+        """Set the colour of each vehicle's body (n, 3)."""
         for members, handle in self.batches:
             handle.batched_colors = shapes.linear(colours[members])
 
@@ -219,12 +219,12 @@ class Vehicles(Layer):
     title = "vehicles"
 
     def begin(self) -> None:
-        """Make one instance of a body for each vehicle."""
+        """Add a body for each vehicle to the scene."""
         self._shown = self.stage.colours.copy()
         self.bodies = Bodies(self, self.stage.colours)
 
     def draw(self, frame: Frame) -> None:
-        """Move and turn the vehicles."""
+        """Move and turn the vehicles' bodies to their poses in a frame."""
         size = self.stage.cast.size
         self.bodies.place(frame.position_ned, frame.attitude, np.full(size, self.stage.span))
         paint = self.stage.paint
@@ -238,7 +238,7 @@ class Vehicles(Layer):
         """Register a function to call with the number of a clicked vehicle (None: unknown) and the event."""
 
         def clicked(members: Floats, event: Any) -> None:
-            """Call back with the number of the vehicle among all; None where it has none."""
+            """Call ``call`` with the clicked vehicle's number among all, None if the click has no instance number."""
             # The outline of what the mouse is over has no number.
             index = event.instance_index
             call(None if index is None else int(members[index]), event)
@@ -254,11 +254,11 @@ class Poles(Layer):
     every, beside = 3.0, True
 
     def begin(self) -> None:
-        """Make one pole for each vehicle."""
+        """Add one vertical pole for each vehicle to the scene."""
         self._handle = self.batch("poles", shapes.box((-0.5, -0.5, 0.0), (0.5, 0.5, 1.0)), POLE_COLOUR, opacity=0.35)
 
     def draw(self, frame: Frame) -> None:
-        """Stretch the poles from the vehicles down to the ground."""
+        """Stretch the poles from the vehicles' positions in a frame down to the ground."""
         top, ground = _finite(frame.position_ned, self.stage.cast.start_ned), self.stage.ground
         down = 0.0 if ground is None or ground.at_zero else down_at(ground, top[:, 0], top[:, 1])
         wide = np.full(len(top), 0.03 * self.stage.span)
@@ -274,12 +274,12 @@ class Ghosts(Layer):
     most = MANY
 
     def begin(self) -> None:
-        """Make one pale body for each vehicle, at its estimated position."""
+        """Add one pale body for each vehicle to the scene, for its GNSS position."""
         several = self.stage.cast.run_of is not None
         self._bodies = Bodies(self, self.stage.colours if several else GHOST_COLOUR, opacity=0.4)
 
     def draw(self, frame: Frame) -> None:
-        """Move the ghosts to the estimates; a vehicle without a fix has none."""
+        """Move the pale bodies to the GNSS positions of a frame; those without a fix are hidden."""
         fixed = np.isfinite(frame.ghost_ned).all(axis=1)
         place = _finite(frame.ghost_ned, frame.position_ned)
         self._bodies.place(place, frame.attitude, np.where(fixed, self.stage.span, 0.0))
@@ -292,11 +292,11 @@ class Wind(Layer):
     every, beside = 3.0, True
 
     def begin(self) -> None:
-        """Make one wind arrow for each vehicle."""
+        """Add one arrow for each vehicle to the scene, for the mean wind."""
         self._handle = self.batch("arrows", shapes.arrow(), np.tile(shapes.PALETTE[0], (self.stage.cast.size, 1)))
 
     def draw(self, frame: Frame) -> None:
-        """Turn the arrows downwind."""
+        """Turn each vehicle's arrow along the mean wind of a frame."""
         _point(self._handle, _finite(frame.position_ned, self.stage.cast.start_ned), frame.wind_ned, self.stage.span)
         speed = np.linalg.norm(np.nan_to_num(frame.wind_ned), axis=1)
         self._handle.batched_colors = shapes.linear(shapes.speed_colours(speed, STRONG_WIND))
@@ -309,11 +309,11 @@ class Gusts(Layer):
     every, beside = 3.0, True
 
     def begin(self) -> None:
-        """Make one gust arrow for each vehicle."""
+        """Add one arrow for each vehicle to the scene, for the gust."""
         self._handle = self.batch("arrows", shapes.arrow(), GUST_COLOUR)
 
     def draw(self, frame: Frame) -> None:
-        """Turn the arrows along the gusts."""
+        """Turn each vehicle's arrow along the gust of a frame."""
         start = _finite(frame.position_ned, self.stage.cast.start_ned)
         tip = start + np.nan_to_num(frame.wind_ned) * (ARROW_SPANS * self.stage.span)
         _point(self._handle, tip, frame.gust_ned, self.stage.span)
@@ -326,21 +326,21 @@ class Names(Layer):
     every = 2
 
     def begin(self) -> None:
-        """Add no nodes: the overlay draws the names."""
+        """Add no scene nodes: a script in the browser draws the vehicles' names."""
         self.tell: Callable[[dict[int, str]], None] = lambda reasons: None
 
     def draw(self, frame: Frame) -> None:
-        """Send the overlay the vehicles that have stopped, with the reasons."""
+        """Send browsers the vehicles that have stopped by this frame, with the reasons."""
         self.tell(frame.reasons)
 
 
 def _finite(values: Floats, instead: Floats) -> Floats:
-    """Return values with non-finite ones replaced by those of ``instead``."""
+    """Return values with non-finite ones replaced by the elements of ``instead``."""
     return np.where(np.isfinite(values), values, instead)
 
 
 def _point(handle: Any, start: Floats, vector: Floats, span: float) -> None:
-    """Set arrows that begin at ``start`` (n, 3) and show vectors (n, 3) [m/s]."""
+    """Place an arrow mesh's instances at ``start`` (n, 3) [m] along vectors (n, 3) [m/s], sized by ``span`` [m]."""
     vector = np.nan_to_num(vector)
     length = np.linalg.norm(vector, axis=1) * (ARROW_SPANS * span)
     wide = np.minimum(0.6 * span, length)

@@ -94,7 +94,7 @@ class LiveView:
         return len(self._server.get_clients())
 
     def wait_for(self, what: str) -> None:
-        """Show on an empty page what the program is waiting for."""
+        """Show on a page without a simulation what the program waits for, such as "a browser"."""
         if self._page is not None:
             return
         if self._waiting is None:
@@ -104,12 +104,12 @@ class LiveView:
         self._waiting.content = f"**qrsim**  \nThis page waits for {what}."
 
     def note(self, text: str) -> None:
-        """Show one line about the whole run."""
+        """Show one line of text about the whole run on the page."""
         if self._page is not None:
             self._page.say(text)
 
     def begin(self, simulation: Simulation, heading: str, places: Places | None = None) -> None:
-        """Show a new simulation in place of the present one, with the places of its task."""
+        """Show a new simulation in place of the present one, with its heading and the goals of its task."""
         self._clear()
         world = simulation.world
         site = simulation.site
@@ -133,7 +133,7 @@ class LiveView:
         self._thread.start()
 
     def replay(self, recording: Recording) -> None:
-        """Replace the simulation by a recording of it, at its end, keeping what users have chosen."""
+        """Replace the live simulation by a recording of it, at its end, keeping the users' choices on the page."""
         before = self._page
         self._clear()
         live = self.clock.speed if self.clock is not None else 1.0
@@ -148,7 +148,7 @@ class LiveView:
         self._thread.start()
 
     def _clear(self) -> None:
-        """Stop the drawing thread and empty the page, for the next simulation."""
+        """Stop the drawing thread and empty the page, before the next simulation is shown."""
         self._end_drawing()
         if self._page is not None:
             self._page.close()
@@ -157,27 +157,27 @@ class LiveView:
         self._waiting = None
 
     def wait(self, most: int) -> int:
-        """Return the number of ticks to fly next, at most ``most``; waits while paused or ahead of the page's speed."""
+        """Wait while paused or too fast; return the number of ticks to simulate next, at most ``most``."""
         return most if self.clock is None else self.clock.wait(self._step_s, most)
 
     def offer(self, history: History) -> None:
-        """Queue flown states for drawing, without waiting."""
+        """Queue the simulated states of a history for drawing; return at once."""
         self._offer(lambda row: (_row(history.state, row), int(history.ticks[row])), len(history.ticks))
 
     def show(self, simulation: Simulation) -> None:
-        """Queue the present state of a simulation for drawing."""
+        """Queue the present state of a simulation for drawing; return at once."""
         layout, buffers = simulation.packed
         copies, tick = tuple(np.array(buffer) for buffer in buffers), simulation.tick
         self._offer(lambda _: (layout.unpack(copies), tick), 1)  # type: ignore[arg-type]
 
     def _offer(self, look: Callable[[int], tuple[State, int]], count: int) -> None:
-        """Replace the states queued for the drawing thread by ``count`` new ones."""
+        """Replace the states that wait to be drawn by ``count`` new ones; ``look`` returns (state, tick) of one."""
         with self._there:
             self._newest = _Offered(look, count, time.perf_counter())
             self._there.notify()
 
     def change(self, simulation: Simulation) -> None:
-        """Apply the changes that users have requested on the page."""
+        """Apply to the simulation the changes that users have requested on the page."""
         while self._asked:
             try:
                 line = steered(simulation, self._asked.popleft())
@@ -188,13 +188,13 @@ class LiveView:
             self._world = simulation.world
 
     def ask(self, request: Request) -> None:
-        """Queue a request for the next tick; returns at once."""
+        """Queue a request, such as a fault or other wind, for the next tick; return at once."""
         self._asked.append(request)
         if self.clock is not None and not self.clock.playing:
             self.note("Asked for; it acts from the next tick on.")
 
     def close(self) -> None:
-        """Draw the last offered states, then close the page."""
+        """Draw the last queued states, then close the page and its server."""
         self._ended.set()
         if self.clock is not None:
             self.clock.close()
@@ -213,7 +213,7 @@ class LiveView:
     # ---- the page's thread ----
 
     def _draw_all(self) -> None:
-        """Draw the newest states until the view closes; the body of the drawing thread."""
+        """Draw the newest states until the view closes; runs in the drawing thread."""
         due, span, before = time.perf_counter(), 0.0, None
         offered: _Offered | None = None
         row = -1
@@ -236,7 +236,7 @@ class LiveView:
             due = self._pace(due)
 
     def _pace(self, due: float) -> float:
-        """Wait until a frame is due, and return the time of the next one; late frames are dropped."""
+        """Wait until one frame after the time ``due`` [s], and return that time; late frames are dropped."""
         due, now = due + FRAME_S, time.perf_counter()
         if now > due:
             self._overtaken += int((now - due) / FRAME_S)
@@ -246,7 +246,7 @@ class LiveView:
         return due
 
     def _draw(self, offered: _Offered, row: int, span: float) -> int:
-        """Draw the due state of those queued during ``span`` [s], and return its number."""
+        """Draw the state of ``offered`` that is due within ``span`` [s], if later than ``row``; return its number."""
         assert self._page is not None
         share = (time.perf_counter() - offered.arrived + FRAME_S) / max(span, FRAME_S)
         now = min(offered.count - 1, max(0, int(share * offered.count) - 1))
@@ -262,7 +262,7 @@ class LiveView:
         return now
 
     def _keep(self, state: State, frame: Frame) -> None:
-        """Store the readings of the chosen vehicles for their plots."""
+        """Store the chosen vehicles' readings and true values of a state for their plots."""
         chosen = frozenset() if self._page is None else self._page.chosen
         values = {vehicle: self._values.get(vehicle, deque()) for vehicle in sorted(chosen)}
         for vehicle, own in values.items():
@@ -279,7 +279,7 @@ class LiveView:
             self._skies = {vehicle: sky_of_state(state, *_place(self._world, vehicle)) for vehicle in chosen}
 
     def _plotted(self, vehicle: int, quantity: str) -> tuple[Floats, Floats, Floats]:
-        """Return times [s], values and true values of a vehicle's quantity, as kept since it was chosen."""
+        """Return times [s], readings and true values of a vehicle's quantity, as kept since it was chosen."""
         rows = [row for row in list(self._values.get(vehicle, ())) if quantity in row[1]]
         if not rows:
             return (np.zeros(0),) * 3
@@ -300,12 +300,12 @@ class LiveView:
 
         @button.on_click
         def _(_: object) -> None:
-            """Request the wind of the two sliders."""
+            """Request the wind that the two sliders show."""
             self.ask(wind(speed.value, bearing.value))
 
 
 def _row(state: State, row: int) -> State:
-    """Return row ``row`` of states stacked along the first axis."""
+    """Return state number ``row`` of a tree of states stacked along the first axis."""
     import jax
 
     found: State = jax.tree.map(lambda leaf: leaf[row], state)
@@ -313,7 +313,7 @@ def _row(state: State, row: int) -> State:
 
 
 def _place(world: World, vehicle: int) -> tuple[int, int]:
-    """Return a vehicle's fleet number, and its number in that fleet."""
+    """Return (fleet number, number in that fleet) of a vehicle by its number among all."""
     for number, fleet in enumerate(world.fleets):
         if vehicle < fleet.size:
             return number, vehicle
@@ -322,7 +322,7 @@ def _place(world: World, vehicle: int) -> tuple[int, int]:
 
 
 def _measured(state: State, world: World, vehicle: int) -> dict[str, float]:
-    """Return "sensor.quantity" -> reading of a vehicle, without those of single satellites."""
+    """Return "sensor.quantity" -> latest reading of a vehicle, without readings for single satellites."""
     number, i = _place(world, vehicle)
     names, readings = world.fleets[number].sensor_names, state.fleets[number].readings
     return {
@@ -334,7 +334,7 @@ def _measured(state: State, world: World, vehicle: int) -> dict[str, float]:
 
 
 def _true(state: State, world: World, vehicle: int) -> dict[str, float]:
-    """Return the true numbers of one vehicle by name: its state, pose and specific force."""
+    """Return the true values of one vehicle by name: its state, pose and specific force."""
     number, i = _place(world, vehicle)
     fleet = state.fleets[number]
     pose = world.fleets[number].vehicle.pose(fleet.vehicle)

@@ -20,7 +20,7 @@ STEP = 0.25
 
 
 def _speed(frame: Frame) -> Floats:
-    """Return the speeds over ground (n,) [m/s]; NaN where they are not known."""
+    """Return the ground speeds (n,) [m/s] of the vehicles in a frame; NaN where unknown."""
     return np.full(len(frame.valid), np.nan) if frame.details is None else _length(frame.details().velocity_ned)
 
 
@@ -57,13 +57,13 @@ class LivePaints:
         self._kept: deque[tuple[float, Floats]] = deque(maxlen=MOST_KEPT)
 
     def of(self, name: str) -> Paint:
-        """Begin to keep a quantity, and return its colours."""
+        """Start keeping the values of a quantity by name, and return its colours (range 0 to 1 at first)."""
         self._name = name
         self._kept.clear()
         return self._made(0.0, 1.0)
 
     def note(self, frame: Frame, shown: Paint | None) -> Paint | None:
-        """Keep the values of a frame, and return new colours if they are beyond the range; None otherwise.
+        """Keep a frame's values; return new colours at first, and for values beyond ``shown``'s range; else None.
 
         Args:
             frame: the newest one.
@@ -90,11 +90,11 @@ class LivePaints:
         return self._made(*_rounded(min(low, shown.low), max(high, shown.high)))
 
     def _made(self, low: float, high: float) -> Paint:
-        """Return the colours of the chosen quantity between two values."""
+        """Return the colours of the chosen quantity, with a colour range from ``low`` to ``high``."""
         kept = self._kept
 
         def values(times: Floats) -> Floats:
-            """Return the last values (K, n) up to each time [s]; NaN before the first one."""
+            """Return the last kept values (K, n) up to each time (K,) [s]; NaN before the first one."""
             found = list(kept)
             if not found:
                 return np.full((len(times), self._size), np.nan)
@@ -107,7 +107,7 @@ class LivePaints:
 
 
 def _rounded(low: float, high: float) -> tuple[float, float]:
-    """Return a range that is rounded outwards in steps of STEP of its decade and never empty."""
+    """Return a value range rounded outwards to STEP times a power of ten, and never empty."""
     step = STEP * 10.0 ** math.floor(math.log10(max(high - low, 1e-3)))
     found = step * math.floor(low / step), step * math.ceil(high / step)
     return found if found[1] > found[0] else (found[0], found[0] + step)

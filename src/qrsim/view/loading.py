@@ -17,7 +17,7 @@ STYLE = (
 
 
 def show_loading(server: ViserServer, what: str) -> None:
-    """Show in all browsers without a scene that something, one line of text, is being loaded."""
+    """Show in all browsers without a scene that ``what`` (one line of text) is being loaded."""
     script = f"""
 if (!window.qrsim) {{
   const found = document.getElementById("{ELEMENT}") ?? document.createElement("div");
@@ -30,5 +30,5 @@ if (!window.qrsim) {{
 
 
 def loading_element(what: str) -> str:
-    """Return the text shown while an exported page loads, as an HTML element."""
+    """Return the HTML element that an exported page shows while it loads ``what``."""
     return f'<div id="{ELEMENT}" style="{STYLE}">loading {html.escape(what)} ...</div>'

@@ -8,6 +8,6 @@ _MEANS_SOMETHING = re.compile(r"[&<>\[\]{}()*_`~#|!\\$^\"'=+]")
 
 
 def plain(text: str) -> str:
-    """Return untrusted text on one line, escaped so that none of it acts as Markdown, HTML or code."""
+    """Return untrusted text as one line, escaped so that none of it acts as Markdown, HTML or code."""
     line = "".join(character if character.isprintable() else " " for character in text)
     return _MEANS_SOMETHING.sub(lambda found: f"&#{ord(found[0])};", line)

@@ -29,7 +29,7 @@ class Shown:
         self._folder, self._height = folder, height
 
     def _repr_html_(self) -> str:
-        """Return HTML with the page in a frame, for notebooks."""
+        """Return HTML that embeds the 3-D page in a notebook."""
         inside = html.escape(self.page, quote=True)
         style = "border:1px solid #ddd;display:block"
         return f'<iframe srcdoc="{inside}" width="100%" height="{self._height}" style="{style}"></iframe>'
@@ -41,7 +41,7 @@ class Shown:
         )
 
     def save(self, path: str | Path) -> Path:
-        """Write the page, which any browser plays, and return its path; a file of this name is replaced.
+        """Write the 3-D page to an HTML file for any browser, and return its path; an existing file is replaced.
 
         Raises:
             UsageError: the name does not end in .html, or its folder is missing.
@@ -58,7 +58,7 @@ class Shown:
 
 
 def show(run: Run | Path | str, *, height: int = 600) -> Shown:
-    """Return the page of a recorded run, for a notebook: it plays the run without a server.
+    """Return a 3-D page that plays a recorded run in a notebook, ``height`` pixels high, without a server.
 
     As the last expression of a cell it is displayed; elsewhere in one, ``display(qrsim.show(run))`` does so. It needs
     viser, and no notebook: ``save`` writes the page.

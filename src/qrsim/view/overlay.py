@@ -143,35 +143,35 @@ class Overlay:
         self._send()
 
     def _send(self) -> None:
-        """Send the overlay's scripts and their data to all browsers."""
+        """Send the overlay's scripts (labels, legend, camera) and their data to all browsers."""
         scripts = "\n".join(map(_text, SCRIPTS))
         run_script(self._server, "overlay", f"const data = {json.dumps(self._data)};\n{scripts}")
 
     def hold(self) -> None:
-        """Make new pages begin with the scene's camera in place of a view of all vehicles."""
+        """Make pages opened from now on begin with the scene's camera, not with a view of all vehicles."""
         self._data["frame"] = False
         self._send()
 
     def look_from(self, direction: tuple[float, float, float]) -> None:
-        """Make new pages begin with a view of all vehicles from a direction NED, as seen from the vehicles."""
+        """Make pages opened from now on view all vehicles from a direction (3,) NED, as seen from the vehicles."""
         self._data["from"] = direction
         self._send()
 
     def say(self, reasons: dict[int, str]) -> None:
-        """Show why vehicles have stopped; with very many, only the last ones."""
+        """Show in browsers vehicle -> reason why it has stopped; of very many, only the last ones."""
         found = dict(list(reasons.items())[-MOST_LABELS:])
         if found != self._said:
             self._said = found
             self._tell("reasons", found, None)
 
     def states(self, lines: Mapping[int, list[str]]) -> None:
-        """Show lines about the states of vehicles in their labels."""
+        """Show in browsers the lines of vehicle -> lines about its state in the vehicles' labels."""
         if lines != self._stated:
             self._stated = dict(lines)
             self._tell("states", self._stated, None)
 
     def choose(self, vehicle: int | None, browser: object = None) -> None:
-        """Mark a vehicle as chosen (None: no vehicle), in one browser or, by default, all."""
+        """Mark a vehicle in the scene as chosen (None: no vehicle), in one browser or, by default, all."""
         self._tell("choose", vehicle, browser)
 
     def follow(self, vehicle: int | None, browser: object = None) -> None:
@@ -179,7 +179,7 @@ class Overlay:
         self._tell("follow", vehicle, browser)
 
     def identify(self, browser: Any) -> None:
-        """Tell a browser its number, with which it chooses a vehicle in its table."""
+        """Send a browser its own number, which its script needs to choose a vehicle in the table of vehicles."""
         self._tell("browser", browser.client_id, browser)
 
     def ride(self, vehicle: int, kind: str) -> None:
@@ -187,15 +187,15 @@ class Overlay:
         self._tell("ride", {"vehicle": vehicle, "kind": kind}, None)
 
     def sky(self, told: Mapping[str, object] | None, browser: object) -> None:
-        """Show the satellites of a vehicle's receiver in one browser; None hides them."""
+        """Show satellites in one browser (message of ``view.sky.told``); None hides them."""
         self._tell("sky", told, browser)
 
     def paint(self, told: Mapping[str, object] | None) -> None:
-        """Show the colour bar of a quantity in all browsers, or none."""
+        """Show the colour bar of a quantity in all browsers (message of ``Paint.told``); None hides it."""
         self._tell("paint", told, None)
 
     def _tell(self, what: str, content: object, browser: object) -> None:
-        """Call a function of the overlay's script in one browser or, for None, in all."""
+        """Call function ``what`` of the overlay's script in one browser or, for None, in all."""
         # Also where the overlay's own script comes later.
         words = json.dumps(content)
         told = f"(window.qrsimTold ??= {{}}).{what} = {words}; window.qrsim?.{what}({words})"
@@ -203,7 +203,7 @@ class Overlay:
 
 
 def _legend(stage: Stage, layers: dict[str, Layer], cell: float | None) -> list[dict[str, object]]:
-    """Return the rows of the legend."""
+    """Return the rows of the legend for JSON; ``cell``: size [m] of a grid cell."""
     rows: list[dict[str, object]] = []
     rows += [_row("body", [stage.palette[number]], name, "") for number, name in enumerate(stage.cast.runs)]
     if not rows and not stage.few and len(set(stage.cast.fleets.tolist())) > 1:
@@ -229,17 +229,17 @@ def _legend(stage: Stage, layers: dict[str, Layer], cell: float | None) -> list[
 
 
 def _row(kind: str, own: Any, text: str, layer: str) -> dict[str, Any]:
-    """Return a row of the legend; ``own`` are its colours (red, green, blue), 0 to 255."""
+    """Return a row of the legend for a layer; ``own``: its colours (red, green, blue), 0 to 255."""
     return {"kind": kind, "colours": [[int(part) for part in colour] for colour in own], "text": text, "layer": layer}
 
 
 def _plain(values: object) -> Any:
-    """Return colours as lists for JSON."""
+    """Return colours, an array or a dict of arrays, as lists for JSON."""
     if isinstance(values, dict):
         return {name: list(own) for name, own in values.items()}
     return np.asarray(values).tolist()
 
 
 def _text(name: str) -> str:
-    """Return the text of a script or style sheet of this package."""
+    """Return the text of a script or style sheet in this package."""
     return files("qrsim.view").joinpath(name).read_text("utf-8")

@@ -121,7 +121,7 @@ class Page:
     # ---- browsers ----
 
     def _come(self, client: ClientHandle) -> None:
-        """Add the controls of a browser that has connected, restoring its earlier choice of vehicle."""
+        """Add the controls of a newly connected browser, restoring its earlier choice of vehicle."""
         with self._lock:
             if not self._open:
                 return
@@ -146,27 +146,27 @@ class Page:
             self._chosen_now()
 
     def _plotted_now(self, vehicle: int, quantity: str) -> tuple[Floats, Floats, Floats]:
-        """Return times [s], values and true values to plot; empty arrays where there is nothing."""
+        """Return times [s], readings and true values of a vehicle's quantity to plot; empty arrays without any."""
         nothing = (np.zeros(0),) * 3
         return nothing if self.plotted is None else self.plotted(vehicle, quantity)
 
     def _sky_now(self, vehicle: int) -> list[Satellite]:
-        """Return the satellites that a vehicle receives now."""
+        """Return the satellites that a vehicle's GNSS receiver reports now."""
         return self.sky(vehicle)
 
     def _chosen_now(self) -> None:
-        """Update the marks of chosen vehicles in the scene."""
+        """Mark the vehicles in the scene that any browser has chosen."""
         self.scene.choose(*self.chosen)
 
     def _clicked(self, vehicle: int | None, event: Any) -> None:
-        """Choose the clicked vehicle, or the one nearest to the ray, in the browser of the click."""
+        """Choose the clicked vehicle, or the one nearest to the click's ray, in the browser of the click."""
         viewer = self.viewers.get(event.client_id)
         if viewer is not None:
             by_ray = vehicle is None
             viewer.choose(self.scene.nearest(event.ray_origin, event.ray_direction) if by_ray else vehicle)
 
     def wish(self, wish: Any) -> bytes | None:
-        """Answer a request of a browser's script: the table of all vehicles, a choice in it, or something else.
+        """Answer a browser's request for the table of vehicles, a choice in it, or what ``wishes`` answers.
 
         Malformed requests are ignored.
         """
@@ -185,20 +185,20 @@ class Page:
         return self.wishes(wish)
 
     def choose(self, vehicle: int | None) -> None:
-        """Choose a vehicle in all browsers, also in those that come later."""
+        """Choose a vehicle (None: no vehicle) in all browsers, and in those that connect later."""
         self._choice.vehicle = vehicle
         for viewer in list(self.viewers.values()):
             viewer.choose(vehicle)
         self._chosen_now()
 
     def follow(self, follow: bool = True) -> None:
-        """Follow the chosen vehicle in all browsers, also in those that come later."""
+        """Follow the chosen vehicle with the camera in all browsers, and in those that connect later."""
         self._choice.follow = follow
         for viewer in list(self.viewers.values()):
             viewer.follow(follow)
 
     def adopt(self, other: Page) -> None:
-        """Take over choices and visible layers from another page of the same vehicles."""
+        """Take over choices and visible layers from another page that shows the same vehicles."""
         for title, layer in other.scene.layers.items():
             if title in self.scene.layers and layer.root.visible != self.scene.layers[title].root.visible:
                 self._shown[title].value = layer.root.visible
@@ -222,7 +222,7 @@ class Page:
         self._chosen_now()
 
     def close(self) -> None:
-        """Remove this page's content, so that another page can use the server."""
+        """Remove this page's content, so that another page can use the same server."""
         with self._lock:
             self._open = False
         for calls, own in (
@@ -235,7 +235,7 @@ class Page:
     # ---- the panel ----
 
     def _add_clock(self, clock: Clock) -> None:
-        """Add the buttons play, pause and step and the choice of speed."""
+        """Add the buttons play, pause and step and the menu of speeds to the panel."""
         gui = self.server.gui
         self.time_folder = gui.add_folder("Time", order=TIME)
         with self.time_folder:
@@ -246,7 +246,7 @@ class Page:
 
         @buttons.on_click
         def _(_: object) -> None:
-            """Step, play or pause the clock, and update the text of the shown frame."""
+            """Step, play or pause the clock as clicked, and update the text of the shown frame."""
             if buttons.value == "step":
                 clock.step()
             else:
@@ -259,11 +259,11 @@ class Page:
 
         @speed.on_update
         def _(_: object) -> None:
-            """Set the clock's speed to the chosen one."""
+            """Set the clock's speed to the one selected in the menu."""
             clock.speed = next(s for s in clock.speeds if _speed_name(s) == speed.value)
 
     def _add_layers(self) -> None:
-        """Add the switches of layers, and the slider for the size of vehicles."""
+        """Add a checkbox for each layer to the panel, and a slider for the size of vehicles."""
         gui, stage = self.server.gui, self.scene.stage
         self._shown: dict[str, Any] = {}
         self.layers_folder = gui.add_folder("Layers", order=LAYERS)
@@ -277,7 +277,7 @@ class Page:
             self._add_air()
 
         def resize(_: object) -> None:
-            """Scale the vehicles as slider and checkbox say."""
+            """Scale the vehicles as the slider and the checkbox are set."""
             size.disabled = true.value
             self.scene.resize(stage.cast.true_span if true.value else size.value)
 
@@ -285,7 +285,7 @@ class Page:
         true.on_update(resize)
 
     def _add_air(self) -> None:
-        """Add the controls of the air's plane, if the world has one."""
+        """Add controls for the height and kind of the wind arrows to the panel, if the world has such a layer."""
         layer, gui = self.scene.air, self.server.gui
         self._air: tuple[Any, Any] | None = None
         if layer is None:
@@ -295,14 +295,14 @@ class Page:
         self._air = (height, shows)
 
         def change(_: object) -> None:
-            """Show the air as height and kind are set."""
+            """Show the wind arrows at the height and of the kind that are set."""
             self.scene.show_air(height.value, shows.value)
 
         height.on_update(change)
         shows.on_update(change)
 
     def add_plots(self, quantities: list[str]) -> None:
-        """Let browsers plot measurements of the vehicle they have chosen against the truth."""
+        """Let users plot readings of the vehicle they have chosen, together with the true values."""
         with self._lock:
             self._quantities = quantities
             for number, viewer in list(self.viewers.items()):
@@ -312,14 +312,14 @@ class Page:
                     self._come(client)
 
     def add_colours(self, names: list[str], paint: Callable[[str], Paint], chosen: str | None = None) -> None:
-        """Let vehicles and true paths be coloured by one of some quantities, at first by ``chosen``."""
+        """Add a menu of quantities ``names``, at first ``chosen``; ``paint(name)`` colours vehicles and true paths."""
         with self.layers_folder:
             by = self.server.gui.add_dropdown(
                 "Colour", (BY_VEHICLE, *names), initial_value=chosen or BY_VEHICLE, hint="of vehicles and true paths"
             )
 
         def change(_: object) -> None:
-            """Colour the scene by the quantity that is set, or say why its stream cannot be read."""
+            """Colour the scene by the selected quantity, or show why it cannot be read from the log."""
             try:
                 self.scene.colour(None if by.value == BY_VEHICLE else paint(by.value))
             except QrsimError as error:
@@ -333,17 +333,17 @@ class Page:
     # ---- what happens ----
 
     def _show(self, title: str, event: Any) -> None:
-        """Show or hide a layer as its switch was set."""
+        """Show or hide the layer with this title, as its checkbox was set."""
         self.scene.show(title, event.target.value)
 
     def say(self, note: str) -> None:
-        """Show one line about the whole run."""
+        """Show one line of text about the whole run in the panel."""
         self.note = note
         if self.scene.frame is not None:
             self._say(self.scene.frame)
 
     def draw(self, frame: Frame, everything: bool = False) -> None:
-        """Draw a frame and update the panel; ``everything``: slow layers too."""
+        """Draw a frame and update the panel; ``everything``: also layers that are slow to draw."""
         self.scene.draw(frame, everything)
         if len(frame.reasons) != len(self._seen_stopped):
             self._seen_stopped = {i: self._seen_stopped.get(i, frame.time) for i in frame.reasons}
@@ -360,7 +360,7 @@ class Page:
         self._delivery.sent()
 
     def _say(self, frame: Frame) -> None:
-        """Write time, flying vehicles, dropped frames and stopped vehicles into the panel."""
+        """Write time, number of flying vehicles, dropped frames and stopped vehicles of a frame into the panel."""
         stopped = f", {len(frame.reasons)} stopped" if frame.reasons else ""
         fliers = self.scene.cast.fliers
         flying = f"{int((frame.valid & fliers).sum())} of {int(fliers.sum())} vehicles fly{stopped}"
@@ -380,10 +380,10 @@ class Page:
 
 
 def _speed_name(speed: float) -> str:
-    """Return the label of a speed in the page's menu."""
+    """Return the label of a playback speed in the page's menu."""
     return "as fast as can be" if math.isinf(speed) else f"{speed:g} x"
 
 
 def _half(value: float) -> float:
-    """Round to a multiple of a half."""
+    """Return a value rounded to a multiple of 0.5."""
     return round(2.0 * value) / 2.0

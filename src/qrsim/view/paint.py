@@ -44,7 +44,7 @@ class Paint:
     values: Callable[[Floats], Floats]
 
     def colours(self, times: Floats) -> Floats:
-        """Return the colours (K, n, 3), sRGB, at times (K,) [s]; grey where there is no value."""
+        """Return the vehicles' colours (K, n, 3), sRGB, at times (K,) [s]; grey where the quantity has no value."""
         found = self.values(times)
         part = (found - self.low) / max(self.high - self.low, 1e-30)
         known = np.isfinite(part)
@@ -52,7 +52,7 @@ class Paint:
         return np.where(known[..., None], colours, GREY).astype(np.uint8)
 
     def told(self) -> dict[str, object]:
-        """Return the content of the colour bar, for JSON."""
+        """Return the content of the colour bar for JSON: title, unit, range and colours."""
         below, above = self.beyond
         ends = [("\u2264 " if below else "") + f"{self.low:.3g}", ("\u2265 " if above else "") + f"{self.high:.3g}"]
         title = f"{self.title} [{self.unit}]" if self.unit not in ("", "1") else self.title
@@ -61,7 +61,7 @@ class Paint:
 
 @lru_cache(maxsize=1)
 def colour_map() -> Floats:
-    """Return viridis, perceptually uniform, as colours (STEPS, 3) from low to high, 0 to 255."""
+    """Return the colour map viridis as colours (STEPS, 3), sRGB 0 to 255, from low to high."""
     from matplotlib import colormaps
 
     return np.round(255.0 * colormaps["viridis"](np.linspace(0.0, 1.0, STEPS))[:, :3])
@@ -92,7 +92,7 @@ class Paints:
         self._kept: dict[str, Paint] = {}
 
     def of(self, name: str) -> Paint:
-        """Return the colours by which vehicles show a quantity.
+        """Return how vehicles are coloured by the quantity ``name``: its title, unit, range and values.
 
         Raises:
             UsageError: the run has no such quantity.
@@ -106,7 +106,7 @@ class Paints:
         return self._kept[name]
 
     def _made(self, name: str) -> Paint:
-        """Return the colours of a quantity, spread over its values at all times."""
+        """Read or compute a quantity, and return its colours with a range over all vehicles and times."""
         if name in self._computed:
             unit, stream, columns, compute = self._computed[name]()
         else:
@@ -121,7 +121,7 @@ class Paints:
         time = read.time
 
         def values(times: Floats) -> Floats:
-            """Return the last values up to each time."""
+            """Return the last values (K, n) up to each time (K,) [s]."""
             if not len(time):
                 return np.full((len(times), len(self._run.vehicles)), np.nan)
             return series[np.maximum(0, np.searchsorted(time, np.asarray(times) + 1e-6, side="right") - 1)]
@@ -131,7 +131,7 @@ class Paints:
     # ---- quantities that are computed ----
 
     def _derived(self) -> dict[str, Callable[[], _Recipe] | None]:
-        """Return how each quantity is computed that is no column; None where the run lacks a column."""
+        """Return quantity -> function that prepares its computation; None if the run lacks a column for it."""
         run = self._run
         speed = vector(run, "truth", "velocity_body", AXES)
         mean, gust = (vector(run, "wind", f"{part}_ned", AXES) for part in ("mean", "gust"))
@@ -151,7 +151,7 @@ class Paints:
         }
 
     def _error(self, parts: dict[str, Floats], time: Floats) -> Floats:
-        """Return the distance (T, n) [m] of positions from the true ones."""
+        """Return the distance (T, n) [m] between the positions in ``parts`` and the true ones at times (T,) [s]."""
         true = Columns(self._run, "truth", {"at": vector(self._run, "truth", POSITION, AXES)})
         return np.linalg.norm(parts["at"] - true.at("at", time), axis=-1)
 
@@ -162,12 +162,12 @@ _Recipe = tuple[str, str, dict[str, tuple[str, ...]], _Compute]
 
 
 def _length(parts: dict[str, Floats], time: Floats) -> Floats:
-    """Return the length (T, n) of the sum of vectors."""
+    """Return the length (T, n) of the sum of the vectors in ``parts``."""
     return np.linalg.norm(sum(parts.values()), axis=-1)
 
 
 def _upwards(parts: dict[str, Floats], time: Floats) -> Floats:
-    """Return the height (T, n) of down coordinates."""
+    """Return the height (T, n) [m] from a down coordinate in ``parts``."""
     return -parts["z"][..., 0]
 
 
@@ -185,7 +185,7 @@ class JoinedPaints:
         self._parts, self.names = parts, parts[0][0].names
 
     def of(self, name: str) -> Paint:
-        """Return the colours of a quantity of all runs; grey for runs without it.
+        """Return the colours of a quantity for the vehicles of all runs; grey for runs without it.
 
         Raises:
             UsageError: the first run has no such quantity.
@@ -196,7 +196,7 @@ class JoinedPaints:
         low, high = min(paint.low for paint in known), max(paint.high for paint in known)
 
         def values(times: Floats) -> Floats:
-            """Return the last values of all vehicles up to each time."""
+            """Return the last values (K, n) of all runs' vehicles up to each time (K,) [s]."""
             times = np.asarray(times)
             nothing = np.full((len(times), 1), np.nan)
             parts = [

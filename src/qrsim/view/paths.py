@@ -31,7 +31,7 @@ class Paths(Layer):
     paints = True
 
     def begin(self) -> None:
-        """Start all paths at the vehicles' starts."""
+        """Begin the drawn paths at the vehicles' start positions."""
         cast = self.stage.cast
         each = SEGMENTS // cast.size
         pieces = int(np.clip(each, FEWEST_PIECES, MOST_PIECES))
@@ -49,18 +49,18 @@ class Paths(Layer):
         self._painted = False
 
     def note(self, frame: Frame) -> None:
-        """Append a frame; an earlier time restarts the paths."""
+        """Extend the paths by the positions of a frame; an earlier time than the last restarts them."""
         self.extend(np.array([frame.time]), self.position(frame)[None])
 
     def missing(self, time: float) -> Floats:
-        """Return times (K,) [s] at which positions are needed: since the last one, or for a whole minute."""
+        """Return times (K,) [s] at which positions are needed to draw paths up to ``time``, at most a minute back."""
         if self._time is not None and self._time <= time <= self._time + LENGTH_S:
             return np.arange(self._time + self._corner_s, time, self._corner_s)
         self._time = None
         return np.append(np.arange(max(0.0, time - LENGTH_S), time, self._corner_s), time)
 
     def extend(self, times: Floats, points: Floats) -> None:
-        """Append positions (K, n, 3) [m] at times (K,) [s]; an earlier time than the last restarts the paths."""
+        """Extend the paths by positions (K, n, 3) [m] at times (K,) [s]; an earlier time restarts them."""
         for time, point in zip(times.tolist(), points, strict=True):
             if self._time is None or time < self._time:
                 self._restart(time, point)
@@ -74,7 +74,7 @@ class Paths(Layer):
         self._forget()
 
     def _restart(self, time: float, point: Floats) -> None:
-        """Begin the path of each vehicle again at a time [s] and its point (n, 3) in NED [m]."""
+        """Begin each vehicle's path again at a time [s] and a position (n, 3) NED [m]."""
         self._points[:] = np.where(np.isfinite(point), point, self.stage.cast.start_ned)
         self._stamps[:] = time
         self._from[:], self._to[:] = time, -np.inf
@@ -82,7 +82,7 @@ class Paths(Layer):
         self._changed = set(range(len(self._points)))
 
     def _keep_corner(self, time: float) -> None:
-        """Keep the path's tip as a corner, and begin a new piece if the last one is full."""
+        """Keep the end of each path as a corner; begin a new piece of path if the present one is full."""
         self._known, self._corner_at = self._known + 1, time
         if self._known > self._corners or time - self._from[self._newest] >= self._piece_s * (1.0 - 1e-6):
             tip = self._points[self._newest, -1]
@@ -92,18 +92,18 @@ class Paths(Layer):
             self._changed.add(self._newest)
 
     def _forget(self) -> None:
-        """Remove path pieces older than a minute."""
+        """Remove the pieces of path that are older than a minute."""
         assert self._time is not None
         for number in np.flatnonzero(np.isfinite(self._to) & (self._to < self._time - LENGTH_S)).tolist():
             self._points[number], self._to[number] = self._points[number, -1], -np.inf
             self._changed.add(number)
 
     def position(self, frame: Frame) -> Floats:
-        """Return the positions (n, 3) [m] in a frame that the path follows."""
+        """Return the positions (n, 3) NED [m] of a frame that the paths join: the true ones."""
         return frame.position_ned
 
     def draw(self, frame: Frame) -> None:
-        """Send the changed pieces to the browsers."""
+        """Send browsers the pieces of path that have changed."""
         for number in self._changed:
             if number in self._nodes:
                 self._nodes[number].points = self._segments(number)
@@ -122,16 +122,16 @@ class Paths(Layer):
         self._painted = self.stage.paint is not None
 
     def repaint(self) -> None:
-        """Send all pieces again at the next frame, because the colours have changed."""
+        """Send all pieces of path again at the next frame, because the colours have changed."""
         self._changed = set(range(len(self._points)))
 
     def _segments(self, number: int) -> Floats:
-        """Return the path of a vehicle as line segments (corners, 2, 3) in NED [m]."""
+        """Return piece ``number`` of all vehicles' paths as line segments (corners * n, 2, 3) NED [m]."""
         points = self._points[number]
         return np.stack([points[:-1], points[1:]], axis=2).reshape(-1, 2, 3)
 
     def _colours(self, number: int) -> Any:
-        """Return one colour for all segments of a piece, or a colour for each end of each segment."""
+        """Return one colour for all segments of piece ``number``, or a colour for each end of each segment."""
         if self.paints and self.stage.paint is not None:
             own = shapes.linear(self.stage.paint.colours(self._stamps[number]))
             return np.stack([own[:-1], own[1:]], axis=2).reshape(-1, 2, 3)
@@ -149,7 +149,7 @@ class Routes(Layer):
     every = 1000.0
 
     def begin(self) -> None:
-        """Add all routes as one node."""
+        """Add all vehicles' routes to the scene as one set of lines."""
         pairs = [np.stack([route[:-1], route[1:]], axis=1) for route in self.stage.cast.routes]
         legs = np.concatenate(pairs).astype(np.float32)
         colours = np.repeat(shapes.linear(self.stage.colours), [len(own) for own in pairs], axis=0)
@@ -167,9 +167,9 @@ class EstimatedPaths(Paths):
     paints = False
 
     def position(self, frame: Frame) -> Floats:
-        """Return the estimated positions (n, 3) [m] in a frame."""
+        """Return the positions (n, 3) NED [m] of a frame that the paths join: the estimated ones."""
         return frame.estimate_ned
 
     def _colours(self, number: int) -> Any:
-        """Return one colour for the segments of all vehicles; with several runs, those of the runs."""
+        """Return one colour for the estimated paths of all vehicles; with several runs, those of the runs."""
         return ESTIMATE_COLOUR if self.stage.cast.run_of is None else super()._colours(number)

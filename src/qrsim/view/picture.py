@@ -25,7 +25,7 @@ SCENE_ONLY = """
 
 
 def check_name(path: Path) -> None:
-    """Raise UsageError for a picture's file name with an unsupported suffix."""
+    """Raise UsageError if a picture's name does not end in .png or its folder is missing."""
     if path.suffix.lower() != ".png":
         raise UsageError(f"--screenshot {path}: the name has to end in .png")
     if not path.parent.is_dir():
@@ -33,7 +33,7 @@ def check_name(path: Path) -> None:
 
 
 def photograph(server: ViserServer, caption: str, size: tuple[int, int] = (WIDTH, HEIGHT)) -> bytes:
-    """Take a picture of the scene, as PNG with a title line.
+    """Return a screenshot of the page in a headless browser as PNG, with ``caption`` as title line.
 
     Args:
         server: of the page.
@@ -70,7 +70,7 @@ def wait_for_client(server: ViserServer) -> None:
 
 
 def settled(browser: Browser) -> Image.Image:
-    """Return the page's picture once it is not empty and no longer changes."""
+    """Return a screenshot of the page once it is not empty and no longer changes."""
     before, changed = b"", time.monotonic()
     deadline = changed + PATIENCE_S
     while True:

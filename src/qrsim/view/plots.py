@@ -64,7 +64,7 @@ class Plots:
             self.quantities = {**series.quantities, **self.quantities}
 
     def about(self) -> dict[str, object]:
-        """Return for the page, as JSON content: quantities, sets for one plot, vehicles, runs, events and end [s]."""
+        """Return what the page's plots need, for JSON: quantities, vehicles, runs, events, end [s], groups."""
         recording = self._recording
         return {
             "quantities": [[own.name, own.unit, own.doc] for own in self.quantities.values()],
@@ -78,7 +78,7 @@ class Plots:
         }
 
     def _together(self) -> list[tuple[str, list[str]]]:
-        """Return (title, names of the quantities) of each set that belongs in one plot."""
+        """Return (title, names of quantities) for each set of quantities to plot together."""
         found = []
         for words, ending in TOGETHER.items():
             measured = [name for name in self.quantities if _is_fix(name, ending)]
@@ -92,12 +92,12 @@ class Plots:
         return found
 
     def highlights(self) -> list[Highlight]:
-        """Return (time [s] or None, text) of the extremes of all runs."""
+        """Return the notable moments of all runs: (time [s] or None, text)."""
         with self._lock:
             return highlights_of(self._series)
 
     def answer(self, wish: object) -> bytes | None:
-        """Return the lines of plots that a browser requests, as bytes; None if malformed or of an empty time span.
+        """Return the plot lines that a browser requests, as bytes; None for a malformed request or empty time span.
 
         Args:
             wish: ``number``, which the answer repeats; ``lines``, pairs of a quantity and a vehicle; ``from`` and
@@ -134,7 +134,7 @@ class Plots:
         return packed({"number": wish.get("number"), "lines": lines}, np.concatenate(parts))
 
     def _line(self, line: object, edges: Floats) -> tuple[dict[str, object], list[Floats]] | None:
-        """Return extremes with their times, and the binned values, of one [quantity, vehicle]; None if unknown."""
+        """Return extremes and binned values of ``line``: [quantity, vehicle], between ``edges``; None if unknown."""
         if not (isinstance(line, list) and len(line) == 2 and isinstance(line[0], str) and isinstance(line[1], int)):
             return None
         name, vehicle = line
@@ -160,13 +160,13 @@ class Plots:
     # ---- pages without a server ----
 
     def times(self) -> Floats:
-        """Return the times (K,) [s] of the values in a page without a server: evenly spaced, at least two."""
+        """Return the times (K,) [s] of plotted values in an exported page: evenly spaced, at least two."""
         count = sum(len(own.quantities) * len(own.member.recording.run.vehicles) for own in self._series)
         end = self._recording.end
         return np.linspace(0.0, end, max(2, min(MOST_VALUES // max(1, count), int(end * FASTEST_HZ) + 1)))
 
     def of_vehicles(self) -> Iterator[Floats]:
-        """Yield the values of each vehicle (Q, K), a row for each of ``quantities``; NaN in a run without it."""
+        """Yield for each vehicle its plotted values (Q, K), one row per quantity; NaN if its run lacks it."""
         time = self.times()
         for series in self._series:
             kept = series.sampled(time)
@@ -176,7 +176,7 @@ class Plots:
 
 
 def _time(event: Event) -> float:
-    """Return the time of an event [s]."""
+    """Return the time [s] of an event of a run."""
     return event.time
 
 
@@ -186,7 +186,7 @@ def listed(events: Iterable[Event]) -> list[tuple[float, str, str]]:
 
 
 def extremes(time: Floats, values: Floats, edges: Floats) -> dict[str, float | None]:
-    """Return the smallest and largest value within the edges, with their times [s]; all None without finite values."""
+    """Return the smallest and largest value between the outer edges, with times [s]; None if none is finite."""
     first, last = np.searchsorted(time, [edges[0] - 1e-6, edges[-1] + 1e-6])
     part = values[first:last]
     if not np.isfinite(part).any():
@@ -201,7 +201,7 @@ def extremes(time: Floats, values: Floats, edges: Floats) -> dict[str, float | N
 
 
 def binned(time: Floats, values: Floats, edges: Floats) -> Floats:
-    """Return two values a bin (2 B,): its extremes in order of time; of few samples, those at its start and middle.
+    """Return two values per bin (2 B,): min and max in order of time; with few samples those at start and middle.
 
     Args:
         time: (T,) sorted [s].
@@ -232,21 +232,21 @@ def binned(time: Floats, values: Floats, edges: Floats) -> Floats:
 
 
 def _lower(pairs: Floats) -> Floats:
-    """Return the lower of each pair (B, 2)."""
+    """Return the smaller of each pair (B, 2); NaN counts as missing."""
     return np.asarray(np.fmin(pairs[:, 0], pairs[:, 1]))
 
 
 def _upper(pairs: Floats) -> Floats:
-    """Return the higher of each pair (B, 2)."""
+    """Return the larger of each pair (B, 2); NaN counts as missing."""
     return np.asarray(np.fmax(pairs[:, 0], pairs[:, 1]))
 
 
 def _is_fix(name: str, ending: str) -> bool:
-    """Return whether a quantity is a sensor's measurement with this ending, such as ``position_ned.x``."""
+    """Return whether a quantity is a sensor reading with a name that ends so, such as ``position_ned.x``."""
     return name.startswith("measurements.") and name.endswith(f".{ending}")
 
 
 def _part(name: str) -> str:
-    """Return the words for a quantity in a plot's title, such as "truth"; for a measurement, the sensor's name."""
+    """Return the word for a quantity in a plot's title: the sensor's name for a reading, else such as "truth"."""
     known = {SETPOINT: "set-point", ESTIMATE: "estimate with its 95 % band", TRUTH: "truth"}
     return next((words for start, words in known.items() if name.startswith(start)), name.split(".")[1])

@@ -33,7 +33,7 @@ class RadioLinks(Layer):
     most_in_film = 300
 
     def begin(self) -> None:
-        """Add the half-lines of radio links, hidden at first."""
+        """Add the lines of radio links to the scene, hidden at first."""
         size = self.stage.cast.size
         room = self._room = min(MOST_DRAWN, size * (size - 1))
         self._handle = self.several(
@@ -44,7 +44,7 @@ class RadioLinks(Layer):
         )
 
     def draw(self, frame: Frame) -> None:
-        """Draw the half lines along the links of the last period."""
+        """Draw the lines along the radio links of the last period before a frame."""
         if frame.links is None:
             return
         start, vector, arrives, heard = halves(frame.links, frame.position_ned, frame.valid)
@@ -61,7 +61,7 @@ class RadioLinks(Layer):
 
 
 def halves(links: Links, position_ned: Floats, valid: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return starts (L, 3) [m], vectors (L, 3) [m] and qualities (L,) of the half-lines that represent links.
+    """Return half-lines of links: start, vector (L, 3) [m], arrival chance, whether the last packet arrived (L,).
 
     Args:
         links: of the last period.
@@ -85,10 +85,10 @@ def halves(links: Links, position_ned: Floats, valid: Floats) -> tuple[Floats, F
 
 
 def _filled(rows: Floats, room: int, filler: Floats) -> Floats:
-    """Return rows padded to ``room`` rows with copies of ``filler``."""
+    """Return ``rows`` padded to ``room`` rows with copies of the row ``filler``."""
     return np.concatenate([rows, np.broadcast_to(filler, (room - len(rows), len(filler)))])
 
 
 def radio_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return a list with the layer of radio links, [] without radios."""
+    """Return a list with the layer of radio links, [] in a world without a radio or with one vehicle."""
     return [RadioLinks(stage)] if world.radio is not None and stage.cast.size > 1 else []

@@ -46,7 +46,7 @@ class Rays(Layer):
         super().__init__(stage)
 
     def draw(self, frame: Frame) -> None:
-        """Draw the rays of all selected vehicles, if any has changed."""
+        """Draw the lines to the satellites of the chosen vehicles, if any of these have changed."""
         found = [
             (vehicle, self.stage.sky(vehicle), frame.position_ned[vehicle]) for vehicle in sorted(self.stage.chosen)
         ]
@@ -70,7 +70,7 @@ class Rays(Layer):
         )
 
     def _of(self, sky: list[Satellite], place: Floats) -> tuple[Floats, Floats]:
-        """Return the segments (L, 2, 3) [m] of the rays of a vehicle at a place (3,), and which (L,) are received."""
+        """Return line segments (L, 2, 3) [m] from a vehicle (3,) to satellites, and which are received (L,)."""
         rays = [(azimuth, elevation, state) for _, azimuth, elevation, _, state in sky if state in (1, 2, 3, 4)]
         if not rays:
             return np.zeros((0, 2, 3)), np.zeros(0, bool)
@@ -90,7 +90,7 @@ class Rays(Layer):
         return np.concatenate(segments), np.array(received)
 
     def _met(self, place: Floats, ways: Floats, reach: float) -> Floats:
-        """Return the distance (K,) [m] along ways (K, 3) at which something is met; ``reach`` where nothing is."""
+        """Return the distance (K,) [m] from a position along ways (K, 3) to an obstacle or ground, else ``reach``."""
         # One shape for any number of satellites, so that it is compiled once.
         room = np.zeros((64, 3), np.float32)
         room[:, 2] = -1.0
@@ -101,7 +101,7 @@ class Rays(Layer):
 
 
 def dashes(kind: int) -> Floats:
-    """Return begin and end (L, 2) of the dashes of a ray, in parts of its length."""
+    """Return begin and end (L, 2) of the dashes of a satellite's line, as fractions of its length."""
     if kind == TRACKED:
         return np.array([[0.0, 1.0]])
     count, drawn = DASHES[kind], DRAWN[kind]
@@ -110,7 +110,7 @@ def dashes(kind: int) -> Floats:
 
 
 def rays_of_film(rays: Rays) -> dict[str, object]:
-    """Return for JSON the path, lengths [m], dashes by state, and colours of a page that draws its rays itself."""
+    """Return lengths [m], dashes and colours with which an exported page draws satellite lines, for JSON."""
     return {
         "path": f"{rays.path}/rays",
         "reach": REACH * rays.stage.cast.extent,
@@ -122,7 +122,7 @@ def rays_of_film(rays: Rays) -> dict[str, object]:
 
 
 def ray_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return a list with the layer of satellite rays; [] unless a receiver reports single satellites."""
+    """Return a list with the layer of lines to satellites, [] unless a receiver reports single satellites."""
     sensors = (sensor for fleet in world.fleets for sensor in fleet.sensors)
     told = any(isinstance(sensor, ReceiverParameters) and sensor.per_satellite for sensor in sensors)
     return [Rays(stage, world)] if told else []

@@ -37,7 +37,7 @@ class Skies:
         self._sampled = sampled(run, "measurements", columns, self.time)
 
     def of_vehicles(self) -> Iterator[dict[str, Floats]]:
-        """Yield for each vehicle field -> array (slots, K) of its satellites; degrees, NaN as -1."""
+        """Yield for each vehicle field -> array (slots, K) of its satellites; angles in degrees, NaN as -1."""
         count = next(iter(self._sampled.values())).shape[1] if len(self.time) else 0
         for i in range(count):
             found = {
@@ -61,7 +61,7 @@ class Excerpts:
         self._kept: dict[tuple[int, str], tuple[float, float, Floats, dict[str, Floats]]] = {}
 
     def of(self, vehicle: int, stream: str, start: float, end: float) -> tuple[Floats, dict[str, Floats]]:
-        """Return times (T,) [s] and columns (T,) of a vehicle that cover ``start`` to ``end`` [s], cached."""
+        """Return times (T,) [s] and column -> values (T,) of a vehicle that cover ``start`` to ``end`` [s], cached."""
         kept = self._kept.pop((vehicle, stream), None)
         if kept is None or start < kept[0] or end > kept[1]:
             kept = self._read(vehicle, stream, start, end + AHEAD_S)
@@ -73,7 +73,7 @@ class Excerpts:
     def _read(
         self, vehicle: int, stream: str, start: float, end: float
     ) -> tuple[float, float, Floats, dict[str, Floats]]:
-        """Return start, end and times [s] of a part of a stream, and column -> values of a vehicle."""
+        """Read a part of a log stream: return its start, end and times [s], and column -> values of a vehicle."""
         names = _numbers(self._run, stream)
         times, parts = [np.zeros(0)], {name: [np.zeros(0)] for name in names}
         for batch in self._run[stream].batches(names, start=start, end=end):
@@ -84,12 +84,12 @@ class Excerpts:
 
 
 def _numbers(run: Run, stream: str) -> list[str]:
-    """Return the numeric columns of a stream that can be plotted."""
+    """Return the names of a log stream's floating-point columns."""
     return [column.name for column in run.describe(stream)[len(INDEX) :] if column.dtype.startswith("float")]
 
 
 def sampled(run: Run, stream: str, names: list[str], time: Floats) -> dict[str, Floats]:
-    """Return {column: last values (K, n) up to each time (K,) [s]} of a stream, in one pass over the files."""
+    """Read columns of a log stream in one pass: name -> last values (K, n) up to each time (K,) [s]."""
     known = run[stream].time
     rows = np.maximum(0, np.searchsorted(known, time + 1e-6, side="right") - 1)
     found = {name: np.empty((len(time), len(run.vehicles)), np.float32) for name in names}

@@ -25,7 +25,7 @@ WORDS: dict[tuple[str, str], Callable[[float], str]] = {
 
 
 def in_words(kind: str, field: str | None, value: float | None, area: object = None) -> str:
-    """Return as text why a vehicle has stopped, from the event's kind, field and value.
+    """Return in words why a vehicle has stopped, from the kind, field and value of its event.
 
     Args:
         kind, field, value: as events have them, in SI units.
@@ -47,13 +47,13 @@ def in_words(kind: str, field: str | None, value: float | None, area: object = N
 
 
 def code_in_words(code: int, value: float, area: object) -> str:
-    """Return as text why a vehicle has stopped, from code and value of a state's violation."""
+    """Return in words why a vehicle has stopped, from its state's violation code and value."""
     kind, field = REASONS[code]
     return in_words(kind, field, value, area)
 
 
 def _where(axis: str, value: float, area: object) -> str:
-    """Return as text on which side of the area a coordinate [m] on an axis lies; "" if unknown."""
+    """Return on which side of the area a coordinate [m] lies, in words; "" if the area's shape is unknown."""
     known = {} if area is None else vars(area)
     low, high = (known.get(f"{axis}_{end}") for end in ("min", "max"))
     if low is None or high is None:

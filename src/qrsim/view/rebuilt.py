@@ -67,11 +67,11 @@ class Rebuilt:
         self._cameras = _cameras(run, world)
 
     def _precision(self) -> Any:
-        """Return the context of JAX with the precision of the run."""
+        """Return a context in which JAX uses the precision (32 or 64 bits) of the run."""
         return jax.enable_x64(self._wide)
 
     def at(self, time: float) -> Beside:
-        """Return the world's contents, cameras and weather at a time [s]."""
+        """Recompute the world's contents (plume, persons ...), camera readings and weather at a time [s]."""
         tick = round(time / self._world.time_step)
         contents = self._start
         if contents.persons is not None:
@@ -83,7 +83,7 @@ class Rebuilt:
         return Beside(self._blowing(time), self._drawn, contents, self._keys.fleets, cameras, self._field)
 
     def _blowing(self, time: float) -> World:
-        """Return the world with its weather at a time [s], from requests and scheduled changes."""
+        """Return the world with its weather at a time [s], from recorded requests and scheduled changes."""
         tick: Any = np.int32(round(time / self._world.time_step))
         worlds = [world for since, world in self._worlds if since <= tick]
         changes = self._world.changes
@@ -94,7 +94,7 @@ class Rebuilt:
         return with_asked(self._world, asked) if asked else self._world
 
     def _blown(self, tick: int) -> object:
-        """Return the plume's puffs at a tick, simulated on from the last call if possible."""
+        """Return the plume's puffs at a tick, computed from those of the last call if these are earlier."""
         done = tick // period_ticks(self._world.contents.plume.period, self._world.time_step)
         if done < self._puffs_ticks:
             self._puffs, self._puffs_ticks = self._start.plume, 0
@@ -107,7 +107,7 @@ class Rebuilt:
 
 
 def _weathers(run: Run, world: World) -> Iterator[tuple[int, World]]:
-    """Yield (tick, world from then on) for each change of the weather requested in flight."""
+    """Yield (tick, world from then on) for each change of weather that was requested during the run."""
     for entry in run.injections:
         numbers = {name: value for name, value in entry.items() if name not in KEYS}
         with contextlib.suppress(UsageError):
@@ -117,7 +117,7 @@ def _weathers(run: Run, world: World) -> Iterator[tuple[int, World]]:
 
 
 def rebuilt(run: Run, world: World | None) -> Rebuilt | None:
-    """Rebuild the contents of a run's world; None if it had none or is unknown."""
+    """Return a recomputation of what logs lack (contents, pictures, wind); None if the world has none or is unknown."""
     if world is None:
         return None
     parts = world.contents.random
@@ -125,20 +125,20 @@ def rebuilt(run: Run, world: World | None) -> Rebuilt | None:
 
 
 def _drawn_again(world: World, keys: Any) -> tuple[Any, Any, object]:
-    """Return the episode's ranges, its contents at the start and its field of gusts, drawn as in the flight."""
+    """Redraw an episode's random values from its keys: world parameters, contents at the start, gust field."""
     drawn, contents = drawn_contents(world, keys)
     like = jnp.zeros((), world.fleets[0].start.position_ned.x.dtype)
     return drawn, contents, draw_field(world.with_drawn(drawn), episode_draws(world, keys, like))
 
 
 def _blown(world: World, keys: Any, puffs: Any, done: object, wanted: object) -> object:
-    """Return the puffs after ``wanted`` plume periods, given those after ``done``."""
+    """Return the plume's puffs after ``wanted`` of its periods, from ``puffs`` after ``done`` periods."""
     plume = world.contents.plume
     stream = keys.stream(0, jnp.arange(plume.ids, dtype=jnp.uint32))
     ticks = period_ticks(plume.period, world.time_step)
 
     def step(number: Any, puffs: Any) -> Any:
-        """Return the puffs after one step of the plume, the same as in the flight."""
+        """Return the puffs one plume period later, the same as in the flight."""
         return plume.step(puffs, Draw(stream, (number + 1) * ticks, jnp.zeros((), puffs.age.dtype)))
 
     return lax.fori_loop(done, wanted, step, puffs)
@@ -157,7 +157,7 @@ class _Camera:
         self._vehicles, self._dtype = vehicles, dtype
 
     def at(self, time: float) -> CameraReading:
-        """Return the recorded camera reading at a time [s]."""
+        """Return a camera's recorded reading at a time [s]: pose at its last picture, and the picture's number."""
         where, attitude, number = (
             self._columns.at(name, time)[self._vehicles].astype(self._dtype)
             for name in ("taken_at_ned", "taken_attitude", "picture")
@@ -166,7 +166,7 @@ class _Camera:
 
 
 def _cameras(run: Run, world: World) -> dict[tuple[int, int], _Camera]:
-    """Return (fleet number, sensor number) -> recorded camera."""
+    """Return (fleet number, sensor number) -> recorded readings, for all cameras that were logged."""
     found, first = {}, 0
     for number, fleet in enumerate(world.fleets):
         for index in (index for place, index in camera_places(world) if place == number):

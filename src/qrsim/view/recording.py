@@ -56,7 +56,7 @@ class Member:
 
     @property
     def end(self) -> float:
-        """The last time [s] at which it is shown."""
+        """Last time [s] at which the run is shown."""
         return self.recording.end + self.shift
 
 
@@ -111,38 +111,38 @@ class Recording:
 
     @property
     def notes(self) -> list[str]:
-        """Whether the run is still being written, as one line."""
+        """A line of text if the run is still being written; [] otherwise."""
         running = self.run.info.state == "running"
         return [f"the run has not ended; shown up to {self.end:g} s, the last flush"] if running else []
 
     @property
     def end(self) -> float:
-        """Time of the last tick [s]."""
+        """Time [s] of the last tick."""
         return float(self.time[-1])
 
     @property
     def title(self) -> str:
-        """The name of the scenario."""
+        """Name of the run's scenario."""
         return self.run.info.scenario
 
     @property
     def members(self) -> list[Member]:
-        """The runs that are shown: this one."""
+        """The runs that the page shows: only this one."""
         return [Member("", self)]
 
     @property
     def events(self) -> list[Event]:
-        """Events of the run; none if they were not recorded."""
+        """Events of the run; [] if they were not recorded."""
         return self.run.events if EVENTS in self.run else []
 
     @property
     def heading(self) -> str:
-        """Title line: the scenario of the run."""
+        """Title line of the page: scenario and seed of the run."""
         info, count = self.run.info, len(self.run.vehicles)
         return f"{info.scenario}, seed {info.seed}, {count} vehicle{'s' if count != 1 else ''}"
 
     def _surroundings(self) -> tuple[World | None, Cast]:
-        """Return world and cast of the recorded scenario; no world, with a warning, if it cannot be built."""
+        """Return the recorded scenario's world and its scene's fixed content; no world, with a warning, if invalid."""
         start = self._truth.at("position", self.time[0])
         over = self._over
         # Of the same scenario nothing has to be built again.
@@ -166,26 +166,26 @@ class Recording:
         return None, Cast(self.run.vehicles, np.zeros(count, int), starts, flown=self._flown(), site=self._site())
 
     def _site(self) -> tuple[float, float, float] | None:
-        """Return latitude, longitude [deg] and height [m] of the origin; None where the scenario has none."""
+        """Return (latitude [deg], longitude [deg], height [m]) of the origin; None if the scenario has none."""
         with suppress(RunError):
             latitude, longitude, height = place_of(self.run).geodetic(np.zeros(3)).tolist()
             return latitude, longitude, height
         return None
 
     def _flown(self) -> Floats:
-        """Return positions (K, 3) [m] along all flown paths."""
+        """Return positions (K, 3) NED [m] along all vehicles' flown paths, for the initial view."""
         times = self.time[:: 1 + len(self.time) // PATH_TIMES]
         return np.vstack([self._truth.at("position", float(time)) for time in times])
 
     def _places(self) -> Places | None:
-        """Return the places of the run's task, None without a task."""
+        """Return the goals and other places of the run's task; None if it was no task."""
         scenario = self.run.scenario
         task = scenario.get("task") if isinstance(scenario, dict) else None
         known = isinstance(task, dict) and task.get("type", "none") != "none"
         return surroundings_of(self.run).places if known else None
 
     def frame(self, time: float) -> Frame:
-        """Return the frame at a time [s]."""
+        """Return what the page draws of the recorded run at a time [s]."""
         row = max(0, int(np.searchsorted(self.time, time + 1e-6, side="right")) - 1)
         now = float(self.time[row])
         valid = self._truth.at("valid", now)[..., 0]
@@ -205,7 +205,7 @@ class Recording:
         )
 
     def _links_at(self, time: float) -> Links | None:
-        """Return the radio links at a time [s]; None if none were recorded."""
+        """Return the recorded radio links at a time [s]; None if there are none."""
         if self._links is None:
             return None
         found = [self._links.at(f"link{k}", time) for k in range(len(self._links.names))]
@@ -214,23 +214,23 @@ class Recording:
 
     @property
     def modes(self) -> list[tuple[float, int, str]]:
-        """Times [s], vehicles and texts of changes of failsafes, in order; "": it ends."""
+        """Changes of failsafes' actions, in order: (time [s], vehicle number, text), "" when one ends."""
         return self._details.modes
 
     def why(self, event: Event) -> str:
-        """Return as text why a vehicle has stopped, from its event."""
+        """Return in words why a vehicle has stopped, from the event that recorded it."""
         return in_words(event.kind, event.field, event.value, None if self.world is None else self.world.area)
 
     def positions(self, times: Floats) -> Floats:
-        """Return the true positions (K, n, 3) at times (K,) [s]."""
+        """Return the true positions (K, n, 3) NED [m] at times (K,) [s]."""
         return self._truth.at("position", times)
 
     def estimates(self, times: Floats) -> Floats:
-        """Return measured positions (K, n, 3) at times (K,) [s]: horizontal from GNSS, vertical from the barometer."""
+        """Return measured positions (K, n, 3) NED [m] at times (K,) [s]: from GNSS, with the barometer's height."""
         return self._estimate(times)
 
     def _estimate(self, times: object) -> Floats:
-        """Return positions (..., n, 3) in NED [m] by the first receiver, with the height of a barometer."""
+        """Return positions (..., n, 3) NED [m] of the first GNSS receiver, with the height of the first barometer."""
         estimate = self._measured.at("fix", times).copy()
         height = self._measured.at("height", times)[..., 0]
         estimate[..., 2] = np.where(np.isfinite(height), -height, estimate[..., 2])
@@ -249,7 +249,7 @@ class Recording:
 
 
 def _looks(run: Run) -> object:
-    """Return (fleet, vehicle) of each fleet in a run's scenario, to compare how vehicles look; None if unknown."""
+    """Return (fleet, vehicle type) of a run's scenario, to compare the vehicles' shapes; None if unknown."""
     fleets = run.scenario.get("fleets") if isinstance(run.scenario, dict) else None
     if not isinstance(fleets, dict):
         return None
@@ -257,7 +257,7 @@ def _looks(run: Run) -> object:
 
 
 def _links(run: Run) -> Columns | None:
-    """Return the logged columns of radio links; None without a radio."""
+    """Return the logged columns of radio links of a run; None if it has none."""
     names = run["measurements"].columns() if "measurements" in run else ()
     count = links_logged(names)
     each: dict[str, tuple[str, ...] | None] = {
@@ -267,25 +267,25 @@ def _links(run: Run) -> Columns | None:
 
 
 def _first(run: Run, ending: str) -> str | None:
-    """Return the first measured quantity's name that has this ending, without the ending; None without one."""
+    """Return what precedes ``ending`` in the name of the first measured quantity that has it; None without one."""
     columns = run["measurements"].columns() if "measurements" in run else ()
     return next((column.removesuffix(f".{ending}") for column in columns if column.endswith(f".{ending}")), None)
 
 
 def _fixes(run: Run) -> tuple[str, ...] | None:
-    """Return the columns of the first sensor that reports a position; None without one."""
+    """Return the columns of the position of the first sensor that reports one; None without such a sensor."""
     sensor = _first(run, "position_ned.x")
     return vector(run, "measurements", f"{sensor}.position_ned", AXES) if sensor else None
 
 
 def _heights(run: Run) -> tuple[str, ...] | None:
-    """Return the column of the first sensor that reports a height; None without one."""
+    """Return the column of the height of the first sensor that reports one; None without such a sensor."""
     sensor = _first(run, "height")
     return (f"{sensor}.height",) if sensor else None
 
 
 def _stops(run: Run) -> list[Event]:
-    """Return one event for each vehicle that stopped."""
+    """Return the event of each vehicle that stopped during a run, one per vehicle."""
     if EVENTS not in run:
         return []
     found = {e.vehicle: e for e in reversed(run.events) if e.kind not in NOT_A_STOP and e.vehicle in run.vehicles}

@@ -58,13 +58,13 @@ class Replay:
         self.seek(time)
 
     def _scrub(self, event: Any) -> None:
-        """Go to the slider's time after a user has moved it."""
+        """Go to the time of the slider that a user has moved."""
         # What the program itself moved has no client.
         if event.client is not None:
             self.seek(self._slider.value)
 
     def _wish(self, wish: object) -> bytes | None:
-        """Handle a request of the timeline, or of plots."""
+        """Seek, play, pause or change the speed as a browser requests; return plot lines if it requests those."""
         played = self.clock.playing
         answer = self._timeline.wish(wish)
         if played and not self.clock.playing:
@@ -72,7 +72,7 @@ class Replay:
         return answer
 
     def _paused(self) -> None:
-        """Let panel, slider and timeline say the time that is drawn; while it plays, they do so at some frames only."""
+        """Show the present time in panel, slider and timeline, which follow only some frames while it plays."""
         self.seek(self.time)
 
     def seek(self, time: float, everything: bool = True) -> None:
@@ -82,7 +82,7 @@ class Replay:
             self._show(everything)
 
     def _show(self, everything: bool = False) -> None:
-        """Draw the frame at the present time; ``everything``: also slow layers and the slider."""
+        """Draw the frame at the present time; ``everything``: also move the slider and draw slow layers."""
         frame = self.recording.frame(self.time)
         remember_paths(self.page.scene, self.recording, frame.time)
         self.page.draw(frame, everything)
@@ -109,7 +109,7 @@ class Replay:
 
 
 def remember_paths(scene: Scene, recording: Recording | Several, time: float) -> None:
-    """Extend a scene's paths to a time [s]; after a jump, rebuild them."""
+    """Extend the paths drawn in a scene to a time [s], with recorded positions; after a jump, draw them again."""
     for paths, read in zip(scene.paths, (recording.positions, recording.estimates), strict=True):
         times = paths.missing(time)
         if len(times):

@@ -15,7 +15,7 @@ USED, WORDS = (1, 2), {0: "not tracked", 3: "hidden", 4: "jammed"}
 
 
 def satellites_lost(member: Member) -> Iterator[Event]:
-    """Yield an event for each satellite that a vehicle's receiver stopped using, vehicle by vehicle."""
+    """Yield an event for each satellite that a vehicle's receiver stopped using in a run, vehicle by vehicle."""
     run, letter = member.recording.run, f"{member.letter} " if member.letter else ""
     skies = Skies(run, member.recording.end)
     for name, said in zip(run.vehicles, skies.of_vehicles() if len(skies.time) else (), strict=False):
@@ -37,6 +37,6 @@ def satellites_lost(member: Member) -> Iterator[Event]:
 
 
 def first_lost(members: list[Member], most: int) -> list[Event]:
-    """Return the earliest ``most`` events of lost satellites of all runs, sorted by time."""
+    """Return the ``most`` earliest events of satellites lost in all runs, in order of time."""
     found = [event for member in members for event in satellites_lost(member)]
     return sorted((event for event in found if event.time >= 0.0), key=lambda event: event.time)[:most]

@@ -103,30 +103,30 @@ class Scene:
         self._look()
 
     def _look(self) -> None:
-        """Set the initial view of new pages: from the south, with all starts, routes and paths."""
+        """Set the first view of pages opened later: from the south, with all starts, routes and paths."""
         # Vehicles leave where they start; what they fly in is seen as a whole.
         self._begin(self.cast.centre, self.cast.extent * (1.15 if self.cast.around is None else 0.8))
         self._server.initial_camera.near, self._server.initial_camera.far = 0.1, max(1000.0, 20.0 * self.cast.extent)
 
     def look(self, at: Floats, distance: float, from_ned: tuple[float, float, float] = SOUTH) -> None:
-        """Set the initial camera to look at a point (3,) NED from a distance [m] in a direction NED."""
+        """Make new pages view the point ``at`` (3,) NED [m] from a distance [m]; camera in direction ``from_ned``."""
         self._begin(at, distance, from_ned)
         self.overlay.hold()
 
     def _begin(self, at: Floats, distance: float, from_ned: tuple[float, float, float] = SOUTH) -> None:
-        """Set a new browser's camera at ``distance`` [m] from the point ``at``, in a direction NED."""
+        """Set the camera of new pages at ``distance`` [m] from the point ``at``, in direction ``from_ned`` of it."""
         camera = self._server.initial_camera
         camera.up = (0.0, 0.0, -1.0)
         camera.look_at = tuple(at)
         camera.position = tuple(np.asarray(at) + distance * np.array(from_ned))
 
     def look_from(self, direction: tuple[float, float, float]) -> None:
-        """Make new pages begin with a view of all vehicles from a direction NED, as seen from the vehicles."""
+        """Make new pages view all vehicles from a camera in this direction (NED) of them."""
         self._begin(self.cast.centre, self.cast.extent, direction)
         self.overlay.look_from(direction)
 
     def draw(self, frame: Frame, everything: bool = False) -> None:
-        """Draw the layers that are due for a frame; ``everything``: all visible ones.
+        """Draw the layers that are due for this frame; ``everything``: all visible ones.
 
         Args:
             frame: what to show.
@@ -150,18 +150,18 @@ class Scene:
                 self._draw(*max(waiting, key=lambda late: self._due[late[0]]))
 
     def _draw(self, number: int, layer: Layer) -> None:
-        """Draw a layer, and record when it was drawn."""
+        """Draw layer ``number`` at the present frame, and count its next drawing from now."""
         self._due[number] %= 1.0
         assert self.frame is not None
         layer.draw(self.frame)
 
     def _strained(self) -> float:
-        """Return the factor by which slow browsers reduce the rate of all layers except vehicles."""
+        """Return the factor, at least 1, by which slow browsers lower the drawing rate of layers except vehicles."""
         self._strain = min(MOST_STRAIN, max(1.0, self.lag_s() / LAG_S, STRAIN_LEFT * self._strain))
         return self._strain
 
     def show(self, title: str, visible: bool) -> None:
-        """Show or hide a layer; hidden layers are not drawn."""
+        """Show or hide the layer with this title; hidden layers are not drawn."""
         layer = self.layers[title]
         with self._lock:
             layer.root.visible = visible
@@ -169,7 +169,7 @@ class Scene:
                 layer.draw(self.frame)
 
     def colour(self, paint: Paint | None) -> None:
-        """Colour vehicles and true paths by a quantity, or as vehicles for None."""
+        """Colour vehicles and true paths by a quantity; None: each vehicle in its usual colour."""
         with self._lock, self._server.atomic():
             self.stage.paint = paint
             self.overlay.paint(None if paint is None else paint.told())
@@ -180,12 +180,12 @@ class Scene:
 
     @property
     def air(self) -> Air | None:
-        """Layer of the air in a plane; None in a world without one."""
+        """Layer of wind arrows on a plane; None in a world with the same wind everywhere."""
         found = self.layers.get(AIR)
         return found if isinstance(found, Air) else None
 
     def show_air(self, height: float, shows: str) -> None:
-        """Set the height [m] of the air's plane, and whether it shows gusts (GUST) or the whole wind (WHOLE)."""
+        """Set the height [m] of the plane of wind arrows, and whether they show gusts (GUST) or all wind (WHOLE)."""
         layer = self.air
         if layer is None:
             return
@@ -195,13 +195,13 @@ class Scene:
                 layer.draw(self.frame)
 
     def resize(self, span: float) -> None:
-        """Scale vehicles and arrows."""
+        """Set the drawn size of a vehicle [m], and scale arrows with it."""
         self.stage.span = span
         if self.frame is not None:
             self.draw(self.frame, everything=True)
 
     def choose(self, *vehicles: int) -> None:
-        """Set the vehicles that single-vehicle layers show."""
+        """Set which vehicles' details, such as satellite lines and camera pictures, are drawn."""
         with self._lock:
             self.stage.chosen = frozenset(vehicles)
             for layer in self.layers.values():
@@ -209,7 +209,7 @@ class Scene:
                     layer.draw(self.frame)
 
     def nearest(self, origin: object, direction: object) -> int | None:
-        """Return the vehicle with the smallest angle from a camera's ray; None without vehicles."""
+        """Return the number of the vehicle at the smallest angle from a ray of the camera; None without vehicles."""
         if self.frame is None:
             return None
         away = self.frame.position_ned - np.asarray(origin)
@@ -220,7 +220,7 @@ class Scene:
 
 
 def _span(cast: Cast) -> float:
-    """Return the initial size [m] of drawn vehicles."""
+    """Return the size [m] at which vehicles are drawn at first."""
     largest = LARGEST_SPAN
     if cast.size > MANY:
         room = float(np.sqrt(np.prod(np.ptp(cast.start_ned[:, :2], axis=0)) / cast.size))

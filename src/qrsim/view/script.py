@@ -13,7 +13,7 @@ class _Script(RunJavascriptMessage, include_in_scene_serialization=True):
     kind = ""
 
     def redundancy_key(self) -> str:
-        """Return the key by which a later script of this kind replaces this one."""
+        """Return a key such that a later script of the same kind replaces this one."""
         return f"qrsim-{self.kind}"
 
 
@@ -26,7 +26,7 @@ _Script.__name__ = _PageScript.__name__ = RunJavascriptMessage.__name__
 
 
 def run_script(to: Any, kind: str, source: str, exported: bool = True) -> None:
-    """Run a script in all browsers, or one client's; the last script of a kind also runs in later browsers."""
+    """Run JavaScript in all browsers, or one client's; the last script of a ``kind`` also runs in later browsers."""
     script = (_Script if exported else _PageScript)(f"{{{source}}}")
     script.kind = kind
     (to._websock_server if hasattr(to, "_websock_server") else to._websock_connection).queue_message(script)

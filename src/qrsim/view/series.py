@@ -63,7 +63,7 @@ class Series:
         self.quantities = {**found, **known}
 
     def _possible(self, known: set[str]) -> list[Derived]:
-        """Return the derived quantities that the logged columns allow."""
+        """Return the derived quantities for which the run has the logged columns ``known``."""
         world = self.member.recording.world
         fence = None if world is None else to_fence(world.area)
         ending = ".position_ned.x"
@@ -73,7 +73,7 @@ class Series:
         return [own for own in every if known.issuperset(own.needs)]
 
     def values(self, name: str) -> tuple[Floats, Floats]:
-        """Return the times (T,) [s] at which a quantity is shown, and its values (T, n); recent ones are kept."""
+        """Return times (T,) [s] on the page and values (T, n) of a quantity by name; recent results are cached."""
         if name in self._kept:
             self._kept.move_to_end(name)
         else:
@@ -83,7 +83,7 @@ class Series:
         return self._kept[name]
 
     def _read(self, name: str) -> tuple[Floats, Floats]:
-        """Return the times (T,) [s] at which a quantity is shown, and its values (T, n), read or computed."""
+        """Read or compute a quantity: return times (T,) [s] on the page and its values (T, n)."""
         shift = self.member.shift
         if name == BETWEEN:
             return self._between()
@@ -100,14 +100,14 @@ class Series:
         return np.concatenate(times) + shift, np.concatenate(parts)
 
     def _at(self, name: str, time: Floats) -> Floats:
-        """Return a logged column (T, n) at the run's own times (T,) [s], holding the last value."""
+        """Return a logged column (T, n), with its last value at each of the run's own times (T,) [s]."""
         known, values = self.values(name)
         if len(known) == len(time):
             return values
         return values[rows_at(known - self.member.shift, time)]
 
     def _between(self) -> tuple[Floats, Floats]:
-        """Return times (T,) [s] and distances (T, n) [m] to the same vehicles of the first run, NaN without one."""
+        """Return times (T,) [s] and distances (T, n) [m] to the same vehicles of the first run, or NaN."""
         recording, other = self.member.recording, self._first.recording
         time = recording.time + self.member.shift
         numbers = {name: i for i, name in enumerate(other.run.vehicles)}
@@ -121,7 +121,7 @@ class Series:
         return time, found
 
     def sampled(self, time: Floats) -> dict[str, Floats]:
-        """Return {name: last values (K, n) up to times (K,) [s]} of all quantities; NaN outside of the run."""
+        """Return name -> last values (K, n) up to each time (K,) [s], for all quantities; NaN outside the run."""
         found: dict[str, Floats] = {}
         names = [name for name in self.quantities if name not in self._derived and name != BETWEEN]
         for stream in dict.fromkeys(name.partition(".")[0] for name in names):
@@ -140,5 +140,5 @@ class Series:
 
 
 def rows_at(known: Floats, time: Floats) -> Any:
-    """Return the row (K,) in ``known``, sorted times, of the last one up to each time (K,) [s], at least 0."""
+    """Return the indices (K,) of the last of the sorted times ``known`` up to each time (K,) [s], at least 0."""
     return np.maximum(0, np.searchsorted(known, np.asarray(time) + 1e-6, side="right") - 1)

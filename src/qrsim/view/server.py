@@ -20,12 +20,12 @@ LOOPBACK, PORT = "127.0.0.1", 8080
 
 
 def require_viser() -> None:
-    """Raise MissingExtraError with the install command if the page's packages are missing."""
+    """Raise MissingExtraError with the install command if the packages of the 3-D page are missing."""
     require("view", "the 3-D page")
 
 
 def start_server(port: int = PORT, label: str = "qrsim", host: str = LOOPBACK) -> ViserServer:
-    """Start a page server, for this machine only or with a token in its address; a taken port becomes the next.
+    """Start a server of 3-D pages on a free port from ``port`` on; beyond this machine its address has a token.
 
     Args:
         port: to listen on; 0: any that is free.
@@ -82,17 +82,17 @@ class Delivery:
 
     @property
     def lag_s(self) -> float:
-        """Delay of the slowest browser [s]."""
+        """Delay [s] of the slowest browser."""
         return self._gate.lag_s
 
     def sent(self) -> None:
-        """Count a drawn frame."""
+        """Count a drawn frame as sent, and those that browsers have skipped as missed."""
         self.missed += sum(cursor < self._last for cursor in list(self._buffer.generator_cursors.values()))
         self._last = self._buffer.message_counter - 1
 
 
 def free_port(port: int, host: str = LOOPBACK) -> int:
-    """Return the port, or the next free one if it is taken; 0 stays 0."""
+    """Return the first free TCP port from ``port`` on; 0 (any port) is returned unchanged."""
     import errno
     import socket
 
@@ -112,7 +112,7 @@ def free_port(port: int, host: str = LOOPBACK) -> int:
 
 
 def listen(server: ViserServer, wish: Callable[[Any], bytes | None]) -> None:
-    """Set the function that is called, in a thread, with each request of the page's script.
+    """Set the function ``wish`` that answers each request of the page's script; it is called in a thread.
 
     What it returns is sent to that script.
     """
@@ -120,13 +120,13 @@ def listen(server: ViserServer, wish: Callable[[Any], bytes | None]) -> None:
 
 
 def packed(head: dict[str, object], values: Floats | None = None) -> bytes:
-    """Return an answer to a page's script: the length of a head in 4 bytes, the head as JSON, and values as float32."""
+    """Return bytes: the length of the JSON head in 4 bytes, the head, and values as float32."""
     text = json.dumps(head).encode()
     text += b" " * (-len(text) % 4)
     return len(text).to_bytes(4, "little") + text + (b"" if values is None else values.astype("<f4").tobytes())
 
 
 def address(server: ViserServer) -> str:
-    """Return the address to open in a browser."""
+    """Return the server's URL, with its access token if it has one."""
     token = _gates[server].token
     return f"http://{server.get_host()}:{server.get_port()}" + (f"/{token}" if token else "")

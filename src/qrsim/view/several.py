@@ -89,17 +89,17 @@ class Several:
 
     @property
     def title(self) -> str:
-        """The names of the scenarios."""
+        """Names of the scenarios of all runs."""
         return ", ".join(dict.fromkeys(member.recording.title for member in self.members))
 
     @property
     def heading(self) -> str:
-        """Title line: scenarios, and letter, folder and seed of each run."""
+        """Title line of the page: scenarios, and letter, folder and seed of each run."""
         return f"{self.title}, {len(self.members)} runs: " + "; ".join(map(_name, self.members))
 
     @property
     def events(self) -> list[Event]:
-        """Events of all runs at the times shown, and the ends of the runs that end earlier than the last."""
+        """Events of all runs at the times shown, and the end of each run that ends before the last one."""
         found = []
         for member in self.members:
             for event in member.recording.events:
@@ -111,7 +111,7 @@ class Several:
         return sorted((event for event in found if event.time >= 0.0), key=lambda event: event.time)
 
     def frame(self, time: float) -> Frame:
-        """Return the frame at a time [s]; a run that has not begun, or has ended, stays where it is."""
+        """Return what the page draws of all runs at a time [s]; before its start and after its end a run is still."""
         row = max(0, int(np.searchsorted(self.time, time + 1e-6, side="right")) - 1)
         now = float(self.time[row])
         frames = [member.recording.frame(now - member.shift) for member in self.members]
@@ -132,7 +132,7 @@ class Several:
 
     @property
     def modes(self) -> list[tuple[float, int, str]]:
-        """Times [s], vehicles and texts of changes of failsafes of all runs, in order; "": it ends."""
+        """Changes of failsafes' actions in all runs, in order: (time [s], vehicle number, text), "" when one ends."""
         return sorted(
             (time + member.shift, vehicle + member.first, words)
             for member in self.members
@@ -140,7 +140,7 @@ class Several:
         )
 
     def why(self, event: Event) -> str:
-        """Return in words why a vehicle has stopped, from the event of the stop."""
+        """Return in words why a vehicle has stopped, from the event that recorded it."""
         return self._first.why(event)
 
     def positions(self, times: Floats) -> Floats:
@@ -152,7 +152,7 @@ class Several:
         return self._joined(times, lambda member: member.recording.estimates)
 
     def _joined(self, times: Floats, of: Callable[[Member], Callable[[Floats], Floats]]) -> Floats:
-        """Return positions (K, n, 3) [m] of all runs' vehicles in the first run's frame; ``of`` picks the reader."""
+        """Return positions (K, n, 3) [m] of all runs in the first run's frame; ``of``: run -> its function of time."""
         parts = [of(member)(np.asarray(times) - member.shift) + member.offset for member in self.members]
         return np.concatenate(parts, axis=1)
 
@@ -162,14 +162,14 @@ class Several:
         return member.recording.sky(vehicle - member.first, time - member.shift)
 
     def _member(self, vehicle: int) -> Member:
-        """Return the run to which a vehicle, by its number among all, belongs."""
+        """Return the run of a vehicle, given by its number among the vehicles of all runs."""
         return [member for member in self.members if member.first <= vehicle][-1]
 
 
 def open_several(
     folders: Iterable[Path], open_run: Callable[[Path], Run], align: str | None = None
 ) -> tuple[Recording | Several, list[str]]:
-    """Open run folders as one recording; return it with warnings about what is not shown as flown.
+    """Open run folders to show together, shifted to ``align`` an event; return the recording, and warnings.
 
     Args:
         folders: at least one.
@@ -207,13 +207,13 @@ def open_several(
 
 
 def _details(frame: Frame) -> Callable[[], Details]:
-    """Return a function that reads the details of a frame of a recording."""
+    """Return the function that reads the details (speeds, attitude ...) of a recorded frame's vehicles."""
     assert frame.details is not None
     return frame.details
 
 
 def _joined_details(members: list[Member], each: list[Details]) -> Details:
-    """Return the details of all runs' vehicles, with positions in the first run's frame."""
+    """Return the details of the vehicles of all runs, with positions in the first run's frame."""
     names = [own.name for own in fields(Details) if own.name != "modes"]
     parts: dict[str, Any] = {name: np.concatenate([getattr(own, name) for own in each]) for name in names}
     believed = [own.believed_ned + member.offset for own, member in zip(each, members, strict=True)]
@@ -224,13 +224,13 @@ def _joined_details(members: list[Member], each: list[Details]) -> Details:
 
 
 def _name(member: Member) -> str:
-    """Return the letter of a run, the name of its folder and its seed, as text."""
+    """Return a run's letter, folder name and seed as text."""
     run = member.recording.run
     return f"{member.letter} {run.folder.resolve().name}, seed {run.info.seed}"
 
 
 def _cast(members: list[Member]) -> Cast:
-    """Return the cast of all runs' vehicles, with starts and flown paths in the first run's frame."""
+    """Return the scene's fixed content of all runs, such as shapes, starts and paths, in the first run's frame."""
     casts = [member.recording.cast for member in members]
     fleets: list[Any] = []
     outlines: list[Outline | None] = []
@@ -256,7 +256,7 @@ def _cast(members: list[Member]) -> Cast:
 
 
 def _offset(first: Run, other: Run) -> tuple[Floats, float]:
-    """Return the origin of a run in the first run's frame (3,) [m], and its distance [m].
+    """Return the origin (3,) [m] of the run ``other`` in the first run's frame, and its distance [m] from the first's.
 
     Origins that are too far for one map lie on each other.
     """
@@ -273,7 +273,7 @@ def _offset(first: Run, other: Run) -> tuple[Floats, float]:
 
 
 def _origin(run: Run) -> tuple[float, float, float] | None:
-    """Return latitude [deg], longitude [deg] and height [m] of a run's origin; None if it is unknown or invalid."""
+    """Return (latitude [deg], longitude [deg], height [m]) of a run's origin; None if unknown or invalid."""
     site = run.scenario.get("site") if isinstance(run.scenario, dict) else None
     if not isinstance(site, dict):
         return None
@@ -286,7 +286,7 @@ def _origin(run: Run) -> tuple[float, float, float] | None:
 
 
 def _notes(member: Member, first: Run, far: float) -> Iterator[str]:
-    """Yield a line if a run has not ended, and for each thing in which it does not fit the first."""
+    """Yield lines if a run has not ended, and on how it differs from the first (``far``: distance of sites [m])."""
     run, letter = member.recording.run, f"{member.letter} ({member.recording.run.folder})"
     yield from (f"{letter}: {note}" for note in member.recording.notes)
     if run is first:

@@ -22,14 +22,14 @@ _CUBE_FACES = np.array(
 
 
 def merged(*meshes: Mesh) -> Mesh:
-    """Merge meshes into one mesh."""
+    """Merge meshes, each (vertices, faces), into one mesh."""
     firsts = np.cumsum([0, *(len(corners) for corners, _ in meshes)])
     faces = [triangles + first for (_, triangles), first in zip(meshes, firsts[:-1], strict=True)]
     return np.concatenate([corners for corners, _ in meshes]), np.concatenate(faces)
 
 
 def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> Mesh:
-    """Return the mesh of a box between two corners."""
+    """Return the mesh of a box between two opposite corners."""
     corners = np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     return corners, _CUBE_FACES
 
@@ -65,7 +65,7 @@ def cone(x_min: float, x_max: float, radius: float, corners: int = 8) -> Mesh:
 
 
 def quadrotor() -> Mesh:
-    """Return a quadrotor of span 1 in body axes (x ahead, y right, z down), with a beak at its nose."""
+    """Return the mesh of a quadrotor of span 1 in body axes (x ahead, y right, z down), with a beak at its nose."""
     reach, rotor, high = 0.34, 0.16, -0.06
     rotors = [disc(x, y, high, rotor) for x, y in ((reach, 0.0), (-reach, 0.0), (0.0, reach), (0.0, -reach))]
     arms = [box((-reach, -0.02, -0.04), (reach, 0.02, 0.0)), box((-0.02, -reach, -0.04), (0.02, reach, 0.0))]
@@ -73,7 +73,7 @@ def quadrotor() -> Mesh:
 
 
 def multirotor(rotors: tuple[tuple[float, float, float], ...], radius: float) -> Mesh:
-    """Return a multirotor of span 1 in body axes, with an arm to each of its rotors and a beak at its nose.
+    """Return the mesh of a multirotor of span 1 in body axes, with an arm to each rotor hub and a beak at its nose.
 
     Args:
         rotors: positions of the hubs [m].
@@ -89,7 +89,7 @@ def multirotor(rotors: tuple[tuple[float, float, float], ...], radius: float) ->
 
 
 def _arm(x: float, y: float, z: float) -> Mesh:
-    """Return a flat arm from the origin to a hub."""
+    """Return the mesh of a flat arm from the origin to a rotor hub at (x, y, z)."""
     length = max(math.hypot(x, y), 1e-9)
     corners, faces = box((0.0, -0.02, -0.02), (1.0, 0.02, 0.02))
     across = np.array([-y / length, x / length, 0.0])
@@ -100,7 +100,7 @@ def _arm(x: float, y: float, z: float) -> Mesh:
 
 
 def mast() -> Mesh:
-    """Return a box with an antenna on it, 0.8 high, with a beak that points forwards."""
+    """Return the mesh of a box with an antenna on it, 0.8 high, with a beak that points forwards."""
     antenna = box((-0.02, -0.02, -0.8), (0.02, 0.02, -0.1))
     return merged(
         box((-0.12, -0.12, -0.2), (0.12, 0.12, 0.0)), antenna, disc(0.0, 0.0, -0.8, 0.15), cone(0.1, 0.3, 0.05)
@@ -108,7 +108,7 @@ def mast() -> Mesh:
 
 
 def car() -> Mesh:
-    """Return a car of length 1 in body axes, wheels at z = 0, with a beak that points forwards."""
+    """Return the mesh of a car of length 1 in body axes, wheels at z = 0, with a beak that points forwards."""
     body = box((-0.45, -0.2, -0.3), (0.4, 0.2, -0.12))
     cabin = box((-0.3, -0.16, -0.42), (0.12, 0.16, -0.3))
     beak, faces = cone(0.38, 0.6, 0.09)
@@ -117,7 +117,7 @@ def car() -> Mesh:
 
 
 def plane() -> Mesh:
-    """Return an aeroplane of span 1 in body axes (x ahead, y right, z down), its tail a V upside down on two booms."""
+    """Return the mesh of an aeroplane of span 1 in body axes (x ahead, y right, z down): inverted V tail, two booms."""
     wing = (
         np.array(
             [
@@ -153,19 +153,19 @@ _OTHERS = {"mast": mast, "car": car, "plane": plane}
 
 
 def looks(outline: Outline | None) -> Mesh:
-    """Return the mesh of a vehicle's outline, of span 1 in body axes; a quadrotor for None."""
+    """Return the mesh of a vehicle's shape, of span 1 in body axes; None: a quadrotor."""
     if outline is None:
         return quadrotor()
     return multirotor(outline.rotors, outline.rotor_radius) if outline.rotors else _OTHERS[outline.kind]()
 
 
 def arrow() -> Mesh:
-    """Return an arrow of length 1 along x."""
+    """Return the mesh of an arrow of length 1 along x."""
     return merged(box((0.0, -0.12, -0.12), (0.7, 0.12, 0.12)), cone(0.65, 1.0, 0.35))
 
 
 def ball() -> Mesh:
-    """Return a ball of radius 1."""
+    """Return the mesh of a ball of radius 1."""
     from trimesh.creation import icosphere
 
     found = icosphere(subdivisions=2)
@@ -173,7 +173,7 @@ def ball() -> Mesh:
 
 
 def funnel(narrow: float) -> Mesh:
-    """Return an open cone of length 1 along x: of radius ``narrow`` at the origin and 1 at its end."""
+    """Return the mesh of an open cone of length 1 along x, of radius ``narrow`` at the origin and 1 at its end."""
     angles = np.arange(16) * 2.0 * math.pi / 16
     rim = np.stack([np.zeros(16), np.cos(angles), np.sin(angles)], axis=1)
     corners = np.vstack([narrow * rim, rim + np.array([1.0, 0.0, 0.0])])
@@ -182,7 +182,7 @@ def funnel(narrow: float) -> Mesh:
 
 
 def pin() -> Mesh:
-    """Return a cone of height 1 whose tip points down, at the origin."""
+    """Return the mesh of a cone of height 1 with its tip at the origin, pointing down."""
     corners, faces = cone(-1.0, 0.0, 0.25, 12)
     return corners[:, [1, 2, 0]], faces
 
@@ -200,17 +200,17 @@ def along(direction: Floats) -> Floats:
 
 
 def linear(colours: object) -> NumpyArray:
-    """Convert sRGB colours (..., 3), 0 to 255, to linear ones for mesh instances (IEC 61966-2-1)."""
+    """Convert sRGB colours (..., 3), 0 to 255, to the linear colours of viser's mesh instances (IEC 61966-2-1)."""
     share = np.asarray(colours, np.float64) / 255.0
     found = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
     return np.round(255.0 * found).astype(np.uint8)
 
 
 def speed_colours(speed: Floats, strongest: float) -> Floats:
-    """Return colours (n, 3) of speeds (n,), saturated from ``strongest`` on."""
+    """Return sRGB colours (n, 3) for speeds (n,), saturated from the speed ``strongest`` on."""
     return on_scale(WIND, speed / strongest)
 
 
 def ratio_colours(ratio: Floats, strongest: float) -> Floats:
-    """Return colours (n, 3) for log ratios (n,), saturated beyond +-``strongest``."""
+    """Return sRGB colours (n, 3) for log ratios (n,), saturated beyond +-``strongest``."""
     return on_scale(RATIO, 0.5 + 0.5 * ratio / strongest)

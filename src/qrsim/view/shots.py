@@ -46,7 +46,7 @@ class Camera:
 
     @staticmethod
     def parsed(text: str, vehicles: Iterable[str]) -> Camera:
-        """Parse a camera: VEHICLE, DIRECTION, VEHICLE:DIRECTION or "area".
+        """Parse the camera option: VEHICLE, DIRECTION (such as north), VEHICLE:DIRECTION or "area".
 
         Raises:
             UsageError: there is no such vehicle, or no such direction.
@@ -67,7 +67,7 @@ class Camera:
         return Camera(name, direction)
 
     def aim(self, scene: Scene, world: World | None = None) -> None:
-        """Set the initial view of a scene's pages to this camera, after a frame was drawn."""
+        """Set the first view of a scene's pages to this camera; the scene must have drawn a frame."""
         if self.vehicle is not None and scene.frame is not None:
             number = scene.cast.names.index(self.vehicle)
             scene.choose(number)
@@ -84,7 +84,7 @@ class Camera:
 
 
 def _corners(scene: Scene, world: World | None) -> NumpyArray:
-    """Return the corners (K, 3) [m] of the area if it is a known box; else of the vehicles' starts."""
+    """Return corners (2, 3) NED [m] of the area if it is a known box; else the vehicles' starts (n, 3)."""
     area = None if world is None else world.area
     if area is None or not area.is_box:
         return scene.cast.start_ned
@@ -92,7 +92,7 @@ def _corners(scene: Scene, world: World | None) -> NumpyArray:
 
 
 def parsed_size(text: str) -> tuple[int, int]:
-    """Parse a size such as "1920x1080" to width and height [pixels].
+    """Parse a picture size such as "1920x1080" to width and height [pixels].
 
     Raises:
         UsageError: it is no size, or too small or too large.
@@ -105,7 +105,7 @@ def parsed_size(text: str) -> tuple[int, int]:
 
 
 def parsed_layers(text: str, shown: dict[str, bool]) -> dict[str, bool]:
-    """Return layer -> whether shown: only the named layers, or all shown ones except those after "-".
+    """Return layer -> whether it is shown: only the named ones, or all shown at first but those after "-".
 
     Args:
         text: such as "vehicles, true paths", "-poles, -gusts" or "all".

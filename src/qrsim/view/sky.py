@@ -20,13 +20,13 @@ Satellite = tuple[str, int, int, int, int]
 
 
 def of_satellites(column: str) -> bool:
-    """Return whether a measured quantity belongs to one satellite slot, such as ``gnss.cn0.0``."""
+    """Return whether a logged quantity belongs to a single satellite slot, such as ``gnss.cn0.0``."""
     parts = column.split(".")
     return len(parts) > 2 and parts[-2] in OF_SATELLITES and parts[-1].isdigit()
 
 
 def satellites(said: Mapping[str, Floats]) -> list[Satellite]:
-    """Return the satellites above the horizon in a reading with fields (K,)."""
+    """Return the satellites above the horizon, from a receiver's reading: field -> values (K,) of its slots."""
     number, elevation = np.asarray(said["satellite"]), np.degrees(np.asarray(said["elevation"], np.float64))
     there = np.flatnonzero((number >= 0) & (elevation >= 0.0))
     azimuth = np.degrees(np.asarray(said["azimuth"], np.float64))
@@ -43,12 +43,12 @@ def satellites(said: Mapping[str, Floats]) -> list[Satellite]:
 
 
 def told(vehicle: str, found: list[Satellite]) -> dict[str, object] | None:
-    """Return the satellites of a vehicle as the browser's message; None without satellites."""
+    """Return the message that tells a browser a vehicle's satellites, for JSON; None without satellites."""
     return {"vehicle": vehicle, "satellites": found} if found else None
 
 
 def sky_of_state(state: State, fleet: int, vehicle: int) -> list[Satellite]:
-    """Return the satellites that a vehicle's receiver reports; [] if no receiver reports them."""
+    """Return the satellites that a vehicle's receiver reports in a state; [] if no receiver reports single ones."""
     for reading in state.fleets[fleet].readings:
         if isinstance(reading, GnssFix) and reading.cn0 is not None:
             said = {
@@ -59,7 +59,7 @@ def sky_of_state(state: State, fleet: int, vehicle: int) -> list[Satellite]:
 
 
 def columns_of(names: Sequence[str]) -> list[dict[str, str]]:
-    """Return for each satellite slot of the first receiver that logs them field -> column name."""
+    """Return field -> column name for each satellite slot of the first receiver that logs single satellites."""
     sensor = next((name.removesuffix(".cn0.0") for name in names if name.endswith(".cn0.0")), None)
     slots = sum(name.startswith(f"{sensor}.cn0.") for name in names)
     return [{field: f"{sensor}.{field}.{k}" for field in OF_SATELLITES} for k in range(slots)]

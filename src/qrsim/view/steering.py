@@ -36,7 +36,7 @@ class Wind:
 
 
 def wind_of(world: World) -> Wind | None:
-    """Return the mean wind of a world; None for a wind model without a single speed and direction."""
+    """Return the mean wind that users may change on the page; None for a wind model without one speed and direction."""
     try:
         limit = wind_limit(world)
     except UsageError:
@@ -48,7 +48,7 @@ def wind_of(world: World) -> Wind | None:
 
 
 def steered(simulation: Simulation, request: Request) -> str:
-    """Apply a request of the page from the next tick on; return a line that describes it.
+    """Apply a request of the page, such as a fault or other wind, from the next tick on; return a line about it.
 
     Raises:
         UsageError: it cannot be done; nothing has changed.
@@ -57,5 +57,5 @@ def steered(simulation: Simulation, request: Request) -> str:
 
 
 def with_asked(world: World, asked: Mapping[Any, Any]) -> World:
-    """Return a world with the wind changed to field -> value, as recorded in events."""
+    """Return a world with its wind changed as recorded in events; ``asked``: field (speed, direction) -> value."""
     return with_wind(world, asked.get(SPEED), asked.get(BEARING))

@@ -22,7 +22,7 @@ COLUMNS = ("north", "east", "height", "speed", "charge", "error", "std", "text",
 def answer(
     wish: Mapping[str, object], frame: Frame | None, waypoints: Sequence[int], stops: Mapping[int, float], exact: bool
 ) -> bytes:
-    """Return the table of a frame as bytes.
+    """Answer a browser's request for the table of a frame's vehicles, as bytes: a JSON head, then numbers.
 
     Args:
         wish: ``number``, which the answer repeats, and ``known``, the key of the texts that the browser has.
@@ -47,7 +47,7 @@ def answer(
 def table_of(
     frame: Frame, waypoints: Sequence[int], stops: Mapping[int, float], exact: bool = True
 ) -> tuple[Floats, list[str]]:
-    """Return numbers (9, n), a row for each of ``COLUMNS`` (NaN if unknown), and the texts of the vehicles' states."""
+    """Return a table of vehicles: numbers (9, n), a row per column of ``COLUMNS``, and the texts of their states."""
     size = len(frame.valid)
     values = np.full((len(COLUMNS), size), np.nan)
     values[:3] = frame.position_ned.T * np.array([[1.0], [1.0], [-1.0]])
@@ -73,6 +73,6 @@ def table_of(
 
 
 def stopped_text(why: str | None, time: float, exact: bool = True) -> str:
-    """Return the words for a vehicle that has stopped, with the time [s] (NaN: unknown) and the reason."""
+    """Return the text for a vehicle that has stopped, such as "stopped at 3.20 s: ..."; ``time`` [s], NaN: unknown."""
     when = "" if np.isnan(time) else f" at {time:.2f} s" if exact else f" at about {time:.1f} s"
     return f"stopped{when}: {why}" if why else f"stopped{when}"

@@ -31,18 +31,18 @@ class Packing:
         self.arrays: list[memoryview] = []
 
     def message(self, message: Any) -> dict[str, Any]:
-        """Return a viser message as JSON content, with its arrays replaced by references."""
+        """Return a viser message as content for JSON, its arrays stored and replaced by references."""
         found: dict[str, object] = self._referring(message.as_serializable_dict(self.arrays))
         return found
 
     def array(self, values: Any) -> dict[str, Any]:
-        """Add an array as float32, and return the reference to it."""
+        """Store an array as float32, and return a reference to it for JSON."""
         view = memoryview(values.astype("<f4").tobytes())
         self.arrays.append(view)
         return {"__binary_index": len(self.arrays) - 1, "dtype": "<f4"}
 
     def _referring(self, value: object) -> Any:
-        """Return content for JSON, with bytes replaced by references to stored arrays."""
+        """Return content for JSON, its bytes stored and replaced by references."""
         if isinstance(value, bytes | bytearray | memoryview):
             self.arrays.append(memoryview(value).cast("B"))
             return {"__binary_index": len(self.arrays) - 1, "dtype": "|u1"}
@@ -51,7 +51,7 @@ class Packing:
         return [self._referring(item) for item in value] if isinstance(value, list | tuple) else value
 
     def text(self, content: object) -> str:
-        """Return the packed text of content, together with the arrays that it refers to."""
+        """Return content and the arrays that it refers to as one compressed base64 text."""
         head = msgspec.json.encode({"content": content, "lengths": [array.nbytes for array in self.arrays]})
         squeeze = zlib.compressobj(6)
         pieces = [squeeze.compress(len(head).to_bytes(ALIGNED, "little") + head + bytes(-len(head) % ALIGNED))]
@@ -79,12 +79,12 @@ class Tape:
         handles.append(self)
 
     def _insert_message(self, message: Any) -> None:
-        """Record a message; the server calls this."""
+        """Record a message that viser sends to browsers; viser's server calls this."""
         if self.frames and message.entity_type == "scene":
             self.frames[-1][1].append(self._item(message))
 
     def _item(self, message: Any) -> Item:
-        """Return the node's number for a message that creates a node; else the packed message."""
+        """Return the number of the scene node that a message creates; for other messages the packed message."""
         if message.lifecycle_phase != "create":
             return self._packing.message(message)
         # It is kept, so that no other can have its identity; and written at once, for viser changes it later.
@@ -95,7 +95,7 @@ class Tape:
         return self._numbers[id(message)]
 
     def begin_part(self, time: float) -> None:
-        """Begin a part at a time [s], with messages for everything that the page shows."""
+        """Begin a part of the exported page at a time [s], with messages for all that the page shows then."""
         buffer = self._messages._broadcast_buffer
         with buffer.buffer_lock:
             now = list(buffer.message_from_id.values())
@@ -104,14 +104,14 @@ class Tape:
         self.frames = [(time, [self._item(message) for message in shown])]
 
     def begin_frame(self, time: float) -> None:
-        """Begin a frame at a time [s]."""
+        """Begin a frame of the exported page at a time [s]; messages recorded from now on belong to it."""
         self.frames.append((time, []))
 
     def part(self, **beside: object) -> str:
-        """Return the text of the part, with further named arrays."""
+        """Return the packed text of the present part of the exported page, with further arrays by name."""
         arrays = {name: self._packing.array(values) for name, values in beside.items()}
         return self._packing.text({"frames": self.frames, **arrays})
 
     def nodes(self) -> str:
-        """Return the text of the messages that create the nodes of all parts, by number."""
+        """Return the packed text of the messages that create scene nodes, in order of their numbers."""
         return self._packing_of_nodes.text(self._nodes)

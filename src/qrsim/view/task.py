@@ -30,11 +30,11 @@ class _Marks(Layer):
         super().__init__(stage)
 
     def mesh(self) -> shapes.Mesh:
-        """Return the mesh of a mark, of size 1."""
+        """Return the mesh of one mark, of size 1."""
         raise NotImplementedError
 
     def begin(self) -> None:
-        """Add a mark at each place."""
+        """Add a mark to the scene at each place of the task."""
         count, (corners, faces) = len(self._places), self.mesh()
         mesh = corners.astype(np.float32), faces.astype(np.uint32)
         scales = np.full((count, 3), self.spans * self.stage.span, np.float32)
@@ -48,12 +48,12 @@ class Goals(_Marks):
     spans = 1.4
 
     def mesh(self) -> shapes.Mesh:
-        """Return three bars that cross in their middles, one along each axis."""
+        """Return the mesh of a goal's mark: three crossing bars, one along each axis."""
         bars = [[0.5 if axis == along else 0.015 for axis in range(3)] for along in range(3)]
         return shapes.merged(*(shapes.box((-a, -b, -c), (a, b, c)) for a, b, c in bars))
 
     def begin(self) -> None:
-        """Add a mark at each goal, with labels if there are few."""
+        """Add a mark to the scene at each goal, with labels if there are few."""
         super().begin()
         for number, place in enumerate(self._places if len(self._places) <= MOST_NAMED else ()):
             above = place - [0.0, 0.0, 1.5 * self.stage.span]
@@ -66,7 +66,7 @@ class Sources(_Marks):
     title, colour = SOURCES, PLUME
 
     def mesh(self) -> shapes.Mesh:
-        """Return an octahedron."""
+        """Return the mesh of a source's mark: an octahedron."""
         corners = 0.5 * np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], float)
         return corners, np.array([(x, y, z) for x in (0, 1) for y in (2, 3) for z in (4, 5)])
 
@@ -78,12 +78,12 @@ class Locations(_Marks):
     spans = 0.15
 
     def mesh(self) -> shapes.Mesh:
-        """Return a box."""
+        """Return the mesh of a location's mark: a box."""
         return shapes.box((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))
 
 
 def task_layers(stage: Stage, places: Places | None) -> list[Layer]:
-    """Return the layers of a task's goals, sources and locations; [] without any."""
+    """Return the layers of a task's goals, sources and locations that there are; [] without a task."""
     if places is None:
         return []
     parts = ((Goals, places.goals), (Sources, places.sources), (Locations, places.locations))

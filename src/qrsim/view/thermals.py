@@ -25,7 +25,7 @@ class Columns(Contents):
     most = -1
 
     def begin(self) -> None:
-        """Make a column for each thermal, not shown yet."""
+        """Add a column for each thermal to the scene, hidden at first."""
         found = [updraft.number for updraft in self.world.updrafts if isinstance(updraft, Thermals)]
         mesh = shapes.prism(1.0, -1.0, 0.0, 32)
         self._handles = [
@@ -34,7 +34,7 @@ class Columns(Contents):
         ]
 
     def look(self, beside: Beside, time: float) -> None:
-        """Move the columns to where they are at a time [s]."""
+        """Move the columns to the thermals' positions at a time [s]."""
         draws = beside.field.updrafts if isinstance(beside.field, AirField) else (None,) * len(beside.world.updrafts)
         thermals = [
             (updraft, drawn)
@@ -52,7 +52,7 @@ class Columns(Contents):
 
 
 def centres(thermals: Thermals, drawn: object, world: World, time: float) -> Floats:
-    """Return the axes of thermals (K, 2), north and east [m], at a time [s].
+    """Return the positions (K, 2), north and east [m], of the thermals' axes at a time [s].
 
     Args:
         thermals: of the world.
@@ -70,5 +70,5 @@ def centres(thermals: Thermals, drawn: object, world: World, time: float) -> Flo
 
 
 def thermal_layers(stage: Stage, world: World) -> list[Layer]:
-    """Return the layer of a world with thermals."""
+    """Return a list with the layer of thermals, [] if the world has none."""
     return [Columns(stage, world)] if any(isinstance(updraft, Thermals) for updraft in world.updrafts) else []

@@ -50,7 +50,7 @@ class Timeline:
         self._run("plots", plots_script(plots))
 
     def _run(self, kind: str, source: str) -> None:
-        """Run a script in all browsers, but not in exported pages."""
+        """Run the JavaScript ``source`` in all browsers, but leave it out of exported pages."""
         run_script(self._server, kind, source, exported=False)
 
     def show(self, time: float) -> None:
@@ -60,7 +60,7 @@ class Timeline:
         self._run("time", f"window.qrsimTime?.({time:.6f}, {playing}, {self._clock.speed:g})")
 
     def wish(self, wish: object) -> bytes | None:
-        """Seek, play, pause or change the speed as a browser requests, or return the lines of a plot.
+        """Seek, play, pause or change the speed as a browser requests; return plot lines if it requests those.
 
         Malformed requests are ignored.
         """
@@ -81,7 +81,7 @@ class Timeline:
 
 
 def plots_script(plots: Plots, **more: object) -> str:
-    """Return the script that draws plots, with its library and data, to which ``more`` is added."""
+    """Return the JavaScript that draws plots, with its library and data; ``more``: further data."""
     folder = files("qrsim.view")
     scripts = ("uplot/uPlot.iife.min.js", "asking.js", "events.js", "marks.js", "plots.js")
     library, *parts = (folder.joinpath(name).read_text("utf-8") for name in scripts)
@@ -91,6 +91,6 @@ def plots_script(plots: Plots, **more: object) -> str:
 
 
 def marks(events: list[Event]) -> list[tuple[float, str]]:
-    """Return (time [s], text) of the events to mark, evenly thinned to at most MOST_MARKS."""
+    """Return (time [s], text) of the events to mark on the timeline, evenly thinned to at most MOST_MARKS."""
     found = [(event.time, event.message or event.kind) for event in events if event.kind not in NO_MARKS]
     return found[:: math.ceil(len(found) / MOST_MARKS) or 1]

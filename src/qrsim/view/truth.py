@@ -13,7 +13,7 @@ AXES, ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")
 
 
 def true_values(quantity: str, truth: Mapping[str, Floats]) -> Floats:
-    """Return the true values (K,) of a measured quantity; NaN for one without a truth, such as a number of satellites.
+    """Return the true values (K,) of a measured quantity; NaN if it has none, such as a number of satellites.
 
     Args:
         quantity: SENSOR.FIELD or SENSOR.FIELD.AXIS.
@@ -33,7 +33,7 @@ def true_values(quantity: str, truth: Mapping[str, Floats]) -> Floats:
 
 
 def _velocity_ned(truth: Mapping[str, Floats]) -> Floats:
-    """Return the velocity (k, 3) in NED [m/s] from attitude and body velocity; NaN without them."""
+    """Return velocities (k, 3) NED [m/s] from logged attitude and body velocity; NaN if these are missing."""
     names = [*(f"attitude.{angle}" for angle in ANGLES), *(f"velocity_body.{axis}" for axis in AXES)]
     if not all(name in truth for name in names):
         return np.full((len(next(iter(truth.values()))), 3), np.nan)
@@ -42,7 +42,7 @@ def _velocity_ned(truth: Mapping[str, Floats]) -> Floats:
 
 
 def turned_to_ned(attitude: Floats, body: Floats) -> Floats:
-    """Return vectors (k, 3) in body axes as vectors in NED, by roll, pitch and yaw (k, 3) [rad]."""
+    """Rotate vectors (k, 3) from body axes to NED, by roll, pitch and yaw (k, 3) [rad]."""
     quaternion = quaternion_of(attitude)
     scalar, vector = quaternion[:, :1], quaternion[:, 1:]
     twice = 2.0 * np.cross(vector, body)

@@ -37,7 +37,7 @@ DRAWN = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame
 
 
 def find_ffmpeg() -> str:
-    """Return the path of ffmpeg: on PATH, or that of the package imageio-ffmpeg.
+    """Return the path of ffmpeg: the one on PATH, or that of the package imageio-ffmpeg.
 
     Raises:
         RunError: there is neither.
@@ -53,7 +53,7 @@ def find_ffmpeg() -> str:
 
 
 def check_video(path: Path) -> None:
-    """Raise UsageError if a video of this name cannot be written."""
+    """Raise UsageError if a video cannot be written to this path, such as for an unknown suffix."""
     if path.suffix.lower() not in CODECS:
         raise UsageError(f"--video {path}: the name has to end in {' or '.join(CODECS)}")
     if not path.parent.is_dir():
@@ -63,7 +63,7 @@ def check_video(path: Path) -> None:
 
 
 def times_of_video(start: float, end: float, speed: float) -> list[float]:
-    """Return the times [s] of the frames.
+    """Return the times [s] of a video's frames from ``start`` to ``end`` [s], at this playback speed.
 
     Args:
         start, end: of the video [s].
@@ -87,7 +87,7 @@ def record_video(
     draw: Callable[[float], str],
     progress: Callable[[int], None],
 ) -> None:
-    """Write a video of the page.
+    """Write a video; ``draw(time)`` draws the page, returns a caption; ``progress(number)`` is called per frame.
 
     Args:
         server: of the page.
@@ -121,14 +121,14 @@ def record_video(
 
 
 def _quoted(text: str) -> str:
-    """Return a text as a string of JavaScript."""
+    """Return a text as a JavaScript string literal."""
     import json
 
     return json.dumps(text)
 
 
 def _when(browser: Browser, condition: str) -> None:
-    """Wait until a condition holds in the browser; raise RunError if it does not in time."""
+    """Wait until a JavaScript condition holds in the browser; raise RunError if it does not in time."""
     deadline = time.monotonic() + PATIENCE_S
     while not browser.evaluate(condition):
         if time.monotonic() > deadline:
@@ -138,7 +138,7 @@ def _when(browser: Browser, condition: str) -> None:
 
 @contextmanager
 def _encoder(ffmpeg: str, path: Path) -> Iterator[Callable[[bytes], object]]:
-    """Start ffmpeg and yield what writes a JPEG to it; the file is there at the end, and only if all went well."""
+    """Start ffmpeg; yield a function that encodes a JPEG image. The video file appears only if all goes well."""
     handle, unfinished = tempfile.mkstemp(suffix=path.suffix, prefix=".", dir=path.parent)
     os.close(handle)
     # Encoders want an even number of pixels.

@@ -81,12 +81,12 @@ class Viewer:
 
     @property
     def _name(self) -> str:
-        """Name of the chosen vehicle, or the entry for none."""
+        """Name of the chosen vehicle, or the menu's entry for none."""
         vehicle = self.choice.vehicle
         return NOBODY if vehicle is None else self._scene.cast.names[vehicle]
 
     def _add_plot(self, gui: Any, quantities: list[str], number: int) -> tuple[Any, Any]:
-        """Add a choice of reading and its plot; return both handles."""
+        """Add a menu of readings and a plot to the panel; return the handles of both."""
         shown = self.choice.vehicle is not None
         choice = gui.add_dropdown("Reading", quantities, initial_value=_first_choice(quantities, number), visible=shown)
         # Some times, because a plot that begins without any never finds its scale.
@@ -96,7 +96,7 @@ class Viewer:
         return choice, plot
 
     def _series(self) -> Any:
-        """Return the plot's series: time, measured (in the vehicle's colour), true."""
+        """Return the options of a plot's lines: time, measured (in the vehicle's colour), true."""
         colour = self._scene.stage.colours[self.choice.vehicle or 0]
         stroke = "#{:02x}{:02x}{:02x}".format(*colour.tolist())
         return (
@@ -106,7 +106,7 @@ class Viewer:
         )
 
     def _named(self) -> None:
-        """Choose the vehicle that the user has selected by name."""
+        """Choose the vehicle that the user has selected in the menu of names."""
         name = self.who.value
         vehicle = None if name == NOBODY else self._scene.cast.names.index(name)
         if vehicle != self.choice.vehicle:
@@ -121,14 +121,14 @@ class Viewer:
         self._show()
 
     def follow(self, follow: bool) -> None:
-        """Start or stop following the chosen vehicle with the camera."""
+        """Start or stop the camera's following the chosen vehicle."""
         self.choice.follow = follow
         if self.follows.value != follow:
             self.follows.value = follow
         self._show()
 
     def _show(self) -> None:
-        """Show or hide overlay, plots and fault controls, depending on the chosen vehicle."""
+        """Show or hide satellites, plots and fault controls, depending on the chosen vehicle."""
         vehicle, overlay = self.choice.vehicle, self._scene.overlay
         overlay.choose(vehicle, self._client)
         overlay.follow(vehicle if self.choice.follow else None, self._client)
@@ -142,7 +142,7 @@ class Viewer:
         self.send_sky()
 
     def send_sky(self) -> None:
-        """Send the chosen vehicle's satellites to the browser, if they have changed."""
+        """Send the browser the satellites of the chosen vehicle's receiver, if they have changed."""
         vehicle = self.choice.vehicle
         found = [] if vehicle is None else self._sky(vehicle)
         now = told(self._name, found)
@@ -151,7 +151,7 @@ class Viewer:
             self._scene.overlay.sky(now, self._client)
 
     def plot(self) -> None:
-        """Redraw the plots."""
+        """Redraw the plots of the chosen vehicle."""
         if self.choice.vehicle is None or self._plotted is None:
             return
         for choice, plot in self.plots:
@@ -163,6 +163,6 @@ class Viewer:
 
 
 def _first_choice(quantities: list[str], number: int) -> str:
-    """Return the initial quantity of plot ``number``: one with instructive errors, if it is measured."""
+    """Return the quantity that plot ``number`` shows at first: one with instructive errors, if it is measured."""
     wanted = ("position_ned.x", "height")
     return next((q for q in quantities if q.endswith(wanted[number])), quantities[number])

@@ -26,7 +26,7 @@ _running: dict[str, threading.Thread | subprocess.Popen[bytes] | None] = {"threa
 
 
 def compile_later(text: bytes, done: Callable[[bytes], None]) -> None:
-    """Compile a text to better code, and call ``done`` with the object file in another thread.
+    """Compile compressed LLVM text to faster machine code in a thread; call ``done`` with the object file.
 
     Args:
         text: of a module, compressed by ``packed``.
@@ -41,17 +41,17 @@ def compile_later(text: bytes, done: Callable[[bytes], None]) -> None:
 
 
 def packed(text: str) -> bytes:
-    """Compress the text of an LLVM module."""
+    """Compress the text of an LLVM module to bytes."""
     return zlib.compress(text.encode(), 1)
 
 
 def unpacked(text: bytes) -> str:
-    """Decompress the text of an LLVM module."""
+    """Decompress the text of an LLVM module from bytes."""
     return zlib.decompress(text).decode()
 
 
 def _compile_requests() -> None:
-    """Compile requested texts one after the other; runs in a thread."""
+    """Compile the requested LLVM texts one after the other; runs in a thread."""
     while True:
         text, done = _REQUESTS.get()
         code = _compile_in_process(text)
@@ -60,7 +60,7 @@ def _compile_requests() -> None:
 
 
 def _compile_in_process(text: bytes) -> bytes | None:
-    """Return the machine code of LLVM text, compiled in another process; None if that fails."""
+    """Compile compressed LLVM text in another process and return the object file; None if that fails."""
     # Without the folder of the script on the path, where modules have names as short as those of others.
     command = [sys.executable, "-P", str(compiler.__file__)]
     pipe = subprocess.PIPE
@@ -85,7 +85,7 @@ def _stop() -> None:
 
 
 def _forget() -> None:
-    """Drop the threads and child processes of the parent process, after a fork."""
+    """Drop the threads and child processes of the parent; called in a child process after a fork."""
     global _REQUESTS, _STARTING
     _REQUESTS, _STARTING = queue.SimpleQueue(), threading.Lock()
     _running.update(thread=None, process=None)

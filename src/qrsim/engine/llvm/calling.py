@@ -34,7 +34,7 @@ OnSeats = Callable[[Callable[[int], None]], None]
 
 @cache
 def pause_address() -> int:
-    """Return the address of the system's yield function, 0 if there is none."""
+    """Return the address of the operating system's function that yields the processor, 0 if there is none."""
     with contextlib.suppress(OSError, AttributeError):
         posix = os.name == "posix"
         function = ctypes.CDLL(None).sched_yield if posix else ctypes.CDLL("kernel32").SwitchToThread
@@ -43,7 +43,7 @@ def pause_address() -> int:
 
 
 def _at_seat(call: Callable[..., object], addresses: Sequence[int], arguments: Sequence[int], seat: int) -> None:
-    """Call a program with one thread's seat, its working memory."""
+    """Call machine code with the addresses of buffers, of a thread's working memory (``seat``), and ``arguments``."""
     call(*addresses, seat, *arguments)
 
 
@@ -72,7 +72,7 @@ class Program:
         self._load_code(binary.code)
 
     def _load_code(self, code: bytes) -> None:
-        """Load machine code, and call it from now on."""
+        """Load the machine code of this program, and call it from now on."""
         loaded = Loaded(code)
         self._loaded.append(loaded)
         self._size += len(code)
@@ -87,7 +87,7 @@ class Program:
         self._call_each = prototype(loaded.address("advance_each"))
 
     def _better(self, code: bytes) -> None:
-        """Switch to better code from the next call on, and have it cached."""
+        """Switch to faster machine code from the next call on, and cache it on disk."""
         # Code that cannot be loaded is not needed: the quick code goes on.
         with contextlib.suppress(UnsupportedError), refusing():
             self._load_code(code)
@@ -96,7 +96,7 @@ class Program:
                 self._keep(Binary(code, self.scratch_bytes, local_bytes=self.local_bytes))
 
     def _ran(self, seconds: float) -> None:
-        """Count running time [s], and request better code once the program has run long enough."""
+        """Add running time [s]; request faster machine code once the program has run long enough."""
         self._patience_s -= seconds
         if self._patience_s <= 0.0 and self._text:
             # Several threads may run a program, and one of them asks.
@@ -107,17 +107,17 @@ class Program:
 
     @property
     def code_bytes(self) -> int:
-        """Size of all code that is loaded, and of the text of better code."""
+        """Size [bytes] of the loaded machine code, and of the text of code that is still to be compiled."""
         return self._size + len(self._text)
 
     def scratch(self) -> NumpyArray:
-        """Return working memory for one thread."""
+        """Return working memory (bytes) for one thread."""
         if self.local_bytes:
             return self.seats(1)[0]
         return aligned(self.scratch_bytes, np.dtype(np.uint8))
 
     def seats(self, threads: int) -> list[NumpyArray]:
-        """Return working memory ("seat") for each of ``threads``; the first one holds the shared part."""
+        """Return the working memory ("seat") of each thread; the first one also holds what the threads share."""
         sizes = [_HEADER + self.local_bytes + (0 if thread else self.scratch_bytes) for thread in range(threads)]
         seats = [aligned(size, np.dtype(np.uint8)) for size in sizes]
         first = seats[0].ctypes.data
@@ -137,11 +137,11 @@ class Program:
 
     @staticmethod
     def give_up(seats: Sequence[NumpyArray]) -> None:
-        """Make threads that wait at a seat leave, because others will not come; the seats are then unusable."""
+        """Release threads that wait at a barrier for others that never come; the seats are then unusable."""
         seats[0][_GIVEN_UP : _GIVEN_UP + 8].view(np.uint64)[:] = 1
 
     def buffers(self, which: int) -> Buffers:
-        """Return new float and integer buffers of an input, for all lanes unless all worlds share it."""
+        """Return new float and integer buffers of input number ``which``, for all lanes or one shared copy."""
         layout = self.inputs[which].layout
         # What all share is read once and spread over the lanes.
         width = self.mode.worlds if self.inputs[which].own else 1
@@ -157,7 +157,7 @@ class Program:
             self._call(*addresses, scratch, tick + first, ticks)
 
     def together(self, run: OnSeats, addresses: Sequence[int], tick: int, count: int) -> None:
-        """Advance the state by ``count`` ticks with several threads.
+        """Advance a state by ``count`` ticks with several threads; ``run`` calls a function for each thread.
 
         Args:
             run: calls a function with the address of each seat, each in a thread.
@@ -170,13 +170,13 @@ class Program:
             run(partial(_at_seat, self._call, addresses, (tick + first, ticks)))
 
     def keeping_together(self, run: OnSeats, addresses: Sequence[int], tick: int, rows: Buffers) -> None:
-        """Advance and record each tick like ``keeping``, with several threads like ``together``."""
+        """Advance one world by a tick per row with several threads (called by ``run``); write each state to its row."""
         for first, ticks in self._portions(len(rows[0])):
             to = (number for part in rows for number in (part[first:].ctypes.data, part.strides[0]))
             run(partial(_at_seat, self._call_keeping, addresses, (tick + first, ticks, *to)))
 
     def keeping(self, addresses: Sequence[int], scratch: int, tick: int, rows: Buffers) -> None:
-        """Advance one world by as many ticks as there are rows, and write its state after each tick to the next row.
+        """Advance one world by as many ticks as ``rows`` has rows, and write its state after each tick to a row.
 
         Args:
             addresses: of the buffers of all inputs in order.
@@ -189,7 +189,7 @@ class Program:
             self._call_keeping(*addresses, scratch, tick + first, ticks, *to)
 
     def _portions(self, count: int) -> Iterator[tuple[int, int]]:
-        """Yield (first, number) of portions of ticks for the caller to run; small ones for quick code."""
+        """Split ``count`` ticks into calls; yield the first tick and number of ticks of each, few for quick code."""
         first = 0
         while self._quick and first < count:
             # Few enough that better code is used from the middle of a long call on.
@@ -201,7 +201,7 @@ class Program:
             yield first, count - first
 
     def each(self, table: NumpyArray, scratch: int, tick: int, count: int) -> None:
-        """Advance the worlds in each row of a table of addresses, uint64 (rows, two per input), contiguous."""
+        """Advance the worlds of each row of a table of buffer addresses, uint64 (rows, 2 per input), contiguous."""
         begin = perf_counter()
         self._call_each(table.ctypes.data, len(table), scratch, tick, count)
         if self._quick:

@@ -22,14 +22,14 @@ TOPDOWN = "; topdown"
 
 @lru_cache(maxsize=1)
 def _native_target() -> llvm.Target:
-    """Return LLVM's target for this machine."""
+    """Return LLVM's description (target) of this machine."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     return llvm.Target.from_default_triple()
 
 
 def _target_machine(tier: str = "better") -> llvm.TargetMachine:
-    """Return LLVM's target machine for a tier, with the features of this CPU."""
+    """Return LLVM's target machine with this CPU's features, for quick or better code (``tier``)."""
     name, features = llvm.get_host_cpu_name(), _cpu_features().flatten()
     return _native_target().create_target_machine(
         cpu=name, features=features, opt=0 if tier == "quick" else 2, jit=True
@@ -38,14 +38,14 @@ def _target_machine(tier: str = "better") -> llvm.TargetMachine:
 
 @lru_cache(maxsize=1)
 def _cpu_features() -> llvm.FeatureMap:
-    """Return the features of this CPU."""
+    """Return the features of this CPU that LLVM knows, such as AVX2."""
     _native_target()
     return llvm.get_host_cpu_features()
 
 
 @lru_cache(maxsize=1)
 def vector_bytes() -> int:
-    """Return the bytes of a vector in a program: 32 on processors with AVX and without AVX-512, else 64."""
+    """Return the vector size [bytes] of programs: 32 on processors with AVX but not AVX-512, else 64."""
     features = _cpu_features()
     # A longer vector would take two of the few registers for each value.
     return 32 if features.get("avx") and not features.get("avx512f") else 64
@@ -53,19 +53,19 @@ def vector_bytes() -> int:
 
 @lru_cache(maxsize=1)
 def machine_name() -> str:
-    """Return text with the processor, its features and the compiler, on which machine code depends."""
+    """Return a text of all that machine code depends on: processor, its features, compiler version."""
     version = ".".join(map(str, llvm.llvm_version_info))
     return f"{llvm.get_host_cpu_name()} {_cpu_features().flatten()} llvm {version}"
 
 
 def machine_triple() -> str:
-    """Return LLVM's target triple of this machine."""
+    """Return LLVM's target triple of this machine, such as "x86_64-unknown-linux-gnu"."""
     found: str = _native_target().triple
     return found
 
 
 def machine_code(text: str, tier: str = "better") -> bytes:
-    """Compile a module's text to an object file.
+    """Compile the text of an LLVM module to an object file, quickly or to faster code (``tier``).
 
     Args:
         text: of the module.
@@ -90,7 +90,7 @@ def machine_code(text: str, tier: str = "better") -> bytes:
 
 @contextlib.contextmanager
 def _scheduled(text: str) -> Iterator[None]:
-    """Let LLVM order instructions as a text asks for, on processors where its default is known."""
+    """Return a context with LLVM's instruction scheduling set as ``text`` asks, on processors with a known default."""
     if not text.startswith(TOPDOWN) or not machine_triple().startswith("x86_64"):
         yield
         return

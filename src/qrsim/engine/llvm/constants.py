@@ -25,7 +25,7 @@ class Constants:
         self._size = 0
 
     def add(self, array: NumpyArray, behind: int) -> int:
-        """Add an array in row-major order, with some zeros behind it, and return its offset [bytes]."""
+        """Store a constant array in row-major order, followed by ``behind`` zeros; return its offset [bytes]."""
         offset, element = self._size, stored_type(array.dtype)
         # As bools lie in memory everywhere else.
         stored = array.astype(np.int32) if array.dtype.kind == "b" else array
@@ -38,11 +38,11 @@ class Constants:
         return offset
 
     def _append(self, kind: str, values: str) -> None:
-        """Append an array, as LLVM's type and its values in text."""
+        """Append an array to the constants, given its LLVM type and its values as LLVM text."""
         self._types.append(kind)
         self._values.append(f"{kind} [{values}]")
 
     def text(self) -> str:
-        """Return the definition of all arrays."""
+        """Return the LLVM definition of the global that holds all constant arrays."""
         types, values = ", ".join(self._types), ", ".join(self._values)
         return f"@constants = private constant <{{ {types} }}> <{{ {values} }}>, align {_ALIGN}"

@@ -20,7 +20,7 @@ class UnknownError(Exception):
 
 
 def digest(closed: object) -> str | None:
-    """Return the digest of a closed jaxpr; None if a part of it cannot be digested.
+    """Return a hash of a closed jaxpr, equal for equal programs; None if a part of it cannot be hashed.
 
     Names, source lines and rules of differentiation are no part of it: they change nothing that is computed.
     """
@@ -38,7 +38,7 @@ class _Walk:
         self._found: dict[int, tuple[object, str]] = {}
 
     def closed(self, closed: Any) -> str:
-        """Return the digest of a closed jaxpr, or of one without constants."""
+        """Return the hash of a closed jaxpr, or of a jaxpr without constants."""
         known = self._found.get(id(closed))
         if known is None:
             whole = isinstance(closed, jex.ClosedJaxpr)
@@ -47,15 +47,15 @@ class _Walk:
         return known[1]
 
     def _jaxpr_digest(self, jaxpr: Any, constants: Any) -> str:
-        """Return the digest of a jaxpr and its constants."""
+        """Return the hash of a jaxpr and its constants."""
         result, numbers = hashlib.sha256(), dict[object, int]()
 
         def add(*parts: object) -> None:
-            """Add values to the digest."""
+            """Add values to the hash."""
             result.update(repr(parts).encode())
 
         def define(variables: Any) -> list[Any]:
-            """Number new variables, and return their shapes and dtypes."""
+            """Number the new variables of a jaxpr, and return their shapes and dtypes."""
             found = []
             for variable in variables:
                 numbers[variable] = len(numbers)
@@ -63,7 +63,7 @@ class _Walk:
             return found
 
         def read(atom: object) -> object:
-            """Return the number of a variable, or the digest of a literal."""
+            """Return the number of a jaxpr's variable, or the hash of a literal."""
             if isinstance(atom, jex.Literal):
                 return _array_digest(np.asarray(atom.val, atom.aval.dtype))  # type: ignore[attr-defined]
             return numbers[atom]
@@ -86,7 +86,7 @@ class _Walk:
         return result.hexdigest()
 
     def _value(self, value: object) -> object:
-        """Return a parameter as an object with a complete text; raise UnknownError for unknown kinds."""
+        """Return an equation's parameter as an object with a unique repr; raise UnknownError for unknown kinds."""
         for kinds, text in self._TEXTS:
             if isinstance(value, kinds):
                 return text(self, value)
@@ -95,7 +95,7 @@ class _Walk:
         raise UnknownError
 
     def _several(self, values: Sequence[object]) -> object:
-        """Return the type's name and the digests of its elements."""
+        """Return a sequence's type name and the hashes of its elements."""
         return type(values).__name__, [self._value(value) for value in values]
 
     _TEXTS: tuple[tuple[Any, Callable[[Any, Any], Any]], ...] = (
@@ -113,10 +113,10 @@ class _Walk:
 
 
 def _array_digest(array: NumpyArray) -> object:
-    """Return shape, dtype and hash of an array."""
+    """Return an array's shape, dtype and hash."""
     return array.shape, array.dtype.name, hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
 
 
 def _raise_unknown() -> NoReturn:
-    """Raise an UnknownError: the program contains a value without a digest."""
+    """Raise UnknownError, because the program contains a value that cannot be hashed."""
     raise UnknownError

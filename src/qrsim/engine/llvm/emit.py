@@ -24,7 +24,7 @@ class Emitter(Loops):
     # Steps
 
     def steps(self, steps: list[Step], stored: set[int]) -> None:
-        """Write the code of steps; ``stored`` holds the numbers of nodes that need memory."""
+        """Emit LLVM code for the steps of a schedule; ``stored`` has the numbers of the nodes kept in memory."""
         for step in steps:
             if step.kind == "cond":
                 self._branching(step, stored)
@@ -49,7 +49,7 @@ class Emitter(Loops):
                 self._nest(step, stored)
 
     def _compute(self, node: Node, lanes: int) -> str:
-        """Write the computation of a node for ``lanes`` elements, and return its value."""
+        """Emit LLVM code that computes ``lanes`` elements of a graph node, and return the name of its value."""
         if node.op == "iota":
             return self._iota(node, lanes)
         if node.op == "pick":
@@ -58,7 +58,7 @@ class Emitter(Loops):
         return self.operations.compute(node, values, lanes)
 
     def _kernel(self, node: Node, scopes: list[Scope], lanes: int) -> list[str]:
-        """Return one result of a kernel in each scope, and keep its other results for their nodes."""
+        """Emit a call of an elementwise kernel; return one result per scope, and keep its other results."""
         name, place = node.attributes
         keys = []
         for scope in scopes:
@@ -77,7 +77,7 @@ class Emitter(Loops):
         return [scope.offsets[key][place] for scope, key in zip(scopes, keys, strict=True)]
 
     def _straight(self, step: Step) -> None:
-        """Write the scalar nodes of a step, outside any loop, and note their values."""
+        """Emit a step of scalar graph nodes, outside any loop, and note the names of their values."""
         self.scope = Scope((), [], None, {}, {})
         for node in step.nodes:
             lanes = self._lanes_of(node)
@@ -85,7 +85,7 @@ class Emitter(Loops):
             self.scalars[node.number] = value, lanes
 
     def _iota(self, node: Node, lanes: int) -> str:
-        """Write the values of an iota, from the loop's counter, and return them."""
+        """Emit the values of an iota (each element's index along an axis) from the loop counter; return them."""
         axis = node.attributes[0]
         element, counter = scalar_type(node.dtype), self.scope.variables[axis]
         if node.dtype.kind not in "iu":
@@ -99,7 +99,7 @@ class Emitter(Loops):
         return self.emit(f"add {of} {self.widened((number, 1), node.dtype, lanes)}, {ramp}")
 
     def _nest(self, step: Step, stored: set[int]) -> None:
-        """Write a loop over the kept axes, in it one over the reduced axes."""
+        """Emit loops over the axes that a step keeps, in them over those it reduces (``stored``: nodes in memory)."""
         if any(step.domain[axis] == 0 for axis in step.kept):
             return
         last = len(step.domain) - 1
@@ -112,7 +112,7 @@ class Emitter(Loops):
         self._loops(step, step.kept, Scope(step.domain, ["0"] * (last + 1), lane_axis, {}, {}), together, stored)
 
     def _rows(self, step: Step, stored: set[int]) -> None:
-        """Write one loop over the last axis that holds several loop nests in turn."""
+        """Emit one loop over the last axis with several loop nests in its body (``stored``: nodes in memory)."""
         vectors = self.lanes > 1 and not self.side_by_side
         # Numbers of which an element of the axis has one stay in registers for the parts that follow.
         row: dict[int, str] = {}
@@ -136,7 +136,7 @@ class Emitter(Loops):
     def _loops(
         self, step: Step, kept: Sequence[int], scope: Scope, together: int, stored: set[int]
     ) -> dict[int, tuple[Node, str]]:
-        """Write a loop over kept axes, in it one over the reduced axes; return the reductions and where they lie.
+        """Emit loops over axes ``kept`` and reduced ones, unrolled by ``together``; return reductions, accumulators.
 
         Several turns of the innermost may be written at once, each with values of its own: divisions and roots of one
         wait while those of the other run.
@@ -157,7 +157,7 @@ class Emitter(Loops):
         return accumulators
 
     def _spread_counters(self, scopes: list[Scope], axis: int | None) -> None:
-        """Offset the counters of further scopes along an axis, for an unrolled loop."""
+        """Offset the loop counters of ``scopes``, the further copies of an unrolled loop body, along an axis."""
         for i, scope in enumerate(scopes[1:], 1):
             scope.variables[:] = scopes[0].variables
             assert axis is not None
@@ -168,7 +168,7 @@ class Emitter(Loops):
     def _body(
         self, step: Step, scopes: list[Scope], accumulators: dict[int, tuple[Node, str]], stored: set[int]
     ) -> None:
-        """Write one or several unrolled turns of a loop: a part of one turn, then the same part of the next."""
+        """Emit the body of a loop, its unrolled copies (``scopes``) interleaved (``stored``: nodes in memory)."""
         several = len(scopes) > 1 and bool(accumulators)
         # LLVM would begin all sums of all turns first, and move most of them to memory.
         self.topdown |= several
@@ -190,7 +190,7 @@ class Emitter(Loops):
         self.scope = scopes[0]
 
     def _keep(self, step: Step, stored: set[int]) -> None:
-        """Write the stored results of a loop's turn to memory, after all reads of the turn."""
+        """Emit the stores of a loop body's results after all its loads (``stored``: nodes kept in memory)."""
         for node in step.nodes:
             if node.number in stored and node.op != "reduce":
                 value = self.scope.values[node.number]
@@ -199,14 +199,14 @@ class Emitter(Loops):
     # Reductions
 
     def _reduced_width(self, node: Node) -> int:
-        """Return the number of lanes in which a reduction is accumulated."""
+        """Return the number of lanes of the accumulator of a reduction node."""
         operand = node.args[0].node
         if self.side_by_side:
             return self._lanes_of(operand) if operand.op != "constant" else 1
         return 1 if self.scope.lane_axis is None else self.lanes
 
     def _accumulator(self, node: Node) -> str:
-        """Allocate a reduction's accumulator with neutral elements in it, and return its pointer."""
+        """Emit the allocation and initial value of a reduction's accumulator, and return its pointer."""
         lanes, pointer = self._reduced_width(node), self.name("sum")
         of = vector(stored_type(node.dtype), lanes)
         self.entry.append(f"  {pointer} = alloca {of}, align 64")
@@ -216,7 +216,7 @@ class Emitter(Loops):
         return pointer
 
     def _accumulate(self, node: Node, pointer: str) -> None:
-        """Write one step of a reduction: combine the present value with the accumulator at a pointer."""
+        """Emit one step of a reduction: combine the node's present value with the accumulator at ``pointer``."""
         lanes = self._reduced_width(node)
         access = node.args[0]
         value = self.widened(self.value(access), node.dtype, lanes)
@@ -233,7 +233,7 @@ class Emitter(Loops):
         )
 
     def _finish(self, node: Node, pointer: str) -> None:
-        """Write the result of a reduction from its accumulator, the lanes combined if the axis of lanes is reduced."""
+        """Emit the result of a reduction from its accumulator; lanes are combined if they lie along a reduced axis."""
         lanes, axis = self._reduced_width(node), self.scope.lane_axis
         value = self.load(node.dtype, pointer, lanes)
         if axis is not None and axis in node.attributes[1]:
@@ -251,7 +251,7 @@ class Emitter(Loops):
     # Moves
 
     def _concatenation(self, node: Node) -> None:
-        """Write copies of the joined arrays to their parts of the result."""
+        """Emit a concatenation: copies of the joined arrays to their parts of the result."""
         axis, begins, shapes = node.attributes
         place = self.places[node.number]
         for access, begin, shape in zip(node.args, begins, shapes, strict=False):
@@ -267,7 +267,7 @@ class Emitter(Loops):
             self.copy(access, shape, moved)
 
     def _running(self, node: Node) -> None:
-        """Write a cumulative operation along an axis, such as a running sum."""
+        """Emit a cumulative operation along an axis, such as a cumulative sum."""
         axis, backwards, how = node.attributes
         self.open_scope(node.shape)
         lanes, (last, dtype) = self._lanes_of(node), (node.shape[axis] - 1, node.dtype)
@@ -286,7 +286,7 @@ class Emitter(Loops):
     # Branches and repetition
 
     def _repeating(self, step: Step, stored: set[int]) -> None:
-        """Write a while loop that each world leaves when its own condition becomes false."""
+        """Emit a while loop that each world leaves when its condition is false (``stored``: nodes in memory)."""
         node = step.nodes[0]
         condition, body = node.regions
         places = [self.places[output.number] for output in node.attributes[1]]
@@ -318,13 +318,13 @@ class Emitter(Loops):
         self.scalars, self.turning = outside, outer
 
     def _any(self, flags: str) -> str:
-        """Return a flag: whether any world has its flag set."""
+        """Emit the OR of each world's flag, and return the name of the scalar flag."""
         mask, name = vector("i1", self.lanes), f"llvm.vector.reduce.or.v{self.lanes}i1"
         self.declarations.add(f"declare i1 @{name}({mask})")
         return self.emit(f"call i1 @{name}({mask} {flags})")
 
     def _branching(self, step: Step, stored: set[int]) -> None:
-        """Write a branching with two branches; all worlds take the same one, or each takes its own by a mask."""
+        """Emit a conditional of two branches: one for all worlds, or one for each by a mask (``stored``: in memory)."""
         cond = step.nodes[0]
         self.scope = Scope((), [], None, {}, {})
         which, lanes = self.value(cond.args[0])
@@ -345,7 +345,7 @@ class Emitter(Loops):
         self.start_block(f"{label}.after")
 
     def _branch_by_world(self, step: Step, taken: str, label: str, stored: set[int]) -> None:
-        """Write a branching per world: each branch is run if any world takes it, with a mask."""
+        """Emit a conditional by world: each branch is run, with a mask, if any world takes it (``taken``: flags)."""
         mask = vector("i1", self.lanes)
         # A branch that no world takes is still skipped.
         others = self.emit(f"xor {mask} {taken}, {splat('true', 'i1', self.lanes)}")
@@ -365,7 +365,7 @@ class Emitter(Loops):
     def _branch(
         self, step: Step, number: int, label: str, after: str, stored: set[int], keep: str | None = None
     ) -> None:
-        """Write one branch and the copies of its results; ``keep`` masks worlds whose results are already there."""
+        """Emit branch ``number``, then a jump to ``after``; worlds in the mask ``keep`` keep their old results."""
         outside = dict(self.scalars)
         self.start_block(label)
         self.steps(step.branches[number], stored)

@@ -13,7 +13,7 @@ _LOOKS = 1000
 
 
 def head(shared: Sequence[str], seated: bool) -> str:
-    """Return the first line of the LLVM function that runs ticks.
+    """Return the LLVM function's head for running ticks; ``shared``: its pointers, ``seated``: for several threads.
 
     Args:
         shared: pointers to inputs and working memory.
@@ -28,7 +28,7 @@ def head(shared: Sequence[str], seated: bool) -> str:
 
 
 def seated(shared: Sequence[str], triple: str) -> list[str]:
-    """Return the LLVM functions of the thread barrier, and of running ticks from a seat.
+    """Return LLVM text for the machine ``triple``: a barrier, and a function that runs ticks from a thread's seat.
 
     Args:
         shared: pointers to inputs and working memory.
@@ -105,7 +105,7 @@ def seated(shared: Sequence[str], triple: str) -> list[str]:
 
 
 def _loaded(name: str, kind: str, seat: str = "%seat") -> list[str]:
-    """Return the lines that load a word of a seat."""
+    """Return the LLVM lines that load the word ``name`` of a thread's working memory (seat)."""
     return [
         f"  %{name}.place = getelementptr i64, ptr {seat}, i64 {SEAT.index(name)}",
         f"  %{name} = load {kind}, ptr %{name}.place",
@@ -113,7 +113,7 @@ def _loaded(name: str, kind: str, seat: str = "%seat") -> list[str]:
 
 
 def for_each(pointers: int) -> list[str]:
-    """Return the LLVM function that advances the worlds of each row of a table of addresses.
+    """Return the LLVM function that advances the worlds of each row of a table of ``pointers`` buffer addresses.
 
     In Python the way from one vector of worlds to the next takes as long as a tick of them does.
     """
@@ -145,7 +145,7 @@ def for_each(pointers: int) -> list[str]:
 
 
 def keeping(pointers: int, seated: bool) -> list[str]:
-    """Return the LLVM function that copies the state to the next row after each tick.
+    """Return the LLVM function that runs ticks and copies the state to a row after each (``seated``: by threads).
 
     Several threads may run it where their seats are in place of working memory; each copies a part.
     """
@@ -183,7 +183,7 @@ def keeping(pointers: int, seated: bool) -> list[str]:
 
 
 def _copied(kind: str, number: int, seated: bool) -> list[str]:
-    """Return the lines that copy one buffer of the state, or a thread's part of it, to its row."""
+    """Return the LLVM lines that copy state buffer ``number`` (``seated``: a thread's part) to the present row."""
     if not seated:
         return [
             f"  call void @llvm.memcpy.p0.p0.i64(ptr %{kind}.row, ptr %pointer.{number}, i64 %{kind}.bytes, i1 false)"
@@ -196,7 +196,7 @@ def _copied(kind: str, number: int, seated: bool) -> list[str]:
 
 
 def _parts(kinds: Sequence[str]) -> list[str]:
-    """Return the lines that compute which bytes of each buffer a thread copies."""
+    """Return the LLVM lines that compute which bytes of the state buffers (``kinds``) a thread copies."""
     lines = [*_loaded("thread", "i64", "%scratch"), *_loaded("threads", "i64", "%scratch")]
     lines.append("  %thread.next = add i64 %thread, 1")
     for kind in kinds:

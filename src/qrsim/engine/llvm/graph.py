@@ -64,7 +64,7 @@ class Access(NamedTuple):
 
     # Asked of every access, because only such a value can stay in a register between two nodes of a loop.
     def identical(self, domain: Shape) -> bool:
-        """Return whether a loop over ``domain`` reads the array at its own index, element by element."""
+        """Return whether a loop over ``domain`` reads the array element by element, at its own index."""
         return self.node.shape == domain and self.index == own_index(len(domain))
 
 
@@ -77,20 +77,20 @@ class View(NamedTuple):
 
     @staticmethod
     def whole(node: Node, shape: Shape) -> View:
-        """Return a view of a node's whole array, in a shape that may have other axes of length 1."""
+        """Return a view of a graph node's whole array, in a shape that may have more axes of length 1."""
         return View(node, _whole_index(shape), shape)
 
     def access(self, shape: Shape | None = None) -> Access:
-        """Return how a loop over ``shape`` (default: the view's), without axes of length 1, reads the view."""
+        """Return how a loop over ``shape`` (default: the view's), without axes of length 1, reads this view."""
         return Access(self.node, _loop_index(self.index, self.shape if shape is None else shape))
 
     def moved(self, axes: dict[int, int | None], shape: Shape) -> View:
-        """Return the view with axis a moved to ``axes[a]`` of a new shape."""
+        """Return the view with its axis a as axis ``axes[a]`` of ``shape`` (None: dropped)."""
         index = tuple((axes.get(axis) if axis is not None else None, offset) for axis, offset in self.index)
         return View(self.node, index, shape)
 
     def shifted(self, starts: Sequence[int], shape: Shape) -> View:
-        """Return the view of the part of a ``shape`` that begins at ``starts``."""
+        """Return the view of the part of this view that begins at index ``starts`` and has this ``shape``."""
         index: list[tuple[int | None, int]] = []
         for axis, offset in self.index:
             begin = 0 if axis is None else starts[axis]
@@ -103,25 +103,25 @@ class View(NamedTuple):
 # A program has thousands of views, of a few shapes: their indices are computed once.
 @lru_cache(maxsize=4096)
 def squeezed(shape: Shape) -> Shape:
-    """Return a shape without its axes of one element."""
+    """Return a shape without its axes of length 1."""
     return tuple(extent for extent in shape if extent != 1)
 
 
 @lru_cache(maxsize=64)
 def own_index(axes: int) -> Index:
-    """Return the identity index of a loop: each axis at offset 0."""
+    """Return the identity index of a loop over this number of axes: each axis at offset 0."""
     return tuple((axis, 0) for axis in range(axes))
 
 
 @lru_cache(maxsize=4096)
 def _whole_index(shape: Shape) -> Index:
-    """Return the index of a whole array: each axis longer than 1 from 0."""
+    """Return the index by which a loop reads a whole array: each axis longer than 1 from 0."""
     return tuple((axis, 0) for axis, extent in enumerate(shape) if extent != 1)
 
 
 @lru_cache(maxsize=16384)
 def _loop_index(index: Index, shape: Shape) -> Index:
-    """Convert an index over all axes to one over the loop's axes, those longer than 1."""
+    """Convert an index over all axes to one over the axes longer than 1, as loops use it."""
     # Loops run over squeezed shapes, so an axis of the program has another number there.
     axes = {axis: i for i, (axis, _) in enumerate(_whole_index(shape))}
     return tuple((axes.get(axis) if axis is not None else None, offset) for axis, offset in index)
@@ -137,7 +137,7 @@ class Region:
     known: dict[Hashable, Node] = field(default_factory=dict)
 
     def find(self, key: object) -> Node | None:
-        """Return an equal node that this region or an outer one computed before; None without one."""
+        """Return the node with this key that this region or an outer one has computed; None if there is none."""
         # What lies outside is computed before the region, so it may be used inside; the reverse does not hold.
         region: Region | None = self
         while region is not None:
@@ -168,7 +168,7 @@ class Graph:
         invariant: bool | None = None,
         uniform: bool | None = None,
     ) -> Node:
-        """Return a node for an operation, the existing one if an equal node was made before."""
+        """Add or find a node: an array and its operation. ``invariant``: same each tick, ``uniform``: in all worlds."""
         dtype = np.dtype(dtype)
         # Only a reduction and a scatter loop over something else than they make.
         domain = shape if domain is None else domain
@@ -189,7 +189,7 @@ class Graph:
         return node
 
     def constant(self, value: object) -> View:
-        """Return a view of a constant array."""
+        """Add a constant array to the graph and return a view of it."""
         array = np.asarray(value)
         # An array of numbers that the code generator does not have is refused here.
         scalar_type(array.dtype)

@@ -24,7 +24,7 @@ HALVES = ("half_times", "half_lowered", "half_transformed")
 
 
 def write_half(writer: Loops, node: Node) -> None:
-    """Write the code of an operation on each vehicle's symmetric matrix."""
+    """Emit LLVM code of an operation on each vehicle's symmetric matrix, stored as its upper half."""
     _Half(writer, node).write()
 
 
@@ -66,7 +66,7 @@ class _Half:
         self.vehicle = self.part = "0"
 
     def write(self) -> None:
-        """Write the loop over the vehicles and the operation in it."""
+        """Emit the loop over the vehicles with the operation as its body."""
         writer, alone = self.writer, not self.writer.side_by_side
         writer.open_scope((self.vehicles,) if self.vehicles > 1 else (), 0 if alone and self.width > 1 else None)
         with writer.loop(self.vehicles, self.width if alone else 1) as self.vehicle:
@@ -80,7 +80,7 @@ class _Half:
     # Values
 
     def _rows(self, access: Access) -> _Rows:
-        """Return where the rows of an argument's numbers lie in memory."""
+        """Return where the rows of an argument lie in memory: pointer, stride and lanes."""
         place, index = self.writer.place(access.node), access.index
         by_row = bool(index) and index[0][0] == 0 and all(axis != 0 for axis, _ in index[1:])
         # From vehicle to vehicle; nothing where all have the same numbers.
@@ -93,12 +93,12 @@ class _Half:
         return _Rows(self.writer.address(self._moved(place), offsets), place.strides[0], self.width if own else 1)
 
     def _result(self) -> _Rows:
-        """Return where the rows of the result lie in memory."""
+        """Return where the rows of the result lie in memory: pointer, stride and lanes."""
         axes = [(None, 0), (self.vehicle, 0)][: len(self.node.shape)]
         return _Rows(self.writer.address(self._moved(self.place), axes), self.place.strides[0], self.width)
 
     def _moved(self, place: Place) -> Place:
-        """Return a place in memory, offset to the lanes that the present turn of the loop computes."""
+        """Return a memory place offset to the vehicles that this turn of the loop computes."""
         if self.parts == 1 or not place.own:
             return place
         size = self.width * self.dtype.itemsize
@@ -106,36 +106,36 @@ class _Half:
         return replace(place, pointer=pointer)
 
     def _address(self, rows: _Rows, row: int) -> str:
-        """Return the pointer to a row of ``rows``."""
+        """Emit the pointer to row number ``row`` of an array, and return its name."""
         if row == 0:
             return rows.pointer
         return self.writer.emit(f"getelementptr i8, ptr {rows.pointer}, i64 {row * rows.stride}")
 
     def _at(self, rows: _Rows, row: int, counter: str) -> str:
-        """Return the address of a row a counter after another one."""
+        """Emit the address of row number ``row`` at a loop counter, and return its name."""
         if counter == "0":
             return self._address(rows, row)
         first = self.writer.emit(f"getelementptr [{rows.stride} x i8], ptr {rows.pointer}, i64 {counter}")
         return self.writer.emit(f"getelementptr i8, ptr {first}, i64 {row * rows.stride}")
 
     def _load(self, rows: _Rows, address: str) -> str:
-        """Write a load from an address among ``rows``, and return the value, one number for each lane."""
+        """Emit a load of one number per lane from an address in an array, and return the value's name."""
         found = self.writer.load(self.dtype, address, rows.lanes)
         return self.writer.widened((found, rows.lanes), self.dtype, self.width)
 
     def _number(self, row: int, column: int) -> str:
-        """Load an element of the matrix before the operation."""
+        """Emit the load of a matrix element as it was before the operation, and return its name."""
         return self._load(self.half, self._address(self.half, place_of(row, column, self.size)))
 
     def _store(self, address: str, value: str) -> None:
-        """Write a store of a value to an address of the result, without lanes past the last vehicle."""
+        """Emit a store of a value to an address of the result, without lanes past the last vehicle."""
         mask = None
         if self.place.tight and not self.writer.side_by_side and self.vehicles % self.width:
             mask = self.writer.inside(self.vehicle, self.vehicles)
         self.writer.store(self.dtype, address, value, self.width, mask)
 
     def _factor(self, access: Access) -> str:
-        """Return a number (n,) of the present vehicle."""
+        """Emit the load of a factor (n,) of the present vehicle, and return its name."""
         writer = self.writer
         if not writer.side_by_side or access.node.number in writer.scalars or access.node.op == "constant":
             return writer.widened(writer.value(access), self.dtype, self.width)
@@ -146,19 +146,19 @@ class _Half:
         return writer.widened((found, lanes), self.dtype, self.width)
 
     def _plus(self, factor: str, value: str, total: str) -> str:
-        """Return factor times value plus a total, rounded once."""
+        """Emit factor * value + total, rounded once, and return the result's name."""
         name = f"llvm.fma.{suffix(scalar_type(self.dtype), self.width)}"
         self.writer.declarations.add(f"declare {self.of} @{name}({self.of}, {self.of}, {self.of})")
         return self.writer.emit(f"call {self.of} @{name}({self.of} {factor}, {self.of} {value}, {self.of} {total})")
 
     def _minus(self, value: str) -> str:
-        """Return the negated value."""
+        """Emit the negation of a value, and return its name."""
         return self.writer.emit(f"fneg {self.of} {value}")
 
     # Operations
 
     def _half_times(self) -> None:
-        """Write the product of the matrix with a sparse row of factors."""
+        """Emit the product of the symmetric matrix with a sparse row of factors."""
         rows, factors = self.node.attributes[1], self.node.args[1:]
         known = ["" if _is_one(factor) else self._factor(factor) for factor in factors]
         for i in range(self.size):
@@ -168,7 +168,7 @@ class _Half:
             self._store(self._address(self.to, i), total)
 
     def _sum(self, factor: str, number: str, total: str) -> str:
-        """Return factor * number + total; an empty factor is 1, an empty total is 0."""
+        """Emit factor * number + total and return its name; an empty factor is 1, an empty total is 0."""
         if factor and total:
             return self._plus(factor, number, total)
         if factor:
@@ -176,7 +176,7 @@ class _Half:
         return self.writer.emit(f"fadd {self.of} {total}, {number}") if total else number
 
     def _half_lowered(self) -> None:
-        """Write the matrix minus the outer products of columns."""
+        """Emit the symmetric matrix minus the outer products of columns."""
         columns = [self._rows(access) for access in self.node.args[1:]]
         for i in range(self.size):
             first = place_of(i, i, self.size)
@@ -188,7 +188,7 @@ class _Half:
                 self._store(self._at(self.to, first, counter), value)
 
     def _half_transformed(self) -> None:
-        """Write the congruence transform of the matrix, with additions to its diagonal."""
+        """Emit the congruence transform F P F' of the matrix, with additions to its diagonal."""
         rows, terms = self.node.attributes[1:]
         given = [self._factor(access) for access in self.node.args[1:]]
         factors, added = given[: len(given) - len(rows)], dict(zip(rows, given[len(given) - len(rows) :], strict=True))
@@ -208,7 +208,7 @@ class _Half:
                     self._store(self._address(self.to, place_of(i, j, self.size)), found.get(j) or self._number(i, j))
 
     def _row(self, i: int, into: dict[int, list[tuple[int, str]]]) -> tuple[dict[int, str], set[int]]:
-        """Compute row ``i`` from the diagonal on; return its values by column, and the changed columns."""
+        """Emit row ``i`` plus factor times row k for (k, factor) of ``into[i]``; return values and changed columns."""
         found: dict[int, str] = {}
         if i in into:
             for j in range(i, self.size):
@@ -226,7 +226,7 @@ class _Half:
         return found, changed
 
     def _coefficient(self, term: Term, factors: list[str]) -> str:
-        """Return the value of a term's coefficient: its scale times its factor."""
+        """Emit a term's coefficient, its scale times its factor, and return the name."""
         number = np.float32(term.scale) if self.dtype.itemsize == 4 else term.scale
         scale = splat(literal(number, self.dtype), scalar_type(self.dtype), self.width)
         if term.factor is None:
@@ -237,6 +237,6 @@ class _Half:
 
 
 def _is_one(access: Access) -> bool:
-    """Return whether a factor is the constant 1."""
+    """Return whether a factor of the matrix operation is the constant 1."""
     node = access.node
     return node.op == "constant" and bool((np.frombuffer(node.attributes[0], node.dtype) == 1.0).all())

@@ -38,7 +38,7 @@ class InState:
         self.lying: dict[Place, list[Node]] = {}
 
     def place(self, leaves: Sequence[Node], results: Sequence[Access]) -> list[Move]:
-        """Place results directly in the state where possible; return the moves that remain for the tick's end."""
+        """Place results in the state's own memory where possible; return the copies that remain for the tick's end."""
         for access in results:
             self.read[access.node.number].append((len(self.body), None, access))
         self.lying = {self.places[leaf.number]: [leaf] for leaf in leaves}
@@ -69,36 +69,36 @@ class InState:
         return moves
 
     def _assign(self, node: Node, place: Place) -> None:
-        """Assign a place to a node."""
+        """Assign a place in memory to a graph node."""
         self.places[node.number] = place
         self.lying[place].append(node)
 
     def _free(self, node: Node) -> bool:
-        """Return whether a node is computed in the tick's body and has no fixed place."""
+        """Return whether a graph node is computed in the tick's body and has no fixed place in memory."""
         return node.number in self.made and self._is_movable(node)
 
     def _is_movable(self, node: Node) -> bool:
-        """Return whether a node is stored and has no place yet."""
+        """Return whether a graph node is stored in memory and has no place yet."""
         stored = node.number in self.stored and node.number not in self.short
         fixed = node.op == "reduce" or (node.op in ALONE and node.op not in IN_PLACE)
         return stored and node.number not in self.places and not fixed
 
     def _agreed(self, step: Step) -> bool:
-        """Return whether all worlds take the same branch of a conditional."""
+        """Return whether all worlds take the same branch of a conditional step."""
         # A branching that each world takes for itself writes its results before it has read everything.
         return not self.side_by_side or step.nodes[0].args[0].node.uniform
 
     def _fits(self, node: Node, place: Place) -> bool:
-        """Return whether a place has room for a node: per world or shared, as the node is."""
+        """Return whether a place in memory has one element per world exactly if the node's value has."""
         return place.own == (self.side_by_side and not node.uniform)
 
     def _over(self, old: Node, writer: Node) -> bool:
-        """Return whether all readings of ``old`` come before ``writer`` is written."""
+        """Return whether all reads of the node ``old`` come before the node ``writer`` is written."""
         step = self.made[writer.number]
         return all(self._reads_first(self.body, reading, step, writer) for reading in self.read[old.number])
 
     def _reads_first(self, steps: list[Step], reading: Reading, step: int, writer: Node) -> bool:
-        """Return whether a reading comes before a writer's store."""
+        """Return whether a read comes before the store of the node ``writer``, which step number ``step`` computes."""
         at, reader, access = reading
         if at != step:
             return at < step
@@ -109,7 +109,7 @@ class InState:
         return self._agreed(steps[step])
 
     def _hold(self, at: int, output: Node, leaves: list[Node]) -> None:
-        """Place a result of a conditional in the state leaf that one of its branches returns unchanged."""
+        """Place ``output`` of the conditional at step ``at`` in one of ``leaves`` that a branch returns unchanged."""
         for leaf in leaves:
             place = self.places[leaf.number]
             if not self._free(output) or not self._fits(output, place):
@@ -122,7 +122,7 @@ class InState:
                 self._assign(output, place)
 
     def _begin(self, at: int, output: Node, handed: list[Access]) -> None:
-        """Place a node that a conditional returns unchanged where the conditional's result lies in the state."""
+        """Place a node of ``handed``, which the conditional at step ``at`` returns unchanged, where ``output`` lies."""
         place = self.places.get(output.number)
         if place not in self.lying:
             return
@@ -140,12 +140,12 @@ class InState:
                 return
 
     def _apart(self, other: Node, node: Node, last: int) -> bool:
-        """Return whether the lifetimes of two nodes, the second read last at step ``last``, do not overlap."""
+        """Return whether ``node``, read last by step ``last``, and ``other`` are never needed at the same time."""
         made = self.made.get(other.number, -1)
         return made > last or (made < self.made[node.number] and self._over(other, node))
 
     def _within(self, step: Step) -> None:
-        """Make the branches of a conditional write their results directly into the state."""
+        """Make the branches of a conditional step write their results directly to the state's memory."""
         for number, steps in enumerate(step.branches):
             read, results = readers(steps), step.nodes[0].regions[number].results
             made = {node.number: i for i, inner in enumerate(steps) for node in inner.nodes}
@@ -174,7 +174,7 @@ class InState:
 
 
 def _turns_into(step: Step, old: Node, output: Node) -> bool:
-    """Return whether a loop initialises an output with an array and reads this array nowhere else."""
+    """Return whether a loop starts its output from the array ``old`` and reads that array nowhere else."""
     loop, place = step.nodes[0], output.attributes[0]
     begins = [access.node is old for access in loop.args]
     inside = [access for steps in step.branches for each in steps for _, access in each.accesses]
@@ -187,7 +187,7 @@ def _turns_into(step: Step, old: Node, output: Node) -> bool:
 
 
 def _outputs(step: Step) -> Iterator[tuple[Node, list[Access]]]:
-    """Yield (result node, its value in each branch) of a conditional."""
+    """Yield each result node of a conditional step, with its value in each branch."""
     regions = step.nodes[0].regions
     for node in step.nodes:
         if node.op == "output":

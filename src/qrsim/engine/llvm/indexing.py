@@ -24,7 +24,7 @@ class Indexing(Nodes):
     alone: bool
 
     def dynamic_slice(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return a slice whose start is computed at run time, clipped into range."""
+        """Add graph nodes for JAX's dynamic_slice: a slice with a run-time start, clipped into range."""
         operand, shape = inputs[0], tuple(out.shape)
         # Where the whole extent is taken, JAX brings any start to zero.
         starts = {axis: inputs[1 + axis] for axis, extent in enumerate(operand.shape) if extent != shape[axis]}
@@ -32,7 +32,7 @@ class Indexing(Nodes):
         return self._pick(operand, starts, limits, {axis: axis for axis in range(len(shape))}, out)
 
     def dynamic_update_slice(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return an array with a slice replaced, at a start computed at run time and clipped."""
+        """Add graph nodes for JAX's dynamic_update_slice: a slice replaced at a run-time start, clipped into range."""
         operand, update, *starts = inputs
         shape, part = operand.shape, update.shape
         if 0 in part:
@@ -55,7 +55,7 @@ class Indexing(Nodes):
     def _pick(
         self, operand: View, starts: dict[int, View], limits: dict[int, int], follows: dict[int, int], out: ShapedArray
     ) -> View:
-        """Return a view of elements at starts that are computed at run time.
+        """Return a view of the elements at starts that are computed at run time, one start for each indexed axis.
 
         Args:
             operand: the array.
@@ -76,7 +76,7 @@ class Indexing(Nodes):
         return View.whole(self.graph.node("pick", accesses, squeezed(shape), out.dtype, (moved,)), shape)
 
     def gather(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return single elements at the places in an integer array."""
+        """Add graph nodes for JAX's gather: single elements of an array at the indices in an integer array."""
         operand, places = inputs
         numbers, shape, mode = parameters["dimension_numbers"], tuple(out.shape), parameters["mode"].name
         single = {*numbers.collapsed_slice_dims, *numbers.operand_batching_dims} == set(range(len(operand.shape)))
@@ -101,7 +101,7 @@ class Indexing(Nodes):
         return self.apply("select_n", shape, out.dtype, inside, self.spread(self.graph.constant(fill), shape), found)
 
     def _inside(self, starts: dict[int, View], limits: dict[int, int], shape: Shape) -> View:
-        """Return a view of bools: whether all starts are in range."""
+        """Return a view of bools: whether the starts of all axes are between 0 and their limits."""
         inside = self.spread(self.graph.constant(np.bool_(True)), shape)
         for axis, start in starts.items():
             dtype = start.node.dtype
@@ -114,7 +114,7 @@ class Indexing(Nodes):
         return inside
 
     def scatter(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return an array with single elements replaced at the places in an integer array."""
+        """Add graph nodes for JAX's scatter: single elements replaced at the indices in an integer array."""
         operand, places, updates = inputs
         numbers, shape, mode = parameters["dimension_numbers"], updates.shape, parameters["mode"].name
         inserted = {*numbers.inserted_window_dims, *numbers.operand_batching_dims}
@@ -145,14 +145,14 @@ class Indexing(Nodes):
         return View.whole(node, tuple(out.shape))
 
     def _clipped(self, start: View, largest: int, shape: Shape) -> View:
-        """Return the start of a slice, clipped to 0 and the largest that leaves room for it."""
+        """Return the run-time start of a slice clipped to [0, largest], in this shape."""
         dtype = start.node.dtype
         low, high = (self.spread(self.graph.constant(np.asarray(v, dtype)), shape) for v in (0, largest))
         return self.apply("clamp", shape, dtype, low, start, high)
 
     @staticmethod
     def _along(places: View, axes: Sequence[int], shape: Shape) -> dict[int, View]:
-        """Return axis -> start, taken from the last axis of an array of places."""
+        """Return axis -> view of the start along it, from the last axis of an array of indices."""
         found = {}
         for which, axis in enumerate(axes):
             one = _joined_part(places.shifted([0] * len(shape) + [which], (*shape, 1)))
@@ -160,7 +160,7 @@ class Indexing(Nodes):
         return found
 
     def half(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return an operation of symmetric matrices (see ``qrsim.core.symmetric``)."""
+        """Add a graph node for an operation on symmetric matrices (see ``qrsim.core.symmetric``)."""
         if out.dtype.kind != "f" or inputs[0].shape[0] < 2:
             raise UnsupportedError(f"'{op}' of {out.dtype}[{inputs[0].shape[0]}]")
         attributes = (inputs[0].shape[0], *(parameters[name] for name in sorted(parameters)))
@@ -170,7 +170,7 @@ class Indexing(Nodes):
         )
 
     def reshape(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return the array in another shape, in row-major order."""
+        """Add graph nodes for JAX's reshape: the array in another shape, in row-major order."""
         (operand, *dynamic), shape = inputs, tuple(out.shape)
         if dynamic:
             raise UnsupportedError("a shape that the program computes")
@@ -190,7 +190,7 @@ class Indexing(Nodes):
         return self._pick(operand, starts, {axis: operand.shape[axis] - 1 for axis in starts}, {}, out)
 
     def _linear(self, shape: Shape) -> View:
-        """Return each element's row-major index (int32)."""
+        """Return an array of this shape with each element's row-major index (int32)."""
         found, stride = self._number(0, shape), 1
         for axis in reversed(range(len(shape))):
             if shape[axis] != 1:
@@ -201,12 +201,12 @@ class Indexing(Nodes):
         return found
 
     def _number(self, value: int, shape: Shape) -> View:
-        """Return an integer as a view of a shape."""
+        """Return an integer as a constant view of this shape."""
         return self.spread(self.graph.constant(np.int32(value)), shape)
 
 
 def _joined_part(view: View) -> View:
-    """Replace a view into concatenated arrays by a view of the one array that it shows.
+    """Return a view of the single joined array that a view into concatenated arrays shows.
 
     JAX joins the numbers along each axis to one array of indices; to take that apart costs more than to read it.
     """
@@ -228,7 +228,7 @@ def _joined_part(view: View) -> View:
 
 
 def _filling(value: object, dtype: DType) -> object:
-    """Return the value that JAX uses for out-of-range indices."""
+    """Return the value that JAX gives for out-of-range indices: ``value``, or the dtype's default if it is None."""
     if value is not None:
         return value
     kind = np.dtype(dtype).kind

@@ -39,7 +39,7 @@ class Body:
         ]
 
     def write(self, operations: Operations, turns: list[list[str]], lanes: int) -> list[list[str]]:
-        """Write the operations for several sets of arguments, in turn, and return the results of each set.
+        """Emit the kernel's operations for several sets of arguments, interleaved; return the results of each set.
 
         Every operation needs the one before it. Those of two sets do not wait for each other.
         """
@@ -52,7 +52,7 @@ class Body:
 
 
 def _value(access: Access, values: dict[int, str], lanes: int) -> str:
-    """Return the name of an argument's value in a kernel; a constant as ``lanes`` copies."""
+    """Return the name of an argument's value in a kernel; a constant is repeated in ``lanes`` lanes."""
     node = access.node
     if node.op != "constant":
         return values[node.number]
@@ -65,12 +65,12 @@ body = cache(Body)
 
 
 def types(names: tuple[str, ...], lanes: int) -> list[str]:
-    """Return the LLVM types of vectors of ``lanes`` numbers, for NumPy's names of dtypes."""
+    """Return the LLVM types of vectors of ``lanes`` elements, from names of NumPy dtypes."""
     return [vector(scalar_type(np.dtype(name)), lanes) for name in names]
 
 
 def call(emit: Emit, name: str, arguments: list[str], lanes: int) -> list[str]:
-    """Write a call of a kernel's LLVM function, and return the names of its results."""
+    """Emit a call of a kernel's LLVM function, and return the names of its results."""
     of = _result_type(name, lanes)
     given = ", ".join(
         f"{kind} {value}" for kind, value in zip(types(KERNELS[name].takes, lanes), arguments, strict=True)
@@ -81,11 +81,11 @@ def call(emit: Emit, name: str, arguments: list[str], lanes: int) -> list[str]:
 
 @cache
 def function(name: str, lanes: int) -> tuple[tuple[str, ...], frozenset[str]]:
-    """Return the lines of a kernel's LLVM function, and its declarations."""
+    """Return the lines of the LLVM function of kernel ``name``, and the declarations it needs."""
     kernel, lines, declarations = KERNELS[name], list[str](), set[str]()
 
     def emit(instruction: str) -> str:
-        """Append an instruction to the function's lines and return the name of its value."""
+        """Append an LLVM instruction to the function and return the name of its result."""
         lines.append(f"  %v{len(lines)} = {instruction}")
         return f"%v{len(lines) - 1}"
 
@@ -100,10 +100,10 @@ def function(name: str, lanes: int) -> tuple[tuple[str, ...], frozenset[str]]:
 
 
 def _symbol(name: str, lanes: int) -> str:
-    """Return the name of a kernel's function for a number of lanes."""
+    """Return the symbol of a kernel's LLVM function for vectors of ``lanes`` elements."""
     return f"@kernel.{name}.{lanes}"
 
 
 def _result_type(name: str, lanes: int) -> str:
-    """Return LLVM's type of a kernel's results: a struct of vectors."""
+    """Return the LLVM type of a kernel's results: a struct of vectors."""
     return "{ " + ", ".join(types(KERNELS[name].gives, lanes)) + " }"

@@ -41,14 +41,14 @@ class Lanes:
 
     @classmethod
     def of_one(cls, layout: Packer, buffers: Buffers) -> Lanes:
-        """Return one world as lanes over two buffers that ``aligned`` made, without a copy."""
+        """Wrap the buffers of one world's state, made by ``aligned``, as ``Lanes`` without a copy."""
         found = cls.__new__(cls)
         found._set_layout(layout, 1, 1)
         found._buffers = [part.reshape(1, -1) for part in buffers]
         return found
 
     def _set_layout(self, layout: Packer, count: int, lanes: int) -> None:
-        """Set the layout of one world's state, and the number of worlds and of lanes."""
+        """Set the layout of one world's state, the number of worlds, and the lanes of a vector."""
         self.layout, self.count, self._lanes = layout, count, lanes
         # Views of leaves that were read or set before, and of those of an only world, its numbers in a row.
         self._parts: dict[int, Array] = {}
@@ -56,17 +56,17 @@ class Lanes:
         self.tiles = -(-count // self._lanes)
 
     def addresses(self, tile: int) -> list[int]:
-        """Return the addresses of a tile's buffers."""
+        """Return the buffer addresses of a tile: as many worlds as a vector has lanes."""
         return [buffer.ctypes.data + tile * buffer.strides[0] for buffer in self._buffers]
 
     def places(self, worlds: Array) -> Array:
-        """Return the addresses (b, 2) uint64 of the first float and the first integer of some worlds (b,)."""
+        """Return the addresses (b, 2) uint64 of the first float and the first integer of the worlds (b,)."""
         tile, lane = np.divmod(worlds, self._lanes)
         columns = [part.ctypes.data + tile * part.strides[0] + lane * part.itemsize for part in self._buffers]
         return np.stack(columns, axis=1).astype(np.uint64)
 
     def fill(self, tree: object) -> None:
-        """Set all worlds from a tree, each leaf (B, ...)."""
+        """Set the states of all worlds from a tree, each leaf (B, ...)."""
         whole = self.tiles * self._lanes
         leaves = jax.tree.leaves(tree)
         if whole == 1:
@@ -94,7 +94,7 @@ class Lanes:
 
     @property
     def flat(self) -> Array | None:
-        """Writable view of one world's numbers in leaf order; None if they are not all floats."""
+        """Writable view of one world's state as floats in leaf order; None if not all leaves are floats."""
         layout = self.layout
         if self.count != 1 or self._lanes != 1 or not layout.is_float or not all(layout.is_float):
             return None
@@ -102,13 +102,13 @@ class Lanes:
         return found
 
     def put(self, worlds: Array, tree: object) -> None:
-        """Set the states of some worlds from the first len(worlds) rows of each leaf."""
+        """Set the states of the worlds (b,) from the first b rows of each leaf of a tree."""
         tile, lane = np.divmod(worlds, self._lanes)
         for number, leaf in enumerate(jax.tree.leaves(tree)):
             self._part(number)[tile, :, lane] = self._stored(leaf)[: len(worlds)]
 
     def take(self, worlds: Array, other: Any) -> None:
-        """Overwrite the states of ``worlds`` with the first len(worlds) of other states of this layout."""
+        """Overwrite the states of the worlds with these indices by the first len(worlds) of other states."""
         if not isinstance(other, Lanes):
             self.put(worlds, other.get(lambda tree: tree))
             return
@@ -120,17 +120,17 @@ class Lanes:
             target.reshape(self.tiles, size, self._lanes)[here[0], :, here[1]] = numbers
 
     def get(self, select: Callable[[Any], Any]) -> Any:
-        """Return a copy of the selected part of the states, each leaf (B, ...)."""
+        """Return a copy of the part of the states that ``select`` picks, each leaf (B, ...)."""
         return jax.tree.map(self._leaf, select(self.layout.numbers))
 
     def _part(self, number: int) -> Array:
-        """Return a view of a leaf's memory (tiles, numbers of a world, lanes)."""
+        """Return a view of the memory of leaf ``number``: (tiles, numbers of a world, lanes)."""
         if number not in self._parts:
             self._parts[number] = self._view(number)
         return self._parts[number]
 
     def _view(self, number: int) -> Array:
-        """Return a new view of a leaf's memory, as ``_part``."""
+        """Return a new view of the memory of leaf ``number``: (tiles, numbers of a world, lanes)."""
         layout = self.layout
         buffer, part = self._buffers[0 if layout.is_float[number] else 1], layout.slices[number]
         begin, end = part.start * self._lanes, part.stop * self._lanes
@@ -138,7 +138,7 @@ class Lanes:
 
     @staticmethod
     def _stored(leaf: object) -> Array:
-        """Return a leaf as rows (worlds, size) of the stored type."""
+        """Return a leaf (B, ...) as rows (B, size) of the dtype it is stored in."""
         array = np.asarray(leaf)
         rows = array.reshape(len(array), -1)
         if rows.dtype.kind == "f":
@@ -147,7 +147,7 @@ class Lanes:
         return rows.view(np.int32) if rows.dtype == np.uint32 else rows.astype(np.int32)
 
     def _leaf(self, number: int) -> Array:
-        """Return a leaf of all worlds in its shape and dtype."""
+        """Return a copy of leaf ``number`` of all worlds in its shape and dtype (B, ...)."""
         part, dtype = self._part(number), self.layout.dtypes[number]
         shape = (self.tiles * self._lanes, *self.layout.shapes[number])
         rows = np.ascontiguousarray(part.swapaxes(1, 2)).reshape(shape)[: self.count]
@@ -182,7 +182,7 @@ class LaneProgram:
         self._team: Team | None = None
 
     def advance(self, state: Lanes, tick: int, count: int) -> None:
-        """Run ``count`` ticks of all worlds; their state is overwritten."""
+        """Advance all worlds by ``count`` ticks from tick number ``tick``; their state is overwritten."""
         if self._state is not state:
             self._set_addresses(state)
         tiles = len(self._addresses)
@@ -202,14 +202,14 @@ class LaneProgram:
             done.result()
 
     def keep(self, state: Lanes, tick: int, rows: Buffers) -> None:
-        """Advance one world by a tick per row, and write its state after each tick to the row."""
+        """Advance one world by one tick per row, and write its state after each tick to that row."""
         if self._state is not state:
             self._set_addresses(state)
         keep = self._program.keeping if self._team is None else self._team.keep
         keep(self._addresses[0], self._scratch, tick, rows)
 
     def _set_addresses(self, state: Lanes) -> None:
-        """Set the addresses of the buffers that the next call uses."""
+        """Note the addresses of all buffers for the next call of the program."""
         # To look an address up takes longer than to run a tick of a small world.
         first = [part.ctypes.data for part in self._shared]
         own = self.own.addresses
@@ -226,7 +226,7 @@ class LaneProgram:
             self._team = Team(self._program, threads, self._workers, numbers)
 
     def _run_worker(self, worker: int, tick: int, count: int) -> None:
-        """Advance the worlds of a worker by ``count`` ticks."""
+        """Advance the tiles of worlds assigned to thread number ``worker`` by ``count`` ticks."""
         table, scratch = self._tables[worker], self._scratches[worker].ctypes.data
         rows = max(1, AT_ONCE // count)
         for first in range(0, len(table), rows):

@@ -51,7 +51,7 @@ class Looks:
         return layout.unpack(found)
 
     def _run(self, table: NumpyArray) -> None:
-        """Compute the worlds of a table of addresses, on several threads where there are enough."""
+        """Run the program for the worlds in a table of buffer addresses, on several threads for many worlds."""
         workers = min(self._workers, -(-len(table) // FEW_WORLDS))
         while len(self._scratches) < workers:
             self._scratches.append(self._program.scratch())
@@ -69,6 +69,6 @@ class Looks:
 
 
 def zeros(shape: tuple[int, int], dtype: DType) -> NumpyArray:
-    """Return an array of zeros, with room for a vector behind its end."""
+    """Return zeros in this shape, with room for one vector after the last element."""
     size = shape[0] * shape[1]
     return np.zeros(size + SPARE, dtype)[:size].reshape(shape)

@@ -54,13 +54,13 @@ class Loops(Writer):
         self.strip: Strip | None = None
 
     def along(self, extent: int, step: int = 1) -> AbstractContextManager[str]:
-        """Write a loop over a last axis, or over the present strip of it."""
+        """Emit a loop over the last axis of arrays, or over the strip of it that is being computed."""
         strip = self.strip
         return self.loop(extent, step, (strip.begin, strip.end) if strip and strip.extent == extent else None)
 
     @contextmanager
     def over(self, axes: Sequence[int], domain: Shape, lane_axis: int | None, together: int = 1) -> Iterator[None]:
-        """Write nested loops over axes of the domain, unrolled by ``together`` along the last axis without vectors."""
+        """Emit nested loops over axes of ``domain``: vectors along ``lane_axis``, the last other one unrolled."""
         if not axes:
             yield
             return
@@ -74,11 +74,11 @@ class Loops(Writer):
                 yield
 
     def vectors_ahead(self, node: Node, place: Place) -> int:
-        """Return how many vectors ahead an array is prefetched; inside strips all arrays are."""
+        """Return how many vectors ahead of its use an array is prefetched; inside a strip all arrays are."""
         return super().vectors_ahead(node, place) if self.strip is None else 0 if place.local else _AHEAD
 
     def write(self, place: Place, dtype: DType, value: str, lanes: int, variables: Sequence[str]) -> None:
-        """Store a value of the present loop at its element of a place."""
+        """Emit a store of a value to a memory place at the element of the present loop (``variables``: counters)."""
         if self.strip is not None and lanes > 1 and not place.local:
             address = self.address(place, [(v, 0) for v in variables])
             self.fetch(address, _AHEAD * self.lanes * stored_bytes(dtype) - 1, written=True)
@@ -86,7 +86,7 @@ class Loops(Writer):
 
     @contextmanager
     def counted(self, extent: str, begin: str = "0") -> Iterator[str]:
-        """Write a loop over [begin, extent) for a run-time extent (i32); yield the counter's name (i64)."""
+        """Emit a loop from ``begin`` to a run-time ``extent`` (i32), exclusive; yield the counter's name (i64)."""
         label, number = f"some{self.count}", self.name("i")
         wide = self.emit(f"zext i32 {extent} to i64")
         before = self.block
@@ -106,7 +106,7 @@ class Loops(Writer):
         self.scope.offsets.clear()
 
     def copy(self, access: Access, shape: Shape, to: Place, keep: str | None = None) -> None:
-        """Write a loop that copies an array to a place, except for worlds in the mask ``keep``."""
+        """Emit a loop that copies an array to a memory place, except for worlds in the mask ``keep``."""
         if 0 in shape or (keep is None and self._copied_whole(access, shape, to)):
             return
         lane_axis = len(shape) - 1 if shape and not self.side_by_side and self.lanes > 1 else None
@@ -123,7 +123,7 @@ class Loops(Writer):
             self.write(to, access.node.dtype, value, wide, self.scope.variables)
 
     def _copied_whole(self, access: Access, shape: Shape, to: Place) -> bool:
-        """Copy as one block of bytes if both places have the same layout; return whether that was done."""
+        """Emit one block copy if source and target ``to`` have the same memory layout; return whether that was done."""
         if len(shape) < 2 or self.strip or not access.identical(shape):
             return False
         source, dtype = self.place(access.node), access.node.dtype
@@ -144,14 +144,14 @@ class Loops(Writer):
         return True
 
     def _kept(self, to: Place, dtype: DType, value: str, lanes: int, keep: str) -> str:
-        """Return a value, replaced by the value in memory at ``to`` for the worlds in the mask ``keep``."""
+        """Emit a select between a new value and the one in memory at ``to``, for the worlds in the mask ``keep``."""
         of = vector(scalar_type(dtype), self.lanes)
         before = self.load(dtype, self.address(to, [(v, 0) for v in self.scope.variables]), self.lanes)
         value = self.widened((value, lanes), dtype, self.lanes)
         return self.emit(f"select {vector('i1', self.lanes)} {keep}, {of} {before}, {of} {value}")
 
     def move_all(self, moves: list[tuple[Access, Shape, Place]], keep: str | None = None) -> None:
-        """Write copies that read all sources before writing any target; ``keep`` as in ``copy``."""
+        """Emit copies (source, shape, target), all loads before any store; worlds in the mask ``keep`` keep values."""
         # What lies there already is not moved.
         moves = [move for move in moves if not self._lies_there(*move)]
         targets = {(to.pointer, to.offset) for _, _, to in moves}
@@ -169,15 +169,15 @@ class Loops(Writer):
             self.copy(access, shape, to, keep)
 
     def _lies_there(self, access: Access, shape: Shape, to: Place) -> bool:
-        """Return whether a value of this shape is already at the place, so that no copy is needed."""
+        """Return whether a value of this shape is already stored at the place, so that no copy is needed."""
         return not self._in_register(access.node) and self.place(access.node) == to and access.identical(shape)
 
     def _in_register(self, node: Node) -> bool:
-        """Return whether a node's value is in a register, not in memory."""
+        """Return whether a graph node's value is in a register, not in memory."""
         return node.number in self.scalars or (node.op == "constant" and node.shape == ())
 
     def _stand_in(self, node: Node, shape: Shape, place: Place) -> Access:
-        """Return an access to a new node of this shape that reads the value stored at a place."""
+        """Return an access to a new node of this shape that stands for the value stored at a memory place."""
         self.count += 1
         # Numbers below zero are of no node of the graph.
         copy = Node("input", (), shape, node.dtype, uniform=node.uniform, number=-self.count)
@@ -186,6 +186,6 @@ class Loops(Writer):
 
 
 def shared_axis(axes: Sequence[int], lane_axis: int | None) -> int | None:
-    """Return the axis along which a loop can be unrolled: the last one that is not the vector's."""
+    """Return the axis along which a loop can be unrolled: the last one except the vectors' (``lane_axis``)."""
     others = [axis for axis in axes if axis != lane_axis]
     return others[-1] if others else None

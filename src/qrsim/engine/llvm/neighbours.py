@@ -41,18 +41,18 @@ class Neighbours:
     # What threads share is written by SharedNeighbours: here one thread does it all.
 
     def _alone(self) -> AbstractContextManager[None]:
-        """Context for code that a single thread runs."""
+        """Return a context for code that a single thread runs."""
         return nullcontext()
 
     def _meet(self) -> None:
-        """Write a barrier of all threads."""
+        """Emit a barrier of all threads."""
 
     def _parted(self, count: int) -> AbstractContextManager[tuple[str, str] | None]:
-        """Context for code that each thread runs for its part of the points; yields the part (None: all)."""
+        """Return a context for each thread's part of ``count`` points; it yields begin and end, None for all."""
         return nullcontext()
 
     def write(self, node: Node) -> None:
-        """Write the search of a node: from x, y, z (n,) and the reach, the least squared distance of each point."""
+        """Emit the search of each point's nearest other point within reach: x, y, z (n,) to squared distance (n,)."""
         writer, count = self.writer, node.shape[0]
         self.of, self.dtype = scalar_type(node.dtype), node.dtype
         writer.open_scope((count,))
@@ -72,7 +72,7 @@ class Neighbours:
     # Who is near anybody
 
     def _near(self, node: Node) -> tuple[str, str]:
-        """Write the list of points that may have a neighbour; return the addresses of list and length."""
+        """Emit a list of the points that may have a neighbour; return the addresses of the list and its length."""
         writer, count, lanes = self.writer, node.shape[0], self.writer.lanes
         words = 1 << (_BITS_FOR_A_POINT * count // 32 - 1).bit_length()
         marks, near = self._memory(8 * words), self._memory(4 * (count + lanes))
@@ -99,13 +99,13 @@ class Neighbours:
 
     @contextmanager
     def _vectors(self, count: int) -> Iterator[str]:
-        """Write a loop over all points, a vector of them at a time."""
+        """Emit a loop over ``count`` points in vectors; yield the index of a vector's first point."""
         self.writer.open_scope((count,), lane_axis=0)
         with self._parted(count) as part, self.writer.loop(count, self.writer.lanes, part) as first:
             yield first
 
     def _column(self, hashes: list[str], words: int) -> str:
-        """Return the number of the bit that stands for a column of cubes."""
+        """Emit the hash of a column of grid cubes to a bit number among 32 * ``words``; return its name."""
         of = vector("i32", self.writer.lanes)
         both = self.emit(f"xor {of} {hashes[0]}, {hashes[1]}")
         # The products' upper bits depend on all bits of both numbers, the lower ones do not.
@@ -114,7 +114,7 @@ class Neighbours:
         return self.emit(f"and {of} {mixed}, {splat(str(32 * words - 1), 'i32', self.writer.lanes)}")
 
     def _mark(self, columns: str, marks: str, words: int, point: str) -> None:
-        """Set the bit of a point's column, or, if it is set, the bit that says "more than one"."""
+        """Emit code that sets the bit of a point's column, or a second bit if the first one is already set."""
         place = self.emit(f"getelementptr i32, ptr {columns}, i64 {point}")
         column = self.emit(f"load i32, ptr {place}, align 4")
         bit = self.emit(f"shl i32 1, {self.emit(f'and i32 {column}, 31')}")
@@ -127,7 +127,7 @@ class Neighbours:
         self.do(f"store i32 {self.emit(f'or i32 {twice}, {again}')}, ptr {second}, align 4")
 
     def _tell(self, node: Node, first: str, marks: str, words: int, near: str, number: str) -> None:
-        """Write infinite distances for a vector of points, and list the points that may have neighbours."""
+        """Emit infinite distances for a vector of points; append those that may have neighbours to list ``near``."""
         writer, lanes, of = self.writer, self.writer.lanes, vector("i32", self.writer.lanes)
         choices = []
         for axis, access in enumerate(node.args[:2]):
@@ -152,7 +152,7 @@ class Neighbours:
         self._append(flags, first, near, number)
 
     def _gathered(self, marks: str, word: str, offset: int) -> str:
-        """Load words of the bit set at a vector of indices."""
+        """Emit loads of 32-bit words of the bit set at a vector of indices, ``offset`` words further on."""
         lanes, of = self.writer.lanes, vector("i32", self.writer.lanes)
         wide = self.emit(f"zext {of} {word} to {vector('i64', lanes)}")
         begin = self.emit(f"getelementptr i32, ptr {marks}, i64 {offset}")
@@ -160,14 +160,14 @@ class Neighbours:
         return self.writer.gathered(places, "i32", 4, lanes)
 
     def _append(self, flags: str, first: str, near: str, number: str) -> None:
-        """Append the numbers of the flagged points to a list."""
+        """Emit code that appends the numbers of the flagged points of a vector to the list ``near``."""
         before = self.emit(f"load i32, ptr {number}, align 4")
         self._put_in_list(flags, first, near, before)
         after = self.emit(f"add i32 {before}, {self._counted(flags)}")
         self.do(f"store i32 {after}, ptr {number}, align 4")
 
     def _put_in_list(self, flags: str, first: str, near: str, before: str) -> None:
-        """Write the numbers of the flagged points to a list from index ``before`` on."""
+        """Emit stores of the flagged points' numbers to the list ``near`` from index ``before`` on."""
         lanes, of, mask = self.writer.lanes, vector("i32", self.writer.lanes), vector("i1", self.writer.lanes)
         place = self.emit(f"getelementptr i32, ptr {near}, i64 {self.emit(f'zext i32 {before} to i64')}")
         ramp = "<" + ", ".join(f"i32 {lane}" for lane in range(lanes)) + ">"
@@ -178,7 +178,7 @@ class Neighbours:
         self.do(f"call void @{name}({of} {points}, ptr {place}, {mask} {flags})")
 
     def _counted(self, flags: str) -> str:
-        """Return the number of set flags in a vector."""
+        """Emit the count of set flags in a vector, and return its name."""
         lanes = self.writer.lanes
         bits = self.emit(f"bitcast {vector('i1', lanes)} {flags} to i{lanes}")
         self.writer.declarations.add(f"declare i{lanes} @llvm.ctpop.i{lanes}(i{lanes})")
@@ -187,29 +187,29 @@ class Neighbours:
 
     @contextmanager
     def _each(self, near: str, number: str, shared: bool = False) -> Iterator[str]:
-        """Write a loop over a list of points, or a thread's part of it; yields the point's number."""
+        """Emit a loop over the points of a list, or over a thread's part of them; yield the point's number."""
         writer = self.writer
         with writer.counted(*(self._some(number) if shared else (number,))) as counter:
             place = self.emit(f"getelementptr i32, ptr {near}, i64 {counter}")
             yield self.emit(f"zext i32 {self.emit(f'load i32, ptr {place}, align 4')} to i64")
 
     def _some(self, number: str) -> tuple[str, ...]:
-        """Return a thread's share of a list: its end, and its start if not 0."""
+        """Return the end of a thread's part of a list of ``number`` points, and its start if that is not 0."""
         return (number,)
 
     # Cells of space
 
     def _memory(self, size: int) -> str:
-        """Write the address of ``size`` bytes of scratch memory and return its name."""
+        """Emit the address of ``size`` bytes of scratch memory and return its name."""
         return self.emit(f"getelementptr i8, ptr %scratch, i64 {self.writer.spare_bytes(size)}")
 
     def _fill(self, place: str, byte: int, size: int) -> None:
-        """Write a call that sets ``size`` bytes from an address on to one byte."""
+        """Emit a call that sets ``size`` bytes from an address on to the value ``byte``."""
         self.writer.declarations.add("declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)")
         self.do(f"call void @llvm.memset.p0.i64(ptr {place}, i8 {byte}, i64 {size}, i1 false)")
 
     def _measure(self, reach: str) -> None:
-        """Write the factor that scales a coordinate to cubes, from the reach."""
+        """Emit the factor that scales a coordinate to grid cubes, from the search radius."""
         smallest = literal(_SMALLEST_WIDTH if self.dtype.itemsize == 8 else np.float32(_SMALLEST_WIDTH), self.dtype)
         factor = literal(_WIDTH_IN_REACHES if self.dtype.itemsize == 8 else np.float32(_WIDTH_IN_REACHES), self.dtype)
         width = self.emit(f"fmul {self.of} {reach}, {factor}")
@@ -218,13 +218,13 @@ class Neighbours:
         self.scale = self.emit(f"fdiv {self.of} {literal(1.0, self.dtype)}, {width}")
 
     def _coordinate(self, access: Access, point: str) -> str:
-        """Write the read of one coordinate of a point and return the value's name."""
+        """Emit the load of one coordinate of a point and return its name."""
         self.writer.scope.variables[0] = point
         found: str = self.writer.read(access)[0]
         return found
 
     def _cube(self, coordinate: str, lanes: int = 1) -> tuple[str, str]:
-        """Return the cube's number along an axis, and where in it the point is."""
+        """Emit the number of the grid cube along an axis, and the position within it [0, 1); return both names."""
         of, floor = vector(self.of, lanes), f"llvm.floor.{suffix(self.of, lanes)}"
         self.writer.declarations.add(f"declare {of} @{floor}({of})")
         scale = self.writer.widened((self.scale, 1), self.dtype, lanes)
@@ -235,7 +235,7 @@ class Neighbours:
         return cube, self.emit(f"fsub {of} {place}, {whole}")
 
     def _leant(self, cube: str, within: str, lanes: int = 1) -> str:
-        """Return the number of the next cube along an axis, on the nearer side of a point."""
+        """Emit the number of the adjacent grid cube along an axis that is nearer to a point, and return its name."""
         of, number = vector(self.of, lanes), vector("i32", lanes)
         low = self.emit(f"fcmp olt {of} {within}, {splat(literal(0.5, self.dtype), self.of, lanes)}")
         below, above = (splat(text, "i32", lanes) for text in ("-1", "1"))
@@ -243,11 +243,11 @@ class Neighbours:
         return self.emit(f"add {number} {cube}, {side}")
 
     def _hash(self, cube: str, axis: int, lanes: int = 1) -> str:
-        """Write the part of a cube's hash that one axis has and return its name."""
+        """Emit one axis' contribution to the hash of a grid cube, and return its name."""
         return self.emit(f"mul {vector('i32', lanes)} {cube}, {splat(str(_PRIMES[axis]), 'i32', lanes)}")
 
     def _chain(self, parts: list[str]) -> str:
-        """Return the address of the head of a cube's chain of points."""
+        """Emit the address of the head of the linked list of a cube's points; ``parts``: hashes of its axes."""
         both = self.emit(f"xor i32 {parts[0]}, {parts[1]}")
         whole = self.emit(f"xor i32 {both}, {parts[2]}")
         number = self.emit(f"and i32 {whole}, {self.mask}")
@@ -255,7 +255,7 @@ class Neighbours:
         return self.emit(f"getelementptr i32, ptr {self.heads}, i64 {wide}")
 
     def _put(self, node: Node, point: str) -> None:
-        """Write code that inserts a point at the head of its cube's chain."""
+        """Emit code that inserts a point at the head of its grid cube's linked list."""
         cubes = [self._cube(self._coordinate(access, point))[0] for access in node.args[:3]]
         head = self._chain([self._hash(cube, axis) for axis, cube in enumerate(cubes)])
         before = self.emit(f"load i32, ptr {head}, align 4")
@@ -265,7 +265,7 @@ class Neighbours:
         self.do(f"store i32 {number}, ptr {head}, align 4")
 
     def _search(self, node: Node, point: str) -> None:
-        """Write the search for a point's nearest other point in the eight nearest cubes."""
+        """Emit the search for a point's nearest other point in the eight nearest grid cubes."""
         position = [self._coordinate(access, point) for access in node.args[:3]]
         choices = []
         for axis, coordinate in enumerate(position):
@@ -279,7 +279,7 @@ class Neighbours:
         self.writer.write(self.writer.places[node.number], node.dtype, best, 1, [point])
 
     def _walk(self, node: Node, point: str, position: list[str], head: str, best: str) -> str:
-        """Return the least of ``best`` and the squared distances of the points of a chain."""
+        """Emit the minimum of ``best`` and the squared distances to points of the list at ``head``; return it."""
         writer = self.writer
         first = self.emit(f"load i32, ptr {head}, align 4")
         before, label = writer.block, f"chain{writer.count}"
@@ -313,7 +313,7 @@ class Neighbours:
         return least
 
     def _fused(self, apart: str, rest: str) -> str:
-        """Write ``apart`` squared plus ``rest``, with one rounding, and return its name."""
+        """Emit ``apart`` squared plus ``rest``, rounded once, and return its name."""
         fma = f"llvm.fma.{suffix(self.of, 1)}"
         self.writer.declarations.add(f"declare {self.of} @{fma}({self.of}, {self.of}, {self.of})")
         return self.emit(f"call {self.of} @{fma}({', '.join(f'{self.of} {v}' for v in (apart, apart, rest))})")

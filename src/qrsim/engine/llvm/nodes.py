@@ -32,12 +32,12 @@ class Nodes:
     def apply(
         self, name: str, shape: Shape, dtype: npt.DTypeLike, *inputs: View, attributes: tuple[object, ...] = ()
     ) -> View:
-        """Return the result of an elementwise operation on arrays of one shape, or scalars."""
+        """Add an elementwise operation on arrays of one shape, or scalars, and return a view of its result."""
         accesses = tuple([view.access(shape) for view in inputs])
         return View.whole(self.graph.node(name, accesses, squeezed(shape), dtype, attributes), shape)
 
     def iota(self, op: str, inputs: list[View], out: ShapedArray | Like, parameters: Parameters) -> View:
-        """Return each element's index along an axis."""
+        """Add graph nodes for JAX's iota: each element's index along an axis."""
         shape, dtype = tuple(out.shape), np.dtype(out.dtype)
         # An axis of one element is none of the loop, so it has no counter.
         if shape[parameters["dimension"]] == 1:
@@ -51,12 +51,12 @@ class Nodes:
 
     @staticmethod
     def spread(scalar: View, shape: Shape) -> View:
-        """Return a scalar as an array."""
+        """Return a view of a scalar repeated in this shape."""
         return View(scalar.node, (), shape)
 
     @staticmethod
     def without_unit_axes(view: View, shape: Shape) -> View:
-        """Return the view in a shape that differs only in axes of length 1."""
+        """Return a view of an array in a shape that differs only in axes of length 1."""
         before = [axis for axis, extent in enumerate(view.shape) if extent != 1]
         after = [axis for axis, extent in enumerate(shape) if extent != 1]
         return view.moved(dict(zip(before, after, strict=True)), shape)

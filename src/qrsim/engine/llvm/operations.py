@@ -13,13 +13,10 @@ from qrsim.engine.llvm.graph import Node
 from qrsim.engine.llvm.refusal import UnsupportedError
 from qrsim.engine.llvm.text import literal, scalar_type, splat, suffix, vector
 
-# Emits an instruction and returns the name of its value.
-Emit = Callable[[str], str]
+Emit = Callable[[str], str]  # emits an instruction and returns the name of its value
 
-_LIBRARY = {
-    "exp", "exp2", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh",
-    "tanh", "pow",
-}  # fmt: skip
+_LIBRARY = {"exp", "exp2", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
+            "cosh", "tanh", "pow"}  # fmt: skip
 _FLOAT_COMPARISONS = {"eq": "oeq", "ne": "une", "lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge"}
 # What hands on one of its arguments, or its bits but for the sign.
 _CHOICES = ("select_n", "min", "max", "clamp")
@@ -33,24 +30,21 @@ class Operations:
 
     def __init__(self, emit: Emit, declarations: set[str]):
         self.emit, self.declarations = emit, declarations
-        # Numbers of nodes that are normal or zero.
-        self._flushed: set[int] = set()
+        self._flushed: set[int] = set()  # numbers of nodes that are normal or zero
         self._tiny_state = False
 
     def expect(self, results: Iterable[Node]) -> None:
-        """Note whether the results of a tick may contain subnormal numbers."""
+        """Note whether these results of a tick may contain subnormal numbers."""
         self._tiny_state = any(self._may_be_tiny(node) for node in results if node.dtype.kind == "f")
         self._flushed.clear()
 
     def compute(self, node: Node, values: list[str], lanes: int) -> str:
-        """Return the value of a node from those of its arguments, all of ``lanes`` lanes."""
+        """Emit a graph node's operation on its arguments' values, of ``lanes`` lanes, and return the result's name."""
         argument = node.args[0].node.dtype if node.args else node.dtype
         if node.op != "bitcast_convert_type":
-            values = [
-                self._intrinsic("canonicalize", access.node.dtype, lanes, [value])
-                if access.node.dtype.kind == "f" and self._to_flush(node, access.node) else value
-                for access, value in zip(node.args, values, strict=True)
-            ]  # fmt: skip
+            values = [self._intrinsic("canonicalize", access.node.dtype, lanes, [value])
+                      if access.node.dtype.kind == "f" and self._to_flush(node, access.node) else value
+                      for access, value in zip(node.args, values, strict=True)]  # fmt: skip
         kind = argument.kind
         of = vector(scalar_type(argument), lanes)
         rule = getattr(self, f"_{node.op}", None)
@@ -73,7 +67,7 @@ class Operations:
         return result
 
     def _to_flush(self, node: Node, argument: Node) -> bool:
-        """Return whether an argument must be flushed to zero before an operation.
+        """Return whether an argument must be flushed to zero (if subnormal) before an operation.
 
         LLVM's min, max and select may flush or not, and LLVM folds constants without flushing.
         """
@@ -82,7 +76,7 @@ class Operations:
         )
 
     def _may_be_tiny(self, node: Node) -> bool:
-        """Return whether a number may be subnormal: reinterpreted integer bits, or a value carried by a loop."""
+        """Return whether a node may be subnormal: reinterpreted integer bits, or a value carried by a loop."""
         seen: set[int] = set()
         stack = [node]
         while stack:
@@ -105,7 +99,7 @@ class Operations:
         return False
 
     def combine(self, how: str, dtype: DType, lanes: int, a: str, b: str) -> str:
-        """Return the value of one step of a reduction."""
+        """Emit one step of the reduction ``how``, such as a sum, of two values, and return the result's name."""
         of = vector(scalar_type(dtype), lanes)
         if how in ("min", "max"):
             return self._extreme(how, dtype, of, a, b, lanes)
@@ -114,19 +108,19 @@ class Operations:
         return self._arithmetic(how, dtype.kind, of, dtype, [a, b], lanes)
 
     def _call(self, name: str, result: str, types: list[str], values: list[str]) -> str:
-        """Write a call of a function of LLVM or C and its declaration, and return the result's name."""
+        """Emit a call of an LLVM or C function and its declaration, and return the result's name."""
         self.declarations.add(f"declare {result} @{name}({', '.join(types)})")
         arguments = ", ".join(f"{t} {v}" for t, v in zip(types, values, strict=True))
         return self.emit(f"call {result} @{name}({arguments})")
 
     def _intrinsic(self, name: str, dtype: DType, lanes: int, values: list[str]) -> str:
-        """Write a call of the LLVM intrinsic ``name`` on arguments of one type, and return the result."""
+        """Emit a call of the LLVM intrinsic ``name`` on arguments of one type, and return the result's name."""
         element = scalar_type(dtype)
         of = vector(element, lanes)
         return self._call(f"llvm.{name}.{suffix(element, lanes)}", of, [of] * len(values), values)
 
     def _library(self, name: str, dtype: DType, values: list[str], lanes: int) -> str:
-        """Write calls of a C math function, lane by lane, and return the result."""
+        """Emit calls of a C math function, lane by lane, and return the result's name."""
         element = scalar_type(dtype)
         if element not in ("float", "double"):
             raise UnsupportedError(f"'{name}' of {dtype}")
@@ -144,7 +138,7 @@ class Operations:
         return result
 
     def _arithmetic(self, op: str, kind: str, of: str, dtype: DType, values: list[str], lanes: int) -> str:
-        """Return a sum, difference, product, quotient or remainder of two arguments."""
+        """Emit +, -, *, / or remainder (``op``) of two values, and return its name (``of``: LLVM type)."""
         if kind == "f":
             return self.emit(f"f{op} {of} {values[0]}, {values[1]}")
         if kind == "b":
@@ -154,7 +148,7 @@ class Operations:
         return self.emit(f"{op} {of} {values[0]}, {values[1]}")
 
     def _whole_division(self, op: str, of: str, dtype: DType, values: list[str], lanes: int) -> str:
-        """Divide integers as JAX does: by 0 the quotient is all bits set, the remainder the dividend."""
+        """Emit integer division as in JAX: x / 0 has all bits set, x % 0 is x (``of``: LLVM type)."""
         element, mask, signed = scalar_type(dtype), vector("i1", lanes), dtype.kind == "i"
         zero, one, ones = (splat(text, element, lanes) for text in ("0", "1", "-1"))
         is_zero = self.emit(f"icmp eq {of} {values[1]}, {zero}")
@@ -173,7 +167,7 @@ class Operations:
         return self.emit(f"select {mask} {is_zero}, {of} {ones}, {of} {result}")
 
     def _shift(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Shift as JAX does: by the width or more gives 0, or the sign."""
+        """Emit a bit shift as in JAX: by the width or more it gives 0, or the sign (``of``: LLVM type)."""
         how, bits = _SHIFTS[node.op], 8 * node.dtype.itemsize
         # All shifts of the noise are by constants, and must cost one instruction.
         known = _known_number(node.args[1].node)
@@ -191,14 +185,14 @@ class Operations:
         return self.emit(f"select {vector('i1', lanes)} {inside}, {of} {result}, {of} {zero}")
 
     def _comparison(self, op: str, kind: str, of: str, values: list[str]) -> str:
-        """Return the flags (i1) of a comparison of two arguments."""
+        """Emit a comparison of two values, and return the name of its flags (i1) (``of``: LLVM type)."""
         if kind == "f":
             return self.emit(f"fcmp {_FLOAT_COMPARISONS[op]} {of} {values[0]}, {values[1]}")
         signed = "" if op in ("eq", "ne") else "s" if kind == "i" else "u"
         return self.emit(f"icmp {signed}{op} {of} {values[0]}, {values[1]}")
 
     def _same(self, name: str, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Write a call of the intrinsic with this name on all arguments, and return the result."""
+        """Emit a call of the LLVM intrinsic ``name``, and return the result's name (``of``: LLVM type)."""
         return self._intrinsic(name, node.dtype, lanes, values)
 
     _fma = partialmethod(_same, "fma")
@@ -207,20 +201,21 @@ class Operations:
     _ceil = partialmethod(_same, "ceil")
 
     def _fms(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Return a * b - c with one rounding; the change of a sign is exact."""
+        """Emit a * b - c with one rounding (the change of a sign is exact), and return its name (``of``: LLVM type)."""
         return self._intrinsic("fma", node.dtype, lanes, [*values[:2], self.emit(f"fneg {of} {values[2]}")])
 
     def _fnma(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Return c - a * b with one rounding."""
+        """Emit c - a * b with one rounding, and return its name (``of``: LLVM type)."""
         return self._intrinsic("fma", node.dtype, lanes, [self.emit(f"fneg {of} {values[0]}"), *values[1:]])
 
     def _neg(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Return the negative of the argument."""
+        """Emit the negative of the argument, and return its name (``of``: LLVM type)."""
         if node.dtype.kind == "f":
             return self.emit(f"fneg {of} {values[0]}")
         return self.emit(f"sub {of} {splat('0', scalar_type(node.dtype), lanes)}, {values[0]}")
 
     def _abs(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Emit the absolute value of the argument, and return its name (``of``: LLVM type)."""
         if node.dtype.kind == "f":
             return self._intrinsic("fabs", node.dtype, lanes, values)
         if node.dtype.kind == "u":
@@ -229,7 +224,7 @@ class Operations:
         return self._call(f"llvm.smax.{suffix(scalar_type(node.dtype), lanes)}", of, [of, of], [values[0], negative])
 
     def _sign(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Return the sign of the argument; of NaN and of both zeros it is the number itself, as in JAX."""
+        """Emit the sign of the argument, as in JAX: NaN and zeros are kept (``of``: LLVM type)."""
         dtype, element = node.dtype, scalar_type(node.dtype)
         zero, one, minus = (splat(literal(v, dtype), element, lanes) for v in (0, 1, -1))
         mask = vector("i1", lanes)
@@ -239,11 +234,12 @@ class Operations:
         return self.emit(f"select {mask} {above}, {of} {one}, {of} {rest}")
 
     def _not(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Emit the logical or bitwise complement of the argument, and return its name (``of``: LLVM type)."""
         ones = "true" if node.dtype.kind == "b" else "-1"
         return self.emit(f"xor {of} {values[0]}, {splat(ones, scalar_type(node.dtype), lanes)}")
 
     def _ordered(self, how: str, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Return the minimum or maximum of two arguments."""
+        """Emit the minimum or maximum (``how``) of two arguments, and return its name (``of``: LLVM type)."""
         known = [_known_number(arg.node) for arg in node.args]
         if node.dtype.kind == "f":
             # A number that is known is no NaN, and where the other is equal they may only differ as zeros do.
@@ -257,7 +253,7 @@ class Operations:
     _max = partialmethod(_ordered, "max")
 
     def _limited(self, how: str, of: str, value: str, limit: str, number: float, lanes: int) -> str:
-        """Return the minimum or maximum of a value and a known number; of two zeros the positive one is the larger."""
+        """Emit min or max (``how``) of a value and a constant; +0 is above -0 (``of``: LLVM type)."""
         positive = math.copysign(1.0, number) > 0.0
         takes_equal = number == 0.0 and positive == (how == "max")
         compare = ("ole" if takes_equal else "olt") if how == "min" else ("oge" if takes_equal else "ogt")
@@ -265,7 +261,7 @@ class Operations:
         return self.emit(f"select {vector('i1', lanes)} {taken}, {of} {limit}, {of} {value}")
 
     def _extreme(self, how: str, dtype: DType, of: str, a: str, b: str, lanes: int) -> str:
-        """Return min or max, NaN where either is; of two zeros the positive one is the larger."""
+        """Emit min or max (``how``), NaN if either value is; +0 is above -0 (``of``: LLVM type)."""
         if dtype.kind == "f":
             name = f"llvm.{'minimum' if how == 'min' else 'maximum'}.{suffix(scalar_type(dtype), lanes)}"
             return self._call(name, of, [of, of], [a, b])
@@ -275,39 +271,42 @@ class Operations:
         return self._call(f"llvm.{sign}{how}.{suffix(scalar_type(dtype), lanes)}", of, [of, of], [a, b])
 
     def _clamp(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Return the second argument clipped to the first and the third."""
+        """Emit the second argument clipped to the first and the third, and return its name (``of``: LLVM type)."""
         low, value, high = values
         return self._extreme(
             "min", node.dtype, of, self._extreme("max", node.dtype, of, value, low, lanes), high, lanes
         )
 
     def _select_n(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Return the third argument where the first is true, else the second."""
+        """Emit the third argument where the first is true, else the second, and return its name (``of``: LLVM type)."""
         if len(values) != 3 or node.args[0].node.dtype.kind != "b":
             raise UnsupportedError("a selection among several")
         result = vector(scalar_type(node.dtype), lanes)
         return self.emit(f"select {vector('i1', lanes)} {values[0]}, {result} {values[2]}, {result} {values[1]}")
 
     def _rsqrt(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Return 1 / sqrt, not the processor's estimate, whose rounding depends on the processor."""
+        """Emit 1 / sqrt, not an estimate, which rounds differently on each processor (``of``: LLVM type)."""
         one = splat(literal(1.0, node.dtype), scalar_type(node.dtype), lanes)
         return self._arithmetic("div", "f", of, node.dtype, [one, self._sqrt(node, of, values, lanes)], lanes)
 
     def _round(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Emit the argument rounded to an integer, halves to even or away from 0, and return its name."""
         to_even = int(node.attributes[0]) == 1
         return self._intrinsic("roundeven" if to_even else "round", node.dtype, lanes, values)
 
     def _is_finite(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Emit whether the argument is finite, and return the name of the flags (``of``: LLVM type)."""
         dtype = node.args[0].node.dtype
         size = self._intrinsic("fabs", dtype, lanes, values)
         infinity = splat("0x7FF0000000000000", scalar_type(dtype), lanes)
         return self.emit(f"fcmp olt {of} {size}, {infinity}")
 
     def _square(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Emit the square of the argument, and return its name (``of``: LLVM type)."""
         return self.emit(f"{'f' if node.dtype.kind == 'f' else ''}mul {of} {values[0]}, {values[0]}")
 
     def _integer_pow(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Return a whole power by repeated squares, in XLA's order, so that both round alike."""
+        """Emit an integer power by repeated squares, in XLA's order, so that both round alike (``of``: LLVM type)."""
         power, kind = int(node.attributes[0]), node.dtype.kind
         if kind not in "fiu" or (kind != "f" and power < 0):
             raise UnsupportedError("this whole power")
@@ -328,11 +327,12 @@ class Operations:
         return self._arithmetic("div", "f", of, node.dtype, [one, result], lanes)
 
     def _bitcast_convert_type(self, node: Node, of: str, values: list[str], lanes: int) -> str:
+        """Emit the argument's bits read as the node's dtype, and return the name (``of``: LLVM type)."""
         to = vector(scalar_type(node.dtype), lanes)
         return values[0] if to == of else self.emit(f"bitcast {of} {values[0]} to {to}")
 
     def whole_part(self, before: DType, after: DType, of: str, value: str, lanes: int) -> str:
-        """Convert a float to an integer, truncated and clipped; NaN gives 0. LLVM's intrinsic would be scalars."""
+        """Emit float to integer, truncated and clipped, NaN to 0, without LLVM's slow intrinsic (``of``: LLVM type)."""
         limits, element, mask = np.iinfo(after), scalar_type(before), vector("i1", lanes)
         to, signed = vector(scalar_type(after), lanes), after.kind == "i"
         low, beyond = (splat(literal(float(n), before), element, lanes) for n in (limits.min, limits.max + 1))
@@ -350,7 +350,7 @@ class Operations:
         return self.emit(f"select {mask} {missing}, {to} {splat('0', scalar_type(after), lanes)}, {to} {found}")
 
     def _convert_element_type(self, node: Node, of: str, values: list[str], lanes: int) -> str:
-        """Return the argument converted to the dtype of the node."""
+        """Emit the conversion of the argument to the node's dtype, and return its name (``of``: LLVM type)."""
         before, after = node.args[0].node.dtype, node.dtype
         to = vector(scalar_type(after), lanes)
         if before.kind == "b":
@@ -383,7 +383,7 @@ def _has_tiny(constant: Node) -> bool:
 
 
 def _known_number(node: Node) -> float | None:
-    """Return the constant that all elements of a node are; None if unknown."""
+    """Return the value that all elements of a constant node have; None if they differ or are not constant."""
     if node.op != "constant":
         return None
     numbers = np.frombuffer(node.attributes[0], node.dtype)
@@ -396,5 +396,5 @@ def _known_number(node: Node) -> float | None:
 
 
 def _divides_well(divisor: Node) -> bool:
-    """Return whether a divisor is a constant other than 0 and -1, so that integers can be divided by it."""
+    """Return whether a divisor is a constant other than 0 and -1, so that integer division needs no checks."""
     return _known_number(divisor) not in (None, 0, -1)

@@ -17,7 +17,7 @@ FORMS = ("graph", "steps", "llvm")
 
 
 def printed(closed: ClosedJaxpr, inputs: Sequence[Input], mode: Mode, form: str) -> str:
-    """Return a program as text, in a form of FORMS.
+    """Return a traced program (``closed``: its jaxpr) as text in one of the FORMS: "graph", "steps" or "llvm".
 
     Args:
         closed, inputs, mode: see ``program.build``.
@@ -35,7 +35,7 @@ def printed(closed: ClosedJaxpr, inputs: Sequence[Input], mode: Mode, form: str)
 
 
 def _region_lines(region: Region, indent: str) -> Iterator[str]:
-    """Yield the lines of a region and of the regions in it."""
+    """Yield the text lines of a graph region and of the regions nested in it, preceded by ``indent``."""
     for node in region.nodes:
         yield f"{indent}{_node(node)}"
         for i, inner in enumerate(node.regions):
@@ -45,7 +45,7 @@ def _region_lines(region: Region, indent: str) -> Iterator[str]:
 
 
 def _node(node: Node) -> str:
-    """Return a node as text: number, type, operation and reads, with a mark if it is computed once."""
+    """Return a graph node as text: number, type, operation and arguments, with a mark if it is computed once."""
     shape = ",".join(map(str, node.shape))
     arguments = [_access(access) for access in node.args]
     if node.op == "constant":
@@ -57,13 +57,13 @@ def _node(node: Node) -> str:
 
 
 def _access(access: Access) -> str:
-    """Return an access as text: the node, and for each axis the loop's axis plus an offset."""
+    """Return an argument's access as text: the node, and for each of its axes the loop's axis plus an offset."""
     places = [("" if axis is None else f"i{axis}") + (f"+{offset}" if offset else "") for axis, offset in access.index]
     return f"%{access.node.number}" + (f"[{','.join(place or '0' for place in places)}]" if places else "")
 
 
 def _schedule_lines(draft: Draft) -> Iterator[str]:
-    """Yield the lines of a program's schedule."""
+    """Yield the text lines of the schedule (order of loops) of a program (``draft``)."""
     for name, steps in (("before the first tick", draft.prologue), ("every tick", draft.body)):
         yield f"{name}:"
         for i, step in enumerate(steps):
@@ -72,7 +72,7 @@ def _schedule_lines(draft: Draft) -> Iterator[str]:
 
 
 def _step_lines(step: Step, label: str, indent: str) -> Iterator[str]:
-    """Yield the lines of a step and its parts."""
+    """Yield the text lines of a schedule's step and of its parts, preceded by ``indent``."""
     operations = ", ".join(f"{count} {op}" for op, count in Counter(node.op for node in step.nodes).most_common())
     shape = " x ".join(map(str, step.domain)) or "scalars"
     reduced = f", reduced along {step.reduced}" if step.reduced else ""

@@ -86,7 +86,7 @@ class Binary:
 
 
 def trace_tick(function: Callable[..., object], inputs: Sequence[Input]) -> ClosedJaxpr:
-    """Trace a function of trees and the number of the tick, which returns a tree like the last one.
+    """Trace ``function(*trees, tick)`` to a jaxpr; its result has the structure of the last of the trees.
 
     Args:
         function: called as function(*trees, tick) of one world.
@@ -101,7 +101,7 @@ def trace_tick(function: Callable[..., object], inputs: Sequence[Input]) -> Clos
 def build(
     function: Callable[..., object] | ClosedJaxpr, inputs: Sequence[Input], mode: Mode, tier: str = "quick"
 ) -> Binary:
-    """Compile a function from a state to the next one to machine code.
+    """Compile ``function(*trees, tick)``, which returns the last tree after a tick, to machine code of a ``tier``.
 
     Args:
         function: see ``trace_tick``, or the same traced, which then may read fewer of the trees and no tick.
@@ -149,7 +149,7 @@ class Draft:
         self._schedule()
 
     def _trace(self, closed: ClosedJaxpr) -> None:
-        """Make the graph from the jaxpr, with a node for each leaf of the inputs and one for the tick."""
+        """Build the graph of the jaxpr ``closed``, with a node for each leaf of the inputs and one for the tick."""
         views: list[View] = []
         for which, given in enumerate(self.inputs):
             layout, nodes = given.layout, []
@@ -166,7 +166,7 @@ class Draft:
         self.results = [view.access() for view in found]
 
     def _input(self, which: int, given: Input, shape: Shape, dtype: DType, part: slice, is_float: bool) -> Node:
-        """Return the node of an input's leaf, and note where in the buffer it is."""
+        """Return the graph node of a leaf of input number ``which``, and note its place (``part``) in the buffer."""
         # As they lie in the buffers; others would be taken for what they are not.
         if np.dtype(dtype) != given.layout.dtype if is_float else np.dtype(dtype).name not in _WHOLE:
             raise UnsupportedError(f"numbers of type {np.dtype(dtype)} from tick to tick")
@@ -184,7 +184,7 @@ class Draft:
         return node
 
     def _schedule(self) -> None:
-        """Order the nodes into steps before the first tick and of each tick, and place what needs memory."""
+        """Order the graph nodes into steps, once before the first tick and for each tick, and place them in memory."""
         live = live_nodes(self.graph.region, self.results)
         scheduler = Scheduler(live)
         nodes = self.graph.region.nodes
@@ -213,7 +213,7 @@ class Draft:
         self._place_carries()
 
     def _place(self, lifetimes: Lifetimes) -> None:
-        """Give each stored value of the body its memory until it is read last."""
+        """Assign memory to each stored value of the tick's body, reused after its last read (``lifetimes``)."""
         ending: dict[int, list[tuple[Arena, int, int]]] = {}
         for i, step in enumerate(self.body):
             for node in all_nodes([step]):
@@ -230,7 +230,7 @@ class Draft:
                 arena.give(offset, size)
 
     def _place_carries(self) -> None:
-        """Place the carries of while loops, and values changed in place, in the memory of their results."""
+        """Place while loops' carries, and arrays changed in place, in the memory of their results."""
         for node in all_nodes([*self.prologue, *self.body]):
             if node.op == "while":
                 for carry, output in zip(*node.attributes, strict=True):
@@ -239,23 +239,23 @@ class Draft:
             self.places[number] = self.places[output.number]
 
     def _bytes(self, shape: Shape, node: Node) -> int:
-        """Return the bytes that a node's value takes in memory, as whole vectors."""
+        """Return the size [bytes] of a node's value of this shape in memory, in whole vectors."""
         lanes = self.lanes if self.side_by_side and not node.uniform else 1
         return _padded(shape, self.lanes, self.side_by_side) * stored_bytes(node.dtype) * lanes
 
     def _spare_bytes(self, size: int) -> int:
-        """Return the offset of ``size`` bytes of working memory that overlap no others."""
+        """Return the offset of ``size`` bytes of working memory that overlap no other value."""
         # Schedules do not know of this memory, so it must not be any that they have planned with.
         self.arena.free.clear()
         return self.arena.take(size)
 
     def _spare(self, node: Node, shape: Shape, group: int) -> Place:
-        """Return a place for a temporary copy that overlaps no other place."""
+        """Return a memory place for a temporary copy of a node's value, per thread if ``group`` is not 0."""
         (self.local if group else self.arena).free.clear()
         return self._take(node, shape, group)
 
     def _take(self, node: Node, shape: Shape | None = None, group: int = 0) -> Place:
-        """Return a place in scratch memory for a node's value, in a thread's own memory if ``group`` is not 0."""
+        """Reserve working memory for a node's value, in each thread's own memory if its strip ``group`` is not 0."""
         whole = node.shape if shape is None else shape
         shape = self._kept_shape(node, group) if shape is None else self._cut(shape, group)
         own = self.side_by_side and not node.uniform
@@ -268,15 +268,15 @@ class Draft:
         return Place(pointer, offset, _row_major(rows, element), own, short=short)
 
     def _kept_shape(self, node: Node, group: int) -> Shape:
-        """Return the shape of a node's value that is in memory at one time."""
+        """Return the shape of a node's value that is in memory at one time: one strip if ``group`` is not 0."""
         return (*node.shape[:-1], 1) if node.number in self.short else self._cut(node.shape, group)
 
     def _cut(self, shape: Shape, group: int) -> Shape:
-        """Return an array's shape within a strip of a group: its last axis cut to the strip."""
+        """Return a shape with its last axis cut to a strip's length, unchanged if ``group`` is 0."""
         return (*shape[:-1], self.strip) if group and shape[-1:] == (self.grouping.extents[group],) else shape
 
     def text(self, kernels_inside: bool = False) -> str:
-        """Return the module's text; ``kernels_inside``: kernels written in line, else as functions."""
+        """Return the LLVM text of the program; ``kernels_inside``: kernels are inlined, else functions."""
         writer = Emitter(self.places, self.lanes, self.side_by_side, self._spare, self._spare_bytes)
         writer.kernels_inside = kernels_inside
         shared = [f"%{kind}{i}" for i in range(len(self.inputs)) for kind in ("floats", "integers")]
@@ -337,7 +337,7 @@ class Draft:
 
 
 def flushing(writer: Writer) -> tuple[list[str], list[str]]:
-    """Return the lines before and after all others that make the CPU flush subnormal numbers to 0, as XLA does."""
+    """Return LLVM lines for begin and end of a function that flush subnormal numbers to 0, as XLA does."""
     processor = machine_triple().split("-")[0]
     if processor in ("x86_64", "i686", "amd64"):
         writer.declarations |= {f"declare void @llvm.x86.sse.{name}(ptr)" for name in ("stmxcsr", "ldmxcsr")}
@@ -362,7 +362,7 @@ def flushing(writer: Writer) -> tuple[list[str], list[str]]:
 
 
 def _in_register(node: Node) -> bool:
-    """Return whether a node's value needs no memory, because it is a scalar computed by one instruction."""
+    """Return whether a graph node needs no memory, because it is a scalar computed by one instruction."""
     return node.shape == () and node.op not in ("reduce", "output", *ALONE, *NESTED)
 
 
@@ -376,12 +376,12 @@ def _row_major(shape: Shape, element: int) -> tuple[int, ...]:
 
 
 def _whole(extent: int, lanes: int) -> int:
-    """Return an extent rounded up so that a vector may begin at its last element."""
+    """Return an extent rounded up to a multiple of ``lanes``, for whole vectors."""
     return -(-extent // lanes) * lanes
 
 
 def _padded(shape: Shape, lanes: int, side_by_side: bool) -> int:
-    """Return the number of elements in memory for a shape with rows of whole vectors."""
+    """Return how many elements an array takes in memory; ``side_by_side``: the lanes are worlds, else elements."""
     size = 1
     for axis, extent in enumerate(shape):
         size *= _whole(extent, lanes) if axis == len(shape) - 1 and not side_by_side else extent

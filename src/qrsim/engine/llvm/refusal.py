@@ -19,11 +19,11 @@ class UnsupportedError(Exception):
         self.reason, self.place = reason, place
 
     def at(self, place: str) -> UnsupportedError:
-        """Return the error with a source line added, unless it has one."""
+        """Return the error with a place in the user's source added, unless it has one."""
         return self if self.place else UnsupportedError(self.reason, place)
 
     def again(self) -> UnsupportedError:
-        """Return a copy without a traceback, whose frames would keep a user's policy alive."""
+        """Return a copy of the error without traceback, because its frames would keep a user's policy alive."""
         return UnsupportedError(self.reason, self.place)
 
 

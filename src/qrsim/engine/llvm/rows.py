@@ -14,13 +14,13 @@ from qrsim.engine.llvm.waiting import Reads
 
 
 def reduces_rows(node: Node) -> bool:
-    """Return whether a node reduces along other axes than the last one."""
+    """Return whether a graph node reduces an array along other axes than the last one."""
     last = len(node.domain) - 1
     return node.op == "reduce" and last not in node.attributes[1] and 0 not in node.domain
 
 
 def along(access: Access, reader: Node) -> bool:
-    """Return whether a node reads an access at its own index of the last axis only."""
+    """Return whether the node ``reader`` reads an argument only at its own index of the last axis."""
     last = len(reader.domain) - 1
     followed = [axis for axis, _ in access.index]
     return (
@@ -59,7 +59,7 @@ class _Cluster:
         self.reduced: set[int] = set()
 
     def of(self, waiting: dict[int, Node]) -> list[Node]:
-        """Return the nodes that one loop over rows can compute: reductions, their readers and inputs."""
+        """Choose waiting nodes for one loop over the last axis: reductions, their readers and their inputs."""
         after: set[int] = set()
         for node in waiting.values():
             fits = self.loops(node) and self._fits(node)
@@ -83,7 +83,7 @@ class _Cluster:
         return [node for number, node in self.inside.items() if number in needed]
 
     def _fits(self, node: Node) -> bool:
-        """Return whether a node can be computed row by row: same last axis, no reduction across rows."""
+        """Return whether a node can be computed row by row: same last axis, no reduction along it."""
         domain = node.domain
         return (
             bool(domain)
@@ -93,7 +93,7 @@ class _Cluster:
         )
 
     def _with_what_they_need(self, nodes: Iterable[Node]) -> set[int]:
-        """Return the numbers of nodes and of all nodes of the cluster that they depend on."""
+        """Return the numbers of these nodes and of all nodes of the cluster that they depend on."""
         found: set[int] = set()
         stack = list(nodes)
         while stack:
@@ -104,6 +104,6 @@ class _Cluster:
         return found
 
     def _leave(self, nodes: Iterable[Node]) -> None:
-        """Remove nodes from the cluster, with all nodes that they depend on."""
+        """Remove these nodes and all nodes that they depend on from the cluster."""
         for number in self._with_what_they_need(nodes):
             del self.inside[number]

@@ -63,7 +63,7 @@ _STAGED = {
 
 
 def _rows() -> dict[str, Rule]:
-    """Return the rule of each primitive by the primitive's name."""
+    """Return the translation rule of each JAX primitive, by the primitive's name."""
     rows = {name: Rule("elementwise", name) for name in _UNARY}
     rows |= {name: Rule("elementwise", name) for name in _OTHERS}
     rows["add_jaxvals"] = Rule("elementwise", "add")
@@ -103,7 +103,7 @@ def _rows() -> dict[str, Rule]:
 
 
 def _known() -> dict[Primitive, Rule]:
-    """Return primitive -> rule for each primitive of JAX that can be compiled."""
+    """Return primitive -> translation rule, for each JAX primitive that can be compiled."""
     found: dict[Primitive, Rule] = {}
     for name, rule in _rows().items():
         # One that this version of JAX does not have occurs in no program.
@@ -124,7 +124,7 @@ RULES: Mapping[Primitive, Rule] = _known()
 
 
 def rule_of(equation: Any) -> Rule:
-    """Return the rule for an equation of a jaxpr; raises UnsupportedError for an unknown primitive.
+    """Return the rule that translates an equation of a jaxpr; raise UnsupportedError if there is none.
 
     Raises:
         UnsupportedError: there is none, or not for these parameters.

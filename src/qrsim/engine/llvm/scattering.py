@@ -13,7 +13,7 @@ from qrsim.engine.llvm.writing import Moves, Place
 
 
 def write_scatter(writer: Loops, node: Node) -> None:
-    """Write a scatter: a copy of an array, with updates written into it in order; those out of range are dropped.
+    """Emit a scatter: a copy of an array with updates written in order; indices out of range are dropped.
 
     If the copy takes the place of the array (see schedule.in_place), worlds that have left the loop keep their values.
 
@@ -42,7 +42,7 @@ def write_scatter(writer: Loops, node: Node) -> None:
 
 
 def _put(writer: Loops, node: Node, lane: int, parts: list[str]) -> None:
-    """Write the update of one element of one world."""
+    """Emit the store of one element of the world in ``lane``; ``parts``: names of its new value and its indices."""
     how, moved, single, index = node.attributes
     place, dtype = writer.places[node.number], node.dtype
     number, starts = parts[0], [(text, 1) for text in parts[1:]]
@@ -61,7 +61,7 @@ def _put(writer: Loops, node: Node, lane: int, parts: list[str]) -> None:
 
 
 def write_update(writer: Loops, node: Node) -> None:
-    """Write a copy of an array with one part replaced at a run-time start.
+    """Emit a copy of an array with a slice replaced at a run-time start.
 
     Args:
         writer: of the program, which is of one world.
@@ -79,12 +79,12 @@ def write_update(writer: Loops, node: Node) -> None:
 
 
 def _lies_there(writer: Loops, node: Node) -> bool:
-    """Return whether the result is in the memory of the first argument, so that no copy is needed."""
+    """Return whether a node's result shares the memory of its first argument, so that no copy is needed."""
     return writer.places.get(node.args[0].node.number) == writer.places[node.number]
 
 
 def _in_range(writer: Loops, moved: Moves, starts: list[tuple[str, int]], dtypes: Sequence[DType], lanes: int) -> str:
-    """Return whether all starts are in range."""
+    """Emit whether all run-time ``starts`` are in range of the axes ``moved``, and return the name of the flag."""
     inside, mask = splat("true", "i1", lanes), vector("i1", lanes)
     for move in moved:
         if move is not None:

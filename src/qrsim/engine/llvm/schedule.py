@@ -41,7 +41,7 @@ class Step:
 
     @cached_property
     def accesses(self) -> list[tuple[Node | None, Access]]:
-        """(reader, access) of everything the step reads; for conditionals and loops each node once, reader None."""
+        """All reads of the step as (reading node, access); of conditionals and loops (None, access), once per node."""
         if self.kind not in NESTED:
             return [(node, access) for node in self.nodes for access in node.args]
         inner = [access for steps in self.branches for each in steps for _, access in each.accesses]
@@ -49,7 +49,7 @@ class Step:
         return [(None, access) for access in {access.node.number: access for access in every}.values()]
 
     def reads_before(self, reader: Node, access: Access, writer: Node) -> bool:
-        """Return whether ``reader`` reads each element before ``writer``, in this step too, overwrites it."""
+        """Return whether this step reads each element for ``reader`` before it overwrites it for ``writer``."""
         if not self.parts:
             return access.identical(writer.shape)
         part = {node.number: i for i, each in enumerate(self.parts) for node in each.nodes}
@@ -68,7 +68,7 @@ class Scheduler:
         self._outside: dict[int, list[Access]] = {}
 
     def steps(self, nodes: list[Node]) -> list[Step]:
-        """Return the steps that compute nodes, in order; other inputs must be computed before."""
+        """Order graph nodes into steps (loops, copies, branches); all other inputs must have been computed before."""
         nodes = [node for node in nodes if node.number in self.live and node.op not in OUTSIDE]
         # That of most nodes comes last.
         sizes = Counter(node.domain for node in nodes)
@@ -76,7 +76,7 @@ class Scheduler:
         found: list[Step] = []
 
         def take(step: Step) -> None:
-            """Append a step and mark its nodes as computed."""
+            """Append a step to the schedule and mark its nodes as computed."""
             waiting.take(step.nodes)
             found.append(step)
 
@@ -91,7 +91,7 @@ class Scheduler:
         return found
 
     def _needed(self, nodes: list[Node], waiting: Waiting) -> set[int]:
-        """Return the numbers of all nodes that nodes depend on."""
+        """Return the numbers of the other ``waiting`` graph nodes that these nodes depend on."""
         own = {node.number for node in nodes}
         found: set[int] = set()
         stack = list(nodes)
@@ -104,7 +104,7 @@ class Scheduler:
         return found
 
     def _rows(self, nodes: list[Node], sizes: Counter[Shape]) -> Step:
-        """Return one step that computes nodes row by row."""
+        """Return one step that loops over the nodes' last axis; ``sizes``: count of waiting nodes by loop shape."""
         step = Step("rows", (nodes[0].domain[-1],), nodes)
         waiting = Waiting(nodes, self.reads, sizes)
         while waiting.nodes:
@@ -114,7 +114,7 @@ class Scheduler:
         return step
 
     def _next(self, waiting: Waiting, wanted: set[int] | None = None, left_out: Collection[int] = ()) -> Step:
-        """Return the next step: the first waiting node, with all that fits into its loop."""
+        """Return the next step: the first waiting node (of ``wanted``), with others that fit into its loop."""
         first = waiting.first(wanted)
         if first.op in NESTED:
             return self._branching(first, waiting)
@@ -125,7 +125,7 @@ class Scheduler:
         return Step("loop", first.domain, nodes, kept, reduced)
 
     def reads(self, node: Node) -> Collection[Access]:
-        """Return the accesses of a node, and those of its regions to outer nodes, each node once."""
+        """Return a node's reads, and the reads of its nested regions from outside them, each node once."""
         if not node.regions:
             return node.args
         if node.number not in self._outside:
@@ -140,7 +140,7 @@ class Scheduler:
         return self._outside[node.number]
 
     def _branching(self, cond: Node, waiting: Waiting) -> Step:
-        """Return the step of a cond, with the steps of each branch."""
+        """Return the step of a conditional node, with the steps of each branch."""
         outputs = [node for node in waiting.readers[cond.number] if node.op == "output"]
         step = Step(cond.op, (), [cond, *outputs])
         step.branches = [self.steps(region.nodes) for region in cond.regions]
@@ -148,7 +148,7 @@ class Scheduler:
 
 
 def in_place(steps: list[Step]) -> dict[int, Node]:
-    """Return scatter's number -> output of the loop carry that the scatter may overwrite in place.
+    """Return node number -> loop output, for scatters that may overwrite the carry of their loop in place.
 
     It hands on what it was handed with some numbers changed, and nobody reads after it what was there before.
     """
@@ -177,7 +177,7 @@ def in_place(steps: list[Step]) -> dict[int, Node]:
 
 
 def branch_results(step: Step) -> list[Access]:
-    """Return the accesses that a step's regions return."""
+    """Return the results of the branches of a conditional step, or of a while loop's regions."""
     if step.kind == "while":
         return [access for region in step.nodes[0].regions for access in region.results]
     places = [output.attributes[0] for output in step.nodes if output.op == "output"]
@@ -185,7 +185,7 @@ def branch_results(step: Step) -> list[Access]:
 
 
 def all_nodes(steps: Sequence[Step]) -> list[Node]:
-    """Return the nodes of steps, branches included."""
+    """Return all graph nodes that these steps compute, branches included."""
     found = []
     for step in steps:
         found.extend(step.nodes)
@@ -195,7 +195,7 @@ def all_nodes(steps: Sequence[Step]) -> list[Node]:
 
 
 def materialised(steps: list[Step], results: list[Access]) -> tuple[set[int], set[int]]:
-    """Return the numbers of nodes that need memory for a whole array, and of those for one row element.
+    """Return the numbers of nodes stored as whole arrays, and of those stored one row element at a time.
 
     Whole are those that are read outside the loop that computes them.
     """
@@ -203,7 +203,7 @@ def materialised(steps: list[Step], results: list[Access]) -> tuple[set[int], se
     needed, short = {access.node.number for access in results}, set()
 
     def visit(steps: list[Step]) -> None:
-        """Collect the numbers of nodes that steps, and the steps of their branches, read from memory."""
+        """Collect the numbers of the nodes that steps, and the steps of their branches, read from memory."""
         for step in steps:
             if step.kind in NESTED:
                 needed.update(access.node.number for access in branch_results(step))
@@ -225,7 +225,7 @@ def materialised(steps: list[Step], results: list[Access]) -> tuple[set[int], se
 
 
 def _between(parts: list[Step]) -> set[int]:
-    """Return the numbers of non-scalar nodes that one part computes and another part reads."""
+    """Return the numbers of the array nodes that one of ``parts`` of a step computes and another one reads."""
     made = {node.number for part in parts for node in part.nodes}
     found = set()
     for part in parts:
@@ -259,7 +259,7 @@ class Arena:
         return begin
 
     def give(self, begin: int, size: int) -> None:
-        """Release bytes that ``take`` reserved."""
+        """Release ``size`` bytes at the offset ``begin`` that ``take`` reserved."""
         size = -(-size // self.ALIGN) * self.ALIGN
         first = after = bisect(self.free, (begin, size))
         # Neighbours become one, so that a large array finds room where small ones were.
@@ -273,7 +273,7 @@ class Arena:
 
 
 def readers(steps: list[Step]) -> dict[int, list[Reading]]:
-    """Return for each node number the steps and nodes that read it."""
+    """Return node number -> list of the steps and nodes that read this node."""
     found: dict[int, list[Reading]] = defaultdict(list)
     for i, step in enumerate(steps):
         for reader, access in step.accesses:

@@ -44,7 +44,7 @@ class Sharing:
         writer.entry.append("  %leads = icmp eq i64 %thread, 0")
 
     def steps(self, steps: Sequence[Step], stored: set[int], late: Sequence[Late] = ()) -> None:
-        """Write steps and the copies to the state after them, with a barrier at the end."""
+        """Emit a tick's steps for several threads, then copies to the state (``late``) and a barrier."""
         after = {each.group: each.moves for each in late}
         for group, members in groupby(steps, key=lambda step: step.group):
             if group:
@@ -69,13 +69,13 @@ class Sharing:
         self.meet(self._alone or self._cut or self._read)
 
     def meet(self, needed: bool) -> None:
-        """Write a barrier of all threads, if needed."""
+        """Emit a barrier of all threads if ``needed``."""
         if needed:
             self.do(self._wait)
             self._alone = self._cut = self._read = self._read_cut = False
 
     def _scalars(self, steps: Iterable[Step], stored: set[int]) -> None:
-        """Write scalar steps, which every thread computes; a barrier precedes reads of what other threads wrote."""
+        """Emit scalar steps, run by every thread, after a barrier if they need one (``stored``: nodes in memory)."""
         for step in steps:
             read = [access.node for node in step.nodes for access in node.args
                     if access.node.number not in self.writer.scalars and self._changes(access.node.number)]  # fmt: skip
@@ -86,13 +86,13 @@ class Sharing:
             self.writer.steps([step], stored)
 
     def _changes(self, number: int) -> bool:
-        """Return whether the program writes to the memory of a node."""
+        """Return whether the program overwrites the memory of the graph node with this number."""
         place = self.writer.places.get(number)
         return place is not None and (place.tight or place.pointer == "%scratch")
 
     @contextmanager
     def first_thread(self, wait: bool = True) -> Iterator[None]:
-        """Context for code that only the first thread runs, by default after a barrier."""
+        """Emit a condition, so that only the first thread runs the code in this context; ``wait``: after a barrier."""
         self.meet(wait and (self._cut or self._read))
         self._alone = True
         writer, label = self.writer, self.writer.name("alone")[1:]
@@ -104,7 +104,7 @@ class Sharing:
 
     @contextmanager
     def _strips(self, group: int) -> Iterator[None]:
-        """Write a loop over the strips of the present thread."""
+        """Emit a loop over the strips of a group of steps that the present thread computes."""
         self.meet(self._alone or self._cut or self._read_cut)
         self._cut = True
         writer, extent = self.writer, self._extents[group]
@@ -132,7 +132,7 @@ class Sharing:
 
     @contextmanager
     def part(self, extent: int) -> Iterator[tuple[str, str]]:
-        """Write each thread's code for its part of an axis, if not empty; yields begin and end."""
+        """Emit a condition around each thread's part of an axis, run if not empty; yield its begin and end."""
         self._cut = True
         (low, high), label = self._range(extent), self.writer.name("part")[1:]
         some = self.emit(f"icmp ult i64 {low}, {high}")
@@ -143,7 +143,7 @@ class Sharing:
         self.writer.start_block(f"{label}.after")
 
     def _range(self, extent: int) -> tuple[str, str]:
-        """Return the begin and end (exclusive) of this thread's elements."""
+        """Emit the begin and end (exclusive) of a thread's part of ``extent`` elements; return their names."""
         if extent not in self._ranges:
             vectors, lines = -(-extent // _VECTOR), self.writer.entry
             low, high = f"%low{extent}", f"%high{extent}"
@@ -172,19 +172,19 @@ class SharedNeighbours(Neighbours):
         self._sharing = sharing
 
     def _alone(self) -> AbstractContextManager[None]:
-        """Context for code that only the first thread runs."""
+        """Return a context for code that only the first thread runs."""
         return self._sharing.first_thread(wait=False)
 
     def _meet(self) -> None:
-        """Write a barrier of all threads."""
+        """Emit a barrier of all threads."""
         self._sharing.meet(needed=True)
 
     def _parted(self, count: int) -> AbstractContextManager[tuple[str, str] | None]:
-        """Context for the present thread's part of ``count`` elements; gives its begin and end, None for all."""
+        """Return a context for each thread's part of ``count`` elements; it yields begin and end, None for all."""
         return self._sharing.part(count)
 
     def _append(self, flags: str, first: str, near: str, number: str) -> None:
-        """Append the numbers of the flagged points to a list that other threads append to as well."""
+        """Emit code that appends the flagged points' numbers to the list ``near``, to which all threads append."""
         label, counted = self.writer.name("near")[1:], self._counted(flags)
         # Most vectors have none, and to append takes long where threads do so in turn.
         some = self.emit(f"icmp ne i32 {counted}, 0")
@@ -195,7 +195,7 @@ class SharedNeighbours(Neighbours):
         self.writer.start_block(f"{label}.after")
 
     def _some(self, number: str) -> tuple[str, ...]:
-        """Return the end (i32) and the start (i64) of the present thread's part of ``number`` points."""
+        """Return the end (i32) and the start (i64) of a thread's part of a list of ``number`` points."""
         wide, bounds = self.emit(f"zext i32 {number} to i64"), []
         for turn in ("%thread", "%thread.next"):
             bounds.append(self.emit(f"udiv i64 {self.emit(f'mul i64 {wide}, {turn}')}, %threads"))
@@ -203,7 +203,7 @@ class SharedNeighbours(Neighbours):
 
 
 def _kind_of(step: Step) -> str:
-    """Return the threads that compute a step outside groups: "scalars" (each), "nearest" (all together) or "alone"."""
+    """Return the threads for a step outside groups: "scalars" (each), "nearest" (all together), "alone" (first)."""
     if step.kind == "loop" and step.domain == ():
         return "scalars"
     return "nearest" if step.kind == "nearest" else "alone"

@@ -6,7 +6,7 @@ from qrsim.engine.llvm.graph import Access, Region
 
 
 def live_nodes(region: Region, results: list[Access]) -> set[int]:
-    """Return the numbers of the nodes that the results depend on, those in branches included."""
+    """Return the numbers of the nodes of ``region`` that the results depend on, nodes inside branches included."""
     live: set[int] = set()
     # By hand and not by recursion: a tick has chains of thousands of nodes.
     stack = [access.node for access in results]

@@ -17,13 +17,13 @@ from qrsim.engine.llvm.refusal import refusing
 
 
 def trace_of(function: Callable[..., object], inputs: Sequence[Input]) -> tuple[object, object]:
-    """Return the closed jaxpr of a function of some trees, and the shapes (jax.ShapeDtypeStruct) of what it returns."""
+    """Trace ``function(*trees)``; return its closed jaxpr and the ShapeDtypeStructs of its result."""
     found: tuple[object, object] = make_jaxpr(function, return_shape=True)(*(each.layout.template() for each in inputs))
     return found
 
 
 def state_of(shape: object) -> Packer:
-    """Return the layout of a state of which ``trace_of`` returned the shapes.
+    """Return the buffer layout of a state, from the result shapes that ``trace_of`` returned.
 
     Raises:
         UnsupportedError: it has numbers that no program has.

@@ -46,7 +46,7 @@ class Grouping:
         self.extents: dict[int, int] = {}
 
     def of(self, steps: Sequence[Step]) -> list[Step]:
-        """Return the steps reordered so that those of a group are adjacent, with their group numbers."""
+        """Reorder steps so that those of a group, which run strip by strip, are adjacent, and number the groups."""
         steps = [part for step in steps for part in self._parted(step)]
         order = _Order(steps)
         found: list[Step] = []
@@ -64,12 +64,12 @@ class Grouping:
         return found
 
     def _new_group(self, extent: int) -> int:
-        """Note a new group of steps along an axis of this extent, and return the group's number."""
+        """Add a group of steps that are cut into strips along an axis of this length, and return its number."""
         self.extents[len(self.extents) + 1] = extent
         return len(self.extents)
 
     def late(self, moves: list[Move], body: Sequence[Step], places: Mapping[int, Place]) -> list[Late]:
-        """Return the copies to the state in groups that can be cut into strips."""
+        """Return the copies to the state (``moves``) at a tick's end by the group of strips they run in (0: none)."""
         if not self.strip:
             return [Late(0, moves)]
         sets: dict[int, list[Move]] = {}
@@ -86,7 +86,7 @@ class Grouping:
         return found if _independent(found, places) else [Late(0, moves)]
 
     def _alone(self, order: _Order) -> Step | None:
-        """Return the next step outside groups, scalars first; None without one."""
+        """Return the next step in ``order`` that is not cut into strips, scalars first; None if there is none."""
         for wanted in (lambda step: step.domain == () and step.kind == "loop", lambda step: not self._fits_alone(step)):
             for i in order.ready:
                 if wanted(order.steps[i]):
@@ -94,12 +94,12 @@ class Grouping:
         return None
 
     def _fits_alone(self, step: Step) -> bool:
-        """Return whether a step can be cut into strips without other steps in its group."""
+        """Return whether a step can be cut into strips in a group that has no other steps."""
         extent = self._extent(step)
         return extent > 0 and self._fits(step, extent, set())
 
     def _next(self, order: _Order, extent: int, made: set[int]) -> Step | None:
-        """Return the next step of a group and add its nodes to ``made``; None without one."""
+        """Return the next step in ``order`` that fits a group (axis of length ``extent``, nodes ``made``); or None."""
         for i in order.ready:
             step = order.steps[i]
             if self._extent(step) == extent and self._fits(step, extent, made):
@@ -108,7 +108,7 @@ class Grouping:
         return None
 
     def _extent(self, step: Step) -> int:
-        """Return the extent along which a step can be cut into strips; 0: none."""
+        """Return the length of the axis along which a step can be cut into strips; 0 if it cannot be cut."""
         if step.kind == "cond":
             shapes = {node.shape[-1:] for node in step.nodes[1:]}
             shape = shapes.pop() if len(shapes) == 1 else ()
@@ -117,7 +117,7 @@ class Grouping:
         return shape[0] if shape and shape[0] > self.strip else 0
 
     def _parted(self, step: Step) -> list[Step]:
-        """Split a loop that ends in sums over all elements into two loops."""
+        """Split a loop that ends in sums over all elements into the elementwise loop and the sums."""
         last = len(step.domain) - 1
         if step.kind != "loop" or last not in step.reduced or step.domain[-1] <= self.strip:
             return [step]
@@ -131,12 +131,12 @@ class Grouping:
     # What can be cut
 
     def _fits(self, step: Step, extent: int, made: set[int]) -> bool:
-        """Return whether a step, cut into strips, reads only its own elements of what its group changes."""
+        """Return whether a step, cut into strips, reads only its own elements of nodes of its group (``made``)."""
         return self._fits_inside(step, extent, made | _made(step, extent))
 
     @staticmethod
     def _cuts(step: Step) -> bool:
-        """Return whether the loop of a step can be cut along its last axis."""
+        """Return whether the loop of a step can be cut into strips along its last axis."""
         last = len(step.domain) - 1
         if step.kind == "rows":
             return True
@@ -145,7 +145,7 @@ class Grouping:
         return step.kind in ("concatenate", "running") and step.nodes[0].attributes[0] != last
 
     def _fits_inside(self, step: Step, extent: int, made: set[int]) -> bool:
-        """Return whether a step of a branch can be computed for one strip."""
+        """Return whether a step inside a branch can be computed for one strip only (``made``: nodes of its group)."""
         if step.kind == "cond":
             outputs = [(node, region.results[node.attributes[0]]) for region in step.nodes[0].regions
                        for node in step.nodes[1:]]  # fmt: skip
@@ -162,7 +162,7 @@ class Grouping:
         return small and all(self._reads_own(node, extent, made) for node in step.nodes)
 
     def _reads_own(self, node: Node, extent: int, made: set[int]) -> bool:
-        """Return whether a node's loop reads only its own elements of arrays that the group changes."""
+        """Return whether a node's loop reads only its own elements of the nodes that its group computes (``made``)."""
         return all(self._own(access, shape, extent, made, moved) for access, shape, moved in _reads(node))
 
     def _own(self, access: Access, shape: Shape, extent: int, made: set[int], moved: bool = False) -> bool:
@@ -178,7 +178,7 @@ class Grouping:
         return along or self._whole(access, extent, made)
 
     def _whole(self, access: Access, extent: int, made: set[int]) -> bool:
-        """Return whether any element may be read, because the group does not change the array."""
+        """Return whether all elements of an array may be read, because its group (``made``) does not change it."""
         node = access.node
         return node.number not in made and not (node.number in self.leaves and node.shape[-1:] == (extent,))
 
@@ -207,11 +207,11 @@ class _Order:
         self.ready = [i for i, missing in enumerate(self._missing) if not missing]
 
     def first(self) -> Step:
-        """Return the first step that can be computed."""
+        """Return the first step of which all inputs have been computed."""
         return self.steps[self.ready[0]]
 
     def take(self, which: int) -> Step:
-        """Remove a step from the order and return it, releasing the steps that depend on it."""
+        """Remove and return ready step number ``which``; steps that waited only for it become ready."""
         self.ready.remove(which)
         for reader in self._readers[which]:
             self._missing[reader].discard(which)
@@ -244,7 +244,7 @@ class Lifetimes:
         self._late = [each.group for each in late]
 
     def local(self, node: Node, at: int) -> bool:
-        """Return whether only the group of step ``at`` reads the node that it makes."""
+        """Return whether only the group of step number ``at`` reads the node that this step computes."""
         group = self._groups[at]
         return group > 0 and all(
             self._groups[i] == group if i < len(self._groups) else self._moved_within(node, group)
@@ -252,13 +252,13 @@ class Lifetimes:
         )
 
     def _moved_within(self, node: Node, group: int) -> bool:
-        """Return whether all copies of a node to the state are in this group."""
+        """Return whether all copies of a node to the state run in the strips of this group."""
         return all(
             each == group for each, numbers in zip(self._late, self._moved, strict=True) if node.number in numbers
         )
 
     def end(self, node: Node, at: int, local: bool) -> int:
-        """Return the step after which the memory of a node made at step ``at`` is free again."""
+        """Return the step after which memory of a node of step ``at`` is free; ``local``: only its group reads it."""
         last = max(at, *(i for i, _, _ in self._read.get(node.number, ())), at)
         if node.number in self._kept or last >= len(self._until):
             return len(self._until)
@@ -266,7 +266,7 @@ class Lifetimes:
 
 
 def _independent(late: Sequence[Late], places: Mapping[int, Place]) -> bool:
-    """Return whether no set of copies reads an array that another set writes."""
+    """Return whether no set of copies to the state (``late``) reads an array that another set writes."""
     written = [{(to.pointer, to.offset) for _, _, to in each.moves} for each in late]
     for i, each in enumerate(late):
         elsewhere = set().union(*(targets for j, targets in enumerate(written) if j != i))
@@ -278,12 +278,12 @@ def _independent(late: Sequence[Late], places: Mapping[int, Place]) -> bool:
 
 
 def strip_pointer(group: int, element: int) -> str:
-    """Return the name of a pointer to a thread's strip, offset so that element 0 of the array is addressed."""
+    """Return the name of a pointer to a thread's strip, offset as for element 0 (of ``element`` bytes) of the array."""
     return f"%local{group}.{element}"
 
 
 def _made(step: Step, extent: int) -> set[int]:
-    """Return the numbers of the nodes of an extent that a step computes, in branches too."""
+    """Return the numbers of the nodes with a last axis of this length that a step computes, branches included."""
     found = {node.number for node in step.nodes if node.shape[-1:] == (extent,)}
     return found.union(*(_made(inner, extent) for branch in step.branches for inner in branch))
 

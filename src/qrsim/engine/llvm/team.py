@@ -21,7 +21,7 @@ _BUSY = threading.Lock()
 
 
 def _forget_threads() -> None:
-    """Drop the threads of the parent process, after a fork."""
+    """Drop the threads of the parent process; called in a child process after a fork."""
     global _BUSY
     _POOLS.clear()
     _BUSY = threading.Lock()
@@ -33,7 +33,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def worker_pool(workers: int) -> ThreadPoolExecutor:
-    """Return the thread pool for a number of workers, created once."""
+    """Return the process's thread pool with this number of workers, created once."""
     if workers not in _POOLS:
         _POOLS[workers] = ThreadPoolExecutor(workers, thread_name_prefix="qrsim-worlds")
     return _POOLS[workers]
@@ -47,7 +47,7 @@ class Pace:
         self._turn = 0
 
     def together(self) -> bool:
-        """Return whether to run the next ticks with several threads: the faster way, the other one now and then."""
+        """Choose for the next ticks: several threads (True) or one; the faster way, and sometimes the other one."""
         for way in (True, False):
             if way not in self._seconds:
                 return way
@@ -56,11 +56,11 @@ class Pace:
         return faster == (self._turn % _TRIED_AGAIN != 0)
 
     def took(self, together: bool, seconds: float) -> None:
-        """Record how long [s] a tick took, with or without several threads."""
+        """Record how long [s] a tick took, with several threads (``together``) or one."""
         self._seconds[together] = 0.5 * (self._seconds.get(together, seconds) + seconds)
 
     def ticks(self, least: int) -> int:
-        """Return how many ticks, at least ``least``, to run before measuring again."""
+        """Return how many ticks, at least ``least``, to run before the running time is measured again."""
         return max(least, round(_STRETCH_S / min(self._seconds.values(), default=_STRETCH_S)))
 
 
@@ -81,10 +81,10 @@ class Team:
         self._seats = program.seats(threads)
 
     def advance(self, addresses: Sequence[int], scratch: int, tick: int, count: int) -> None:
-        """Advance a state by ``count`` ticks; see ``Program``."""
+        """Advance a state by ``count`` ticks from tick number ``tick``, with several threads or one."""
 
         def run(together: bool, first: int, ticks: int) -> None:
-            """Advance the state by some ticks, with all threads (``together``) or one."""
+            """Advance the state by some ticks from tick number ``first``, with all threads (``together``) or one."""
             if together:
                 self._program.together(self._on_seats, addresses, tick + first, ticks)
             else:
@@ -93,10 +93,10 @@ class Team:
         self._run(run, count)
 
     def keep(self, addresses: Sequence[int], scratch: int, tick: int, rows: Buffers) -> None:
-        """Advance a state by a tick per row, and write it after each tick to the row."""
+        """Advance one world by one tick per row, and write its state after each tick to that row."""
 
         def run(together: bool, first: int, ticks: int) -> None:
-            """Advance the state by some ticks and store each in its row, with all threads (``together``) or one."""
+            """Advance by ``ticks`` from tick ``first`` and store each state, with all threads (``together``) or one."""
             some = rows[0][first : first + ticks], rows[1][first : first + ticks]
             if together:
                 self._program.keeping_together(self._on_seats, addresses, tick + first, some)
@@ -106,7 +106,7 @@ class Team:
         self._run(run, len(rows[0]))
 
     def _run(self, run: Callable[[bool, int, int], None], count: int) -> None:
-        """Run ``count`` ticks in portions, each in the faster of the two ways."""
+        """Run ``count`` ticks in portions by ``run(together, first, ticks)``, with several threads or one if faster."""
         first = 0
         while first < count:
             ticks = min(count - first, self._pace.ticks(self._least))
@@ -124,7 +124,7 @@ class Team:
             first += ticks
 
     def _on_seats(self, function: Callable[[int], None]) -> None:
-        """Call a function with the address of every seat, each in a thread."""
+        """Call a function in each thread with the address of the thread's working memory (seat)."""
         seats, others = self._seats, list[Future[None]]()
         try:
             pool = worker_pool(self._workers)

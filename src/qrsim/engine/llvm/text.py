@@ -16,7 +16,7 @@ _SCALAR = {"float32": "float", "float64": "double", "int32": "i32", "uint32": "i
 
 @cache
 def scalar_type(dtype: DType) -> str:
-    """Return the LLVM type of one element in a register.
+    """Return the LLVM type of one element in a register, such as "float".
 
     Raises:
         UnsupportedError: there are no such numbers here.
@@ -35,17 +35,17 @@ def stored_type(dtype: DType) -> str:
 
 
 def stored_bytes(dtype: DType) -> int:
-    """Return the bytes of one element in memory."""
+    """Return the size [bytes] of one element in memory."""
     return 4 if dtype.kind == "b" else dtype.itemsize
 
 
 def vector(element: str, lanes: int) -> str:
-    """Return the type of ``lanes`` elements; one is a scalar."""
+    """Return the LLVM type of a vector of ``lanes`` elements, or the element's type for one lane."""
     return element if lanes == 1 else f"<{lanes} x {element}>"
 
 
 def literal(value: float | np.float32, dtype: DType) -> str:
-    """Return a number as an LLVM literal."""
+    """Return a number as an LLVM literal of this dtype."""
     if dtype.kind == "b":
         return "true" if value else "false"
     if dtype.kind == "f":
@@ -55,19 +55,19 @@ def literal(value: float | np.float32, dtype: DType) -> str:
 
 
 def splat(text: str, element: str, lanes: int) -> str:
-    """Return a constant repeated in all lanes."""
+    """Return an LLVM constant that repeats the literal ``text``, of LLVM type ``element``, in all lanes."""
     # LLVM writes constants of vectors so; a list of sixteen would make texts several times as long.
     return text if lanes == 1 else f"splat ({element} {text})"
 
 
 def suffix(element: str, lanes: int) -> str:
-    """Return the type suffix of an intrinsic's name."""
+    """Return the suffix of an LLVM intrinsic's name for vectors of ``element``, such as "v8f32"."""
     letter = {"float": "f32", "double": "f64"}.get(element, element)
     return letter if lanes == 1 else f"v{lanes}{letter}"
 
 
 def neutral(how: str, dtype: DType) -> str:
-    """Return the initial value of a reduction, as an LLVM literal."""
+    """Return the initial value of the reduction ``how``, such as 0 for a sum, as an LLVM literal."""
     if how in ("add", "or"):
         return literal(0, dtype)
     if how == "mul":

@@ -46,11 +46,10 @@ class Tracer(Indexing):
     def __init__(self, graph: Graph, alone: bool):
         super().__init__(graph)
         self.alone = alone
-        # Jaxprs compare by identity.
-        self._variables_used_once: dict[jex.Jaxpr, set[jex.Var]] = {}
+        self._variables_used_once: dict[jex.Jaxpr, set[jex.Var]] = {}  # jaxprs compare by identity
 
     def run(self, jaxpr: jex.Jaxpr, constants: Sequence[object], arguments: Sequence[View]) -> list[View]:
-        """Return the results of a jaxpr for arguments."""
+        """Translate a jaxpr to graph nodes; return views of its results, given its arguments and constants."""
         environment: dict[object, View] = dict(zip(jaxpr.invars, arguments, strict=True))
         for variable, value in zip(jaxpr.constvars, constants, strict=True):
             environment[variable] = value if isinstance(value, View) else self.graph.constant(value)
@@ -75,7 +74,7 @@ class Tracer(Indexing):
         return [read(atom) for atom in jaxpr.outvars]
 
     def _used_once(self, jaxpr: jex.Jaxpr) -> set[jex.Var]:
-        """Return the variables that are used exactly once in a jaxpr, by an equation or as a result.
+        """Return the variables of a jaxpr that exactly one equation or result uses, once.
 
         A product among them may be fused with its sum (see ``_contracted``). Sets are kept for later calls.
         """
@@ -86,7 +85,7 @@ class Tracer(Indexing):
         return self._variables_used_once[jaxpr]
 
     def _equation(self, equation: Any, inputs: list[View], products: _Products) -> list[View]:
-        """Add the nodes of one equation of a jaxpr, and return its results."""
+        """Translate one equation of a jaxpr to graph nodes, and return views of its results."""
         rule = rule_of(equation)
         for variable in (*equation.invars, *equation.outvars):
             # Known here, where the line of the program is known too.
@@ -101,7 +100,7 @@ class Tracer(Indexing):
     def _contracted(
         self, op: str, equation: jex.JaxprEqn, inputs: list[View], out: ShapedArray, products: _Products
     ) -> View:
-        """Return a sum, difference or product; a sum is fused with a product that is used only there.
+        """Add graph nodes for a sum, difference or product; fuse a product with the only sum that uses it.
 
         Compilers fuse a product and a sum if they see both together, so the last bit depends on the surrounding
         program. Here it depends only on the function that contains both. A product that is used elsewhere too is
@@ -125,7 +124,7 @@ class Tracer(Indexing):
         return self.apply(name, shape, out.dtype, *factors, rest)
 
     def elementwise(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return the result of an elementwise primitive."""
+        """Add graph nodes for an elementwise primitive of JAX."""
         shape: Shape = tuple(out.shape)
         before = inputs[0].node.dtype
         if op == "convert_element_type" and before == out.dtype:
@@ -142,28 +141,28 @@ class Tracer(Indexing):
         return self.apply(op, shape, out.dtype, *inputs, attributes=attributes)
 
     def kernel(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Return the results of an elementwise function that is compiled as a kernel."""
+        """Add graph nodes for an elementwise function that is compiled as a kernel, and return its results."""
         return [
             self.apply("kernel", tuple(out.shape), np.dtype(dtype), *inputs, attributes=(op, i))
             for i, dtype in enumerate(KERNELS[op].gives)
         ]
 
     def transparent(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Return the arguments unchanged, for primitives that have no effect."""
+        """Translate a primitive that has no effect: return the arguments unchanged."""
         return inputs
 
     def call(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Return the results of an inner function."""
+        """Translate a call of an inner function, and return its results."""
         closed = parameters[op]
         inner = closed.jaxpr if hasattr(closed, "jaxpr") else closed
         return self.run(inner, getattr(closed, "consts", ()), inputs)
 
     def reduction(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return the reduction over some axes."""
+        """Add graph nodes for a reduction, such as a sum, along some axes."""
         return self._reduced(op, inputs[0], out, parameters["axes"])
 
     def _reduced(self, op: str, operand: View, out: ShapedArray | Like, axes: Sequence[int]) -> View:
-        """Return a reduction of an array along some axes; axes of one element have nothing to reduce."""
+        """Return a reduction of an array along ``axes``; axes of length 1 need no reduction."""
         kept = [axis for axis in range(len(operand.shape)) if axis not in axes]
         reduced = [axis for axis in axes if operand.shape[axis] != 1]
         moved = operand.moved({axis: i for i, axis in enumerate(kept)}, tuple(out.shape))
@@ -178,7 +177,7 @@ class Tracer(Indexing):
         return View.whole(node, tuple(out.shape))
 
     def running(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return the cumulative reduction along an axis."""
+        """Add a graph node for a cumulative reduction along an axis, such as cumsum."""
         shape = tuple(out.shape)
         if shape[parameters["axis"]] == 1 or 0 in shape:
             return inputs[0]
@@ -187,7 +186,7 @@ class Tracer(Indexing):
         return View.whole(node, shape)
 
     def nearest(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return the squared distance of each point's nearest neighbour."""
+        """Add a graph node for the search of each point's nearest neighbour, and return its squared distance (n,)."""
         shape = tuple(out.shape)
         # Cells pay from some size on, and their tables are of one world.
         if not (self.alone and len(shape) == 1 and shape[0] >= MANY_POINTS and not inputs[3].shape):
@@ -197,7 +196,7 @@ class Tracer(Indexing):
         return View.whole(self.graph.node("nearest", accesses, squeezed(shape), out.dtype), shape)
 
     def place_of(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return the index of the first minimum, maximum or NaN."""
+        """Add graph nodes for JAX's argmin or argmax: the index of the first minimum, maximum or NaN."""
         operand, axes = inputs[0], parameters["axes"]
         (axis,), shape = axes, operand.shape
         if shape[axis] == 1:
@@ -218,7 +217,7 @@ class Tracer(Indexing):
         return self._reduced("min", chosen, out, axes)
 
     def broadcast_in_dim(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return the array broadcast to more axes."""
+        """Return a view for JAX's broadcast_in_dim: the array with further axes, along which it repeats."""
         if len(inputs) != 1:
             raise UnsupportedError("a shape that the program computes")
         operand, to = inputs[0], parameters["broadcast_dimensions"]
@@ -226,22 +225,22 @@ class Tracer(Indexing):
         return operand.moved({axis: grows.get(axis) for axis in range(len(operand.shape))}, tuple(out.shape))
 
     def squeeze(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return the array without some axes of length 1."""
+        """Return a view for JAX's squeeze: the array without some axes of length 1."""
         return self.without_unit_axes(inputs[0], tuple(out.shape))
 
     def transpose(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return the array with permuted axes."""
+        """Return a view for JAX's transpose: the array with permuted axes."""
         moves: dict[int, int | None] = {axis: i for i, axis in enumerate(parameters["permutation"])}
         return inputs[0].moved(moves, tuple(out.shape))
 
     def slice(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return the part of an array that a slice without strides takes."""
+        """Return a view for JAX's slice: a part of an array at constant begin and end, without strides."""
         if any(stride != 1 for stride in parameters["strides"] or ()):
             raise UnsupportedError("a slice in strides")
         return inputs[0].shifted(parameters["start_indices"], tuple(out.shape))
 
     def split(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Return consecutive parts of an array along an axis."""
+        """Return views for JAX's split: consecutive parts of an array along an axis."""
         axis, begin, parts = parameters["axis"], 0, []
         for size in map(int, parameters["sizes"]):
             shape = tuple(size if i == axis else extent for i, extent in enumerate(inputs[0].shape))
@@ -250,7 +249,7 @@ class Tracer(Indexing):
         return parts
 
     def unstack(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Return the slices along an axis, without this axis."""
+        """Return views for JAX's unstack: the slices of an array along an axis, without this axis."""
         (view,), axis = inputs, parameters["axis"] % len(inputs[0].shape)
         parts = []
         for begin in range(view.shape[axis]):
@@ -260,7 +259,7 @@ class Tracer(Indexing):
         return parts
 
     def tile(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Return an array repeated along each axis."""
+        """Add graph nodes for JAX's tile: an array repeated along each axis."""
         view = inputs[0]
         for axis, count in enumerate(parameters["reps"]):
             shape = tuple(extent * (count if i == axis else 1) for i, extent in enumerate(view.shape))
@@ -268,7 +267,7 @@ class Tracer(Indexing):
         return view
 
     def stack(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Join arrays along a new axis."""
+        """Add graph nodes for JAX's stack: arrays joined along a new axis."""
         axis = parameters["axis"] % len(out.shape)
         grown = []
         for view in inputs:
@@ -277,11 +276,11 @@ class Tracer(Indexing):
         return self._join(grown, tuple(out.shape), out.dtype, axis)
 
     def concatenate(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> View:
-        """Join arrays along an axis."""
+        """Add graph nodes for JAX's concatenate: arrays joined along an axis."""
         return self._join(inputs, tuple(out.shape), out.dtype, parameters["dimension"])
 
     def _join(self, parts: list[View], shape: Shape, dtype: DType, axis: int) -> View:
-        """Return arrays joined along an axis; empty ones are left out, as they would be a loop over nothing."""
+        """Return arrays joined along an axis, without empty ones, which would give loops over nothing."""
         if 0 in shape:
             return self.spread(self.graph.constant(np.zeros((), dtype)), shape)
         parts = [part for part in parts if 0 not in part.shape]
@@ -294,7 +293,7 @@ class Tracer(Indexing):
         return View.whole(self.graph.node("concatenate", accesses, squeezed(shape), dtype, attributes), shape)
 
     def cond(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Return the results of one of two branches."""
+        """Add graph nodes for JAX's cond: the results of the one of two branches that is chosen at run time."""
         which, operands = inputs[0], inputs[1:]
         branches = parameters["branches"]
         if len(branches) != 2 or which.shape:
@@ -309,7 +308,7 @@ class Tracer(Indexing):
         return [self._branch_result(cond, i, views) for i, views in enumerate(zip(*results, strict=True))]
 
     def _branch_result(self, cond: Node, place: int, views: tuple[View, ...]) -> View:
-        """Return result number ``place`` of a branching; ``views`` are this result in each branch."""
+        """Return result number ``place`` of a conditional; ``views`` has this result in each branch."""
         first = views[0]
         node = self.graph.node(
             "output",
@@ -323,7 +322,7 @@ class Tracer(Indexing):
         return View.whole(node, first.shape)
 
     def while_(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Return the final carry of a while loop."""
+        """Add graph nodes for JAX's while: the final carry of a while loop."""
         conditions, bodies = parameters["cond_nconsts"], parameters["body_nconsts"]
         first = inputs[conditions + bodies :]
         if any(0 in view.shape for view in first):
@@ -345,7 +344,7 @@ class Tracer(Indexing):
         return [View.whole(output, view.shape) for output, view in zip(outputs, first, strict=True)]
 
     def scan(self, op: str, inputs: list[View], out: ShapedArray, parameters: Parameters) -> list[View]:
-        """Return the final carry of a loop with a fixed number of turns and no scanned arrays."""
+        """Add graph nodes for JAX's scan without scanned arrays: the final carry of a loop of fixed length."""
         constants, length = parameters["num_consts"], parameters["length"]
         carries = len(inputs) - constants
         if parameters["num_carry"] != carries or len(parameters["jaxpr"].out_avals) != carries:
@@ -361,6 +360,7 @@ class Tracer(Indexing):
             """Return the final carry of the scan, written as a while loop with a counter."""
 
             def body(state: tuple[Array, ...]) -> tuple[Array, ...]:
+                """Return counter and carry after one turn of the scan."""
                 return (state[0] + 1, *turn(*given[:constants], *state[1:]))
 
             first = (jnp.int32(0), *given[constants:])
@@ -370,12 +370,12 @@ class Tracer(Indexing):
         return self.run(counted.jaxpr, counted.consts, inputs)
 
     def _unknown(self, op: str, args: tuple[Access, ...], like: View, *attributes: object) -> Node:
-        """Return a new node that may differ by tick and by world."""
+        """Return a new node of the shape and dtype of ``like`` that may differ by tick and by world."""
         dtype = like.node.dtype
         return self.graph.node(op, args, squeezed(like.shape), dtype, attributes, invariant=False, uniform=False)
 
     def _region(self, closed: jex.ClosedJaxpr, inputs: list[View]) -> tuple[Region, list[View]]:
-        """Trace an inner program; return its nodes, and its results."""
+        """Translate the jaxpr ``closed`` of a branch or loop body to a region of its own; return it and its results."""
         region = self.graph.region = Region(parent=self.graph.region)
         views = self.run(closed.jaxpr, closed.consts, inputs)
         region.results = [view.access() for view in views]
@@ -392,9 +392,9 @@ class _Products:
         self._used_once = used_once
 
     def of(self, atom: object) -> list[View] | None:
-        """Return the factors of a variable that is a product; None otherwise."""
+        """Return views of the two factors of a variable that is a product; None if it is not."""
         return None if isinstance(atom, jex.Literal) else self.made.get(atom)
 
     def only_here(self, atom: object) -> bool:
-        """Return whether a variable is used exactly once."""
+        """Return whether a variable is used exactly once in its jaxpr."""
         return atom in self._used_once

@@ -11,7 +11,7 @@ from qrsim.engine.llvm.schedule import Step
 
 
 def turns_of(step: Step, axis: int | None) -> int:
-    """Return by how many turns to unroll a loop along an axis.
+    """Return how often to unroll the loop of a step along an axis: 1, 2 or 4 times.
 
     One turn of a body of some hundred operations that wait for each other fills what the processor looks ahead, and
     few of them run at once. A shorter body needs no help, and a longer one no more of it than its registers hold.
@@ -27,7 +27,7 @@ def turns_of(step: Step, axis: int | None) -> int:
 
 
 def parts_of(nodes: Sequence[Node]) -> list[list[Node]]:
-    """Divide the nodes of a loop with reductions into parts, between which few values are kept.
+    """Divide the graph nodes of a loop body into consecutive parts with few values needed after each.
 
     Up to the last kernel each node is a part, because operations of kernels wait for each other. After that parts end
     with a reduction after which fewer values are needed than after the ones next to it.

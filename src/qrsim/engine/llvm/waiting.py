@@ -49,13 +49,13 @@ class Waiting:
                 self._ready[self._rank(node)].add(node.number)
 
     def _rank(self, node: Node) -> _Rank:
-        """Return the sort key of a waiting node: small domains first, changes of a loop's carry last."""
+        """Return a waiting graph node's sort key: small loops first, writes to the carry of a loop last."""
         # Small domains first: what they make lets the large one run further in one loop. What changes a carry last, so
         # that it may do so in its place.
         return node.op in NESTED, changes_carry(node), self._sizes[node.domain] if node.domain else -1
 
     def first(self, wanted: set[int] | None = None) -> Node:
-        """Return the node to compute next, among ``wanted`` numbers if given."""
+        """Return the graph node to compute next, among the numbers ``wanted`` if given."""
         for rank in sorted(self._ready):
             numbers = self._ready[rank] if wanted is None else self._ready[rank] & wanted
             if numbers:
@@ -64,7 +64,7 @@ class Waiting:
         raise UnsupportedError("a graph with a cycle")
 
     def take(self, nodes: list[Node]) -> None:
-        """Remove the nodes that a step computes, and release outputs that waited only for them."""
+        """Remove the nodes that a step computes from those that wait, and make them available to their readers."""
         for node in nodes:
             del self.nodes[node.number]
             self._ready[self._rank(node)].discard(node.number)
@@ -72,7 +72,7 @@ class Waiting:
                 self._release(node)
 
     def _release(self, node: Node) -> list[Node]:
-        """Mark a node as available to its readers, and return the readers that are now ready."""
+        """Mark a node as computed, and return the nodes that no longer wait for any input."""
         self._released.add(node.number)
         found = []
         for reader in self.readers[node.number]:
@@ -84,7 +84,7 @@ class Waiting:
         return found
 
     def loop(self, first: Node, left_out: Collection[int]) -> tuple[list[Node], tuple[int, ...]]:
-        """Return the nodes that one loop over ``first``'s domain can compute, in order, and the reduced axes.
+        """Return nodes for the loop of ``first``, in order, without those in ``left_out``, and the axes it reduces.
 
         Args:
             first: one that could be computed.
@@ -93,7 +93,7 @@ class Waiting:
         domain = first.domain
 
         def fits(node: Node) -> bool:
-            """Return whether a node can be computed in the loop over this domain."""
+            """Return whether a node can be computed in the loop of ``first``."""
             return node.domain == domain and node.op not in NO_LOOP and node.number not in left_out
 
         found: list[Node] = []
@@ -124,5 +124,5 @@ class Waiting:
 
 
 def changes_carry(node: Node) -> bool:
-    """Return whether a node updates elements of a loop's carry."""
+    """Return whether a node overwrites elements of the carry of a loop."""
     return node.op in ("scatter", "update") and node.args[0].node.op == "carry"

@@ -44,7 +44,7 @@ class Place:
 
     @property
     def local(self) -> bool:
-        """Whether the place is in a thread's own memory."""
+        """Whether the place is in the working memory of one thread."""
         return self.pointer.startswith("%local")
 
 
@@ -93,35 +93,35 @@ class Writer:
     # Text
 
     def name(self, prefix: str = "v") -> str:
-        """Return a fresh name."""
+        """Return a fresh LLVM name that begins with ``prefix``."""
         self.count += 1
         return f"%{prefix}{self.count}"
 
     def emit(self, text: str) -> str:
-        """Write an instruction with a result, and return the result's name."""
+        """Append an LLVM instruction with a result, and return the result's name."""
         name = self.name()
         self.lines.append(f"  {name} = {text}")
         return name
 
     def once(self, text: str) -> str:
-        """Return the result of an instruction without side effects, written at most once per block."""
+        """Return the name of the result of an instruction without side effects, emitted at most once per block."""
         if text not in self._written:
             self._written[text] = self.emit(text)
         return self._written[text]
 
     def do(self, text: str) -> None:
-        """Write an instruction without a result."""
+        """Append an LLVM instruction without a result."""
         self.lines.append(f"  {text}")
 
     def start_block(self, label: str) -> None:
-        """Begin a block of instructions."""
+        """Begin a basic block of LLVM instructions with this label."""
         self.lines.append(f"{label}:")
         self.block = label
         self._written.clear()
 
     @contextmanager
     def loop(self, extent: int, step: int = 1, part: tuple[str, str] | None = None) -> Iterator[str]:
-        """Write a loop over [0, extent), or a part of it, around the code in the context; yield its counter's name."""
+        """Emit a loop over [0, extent), or its ``part`` (begin, end), around the context's code; yield its counter."""
         if extent <= step and part is None:
             yield "0"
             return
@@ -143,11 +143,11 @@ class Writer:
     # Memory
 
     def _lanes_of(self, node: Node) -> int:
-        """Return the number of lanes of a node's scalar value: one per world, or 1."""
+        """Return the lanes of a graph node's scalar value: one for each world side by side, or 1."""
         return self.lanes if self.side_by_side and not node.uniform else 1
 
     def address(self, place: Place, index: Sequence[tuple[str | None, int]]) -> str:
-        """Return a pointer to an element; each axis is at a counter (None: none) plus an offset."""
+        """Emit the address of an element of a place; ``index``: (loop counter or None, offset) for each axis."""
         fixed, pointer = place.offset, place.pointer
         if place.short:
             index = [*index[:-1], (None, 0)]
@@ -158,7 +158,7 @@ class Writer:
         return pointer if fixed == 0 else self.once(f"getelementptr i8, ptr {pointer}, i64 {fixed}")
 
     def _moved(self, pointer: str, variable: str, stride: int) -> str:
-        """Return a pointer moved by ``variable`` times ``stride`` bytes, computed once."""
+        """Emit, at most once, the pointer that is ``variable`` times ``stride`` bytes further, and return its name."""
         key = (pointer, variable, stride)
         # What lies in one row is read from one address, which is computed once.
         if key not in self.scope.offsets:
@@ -166,7 +166,7 @@ class Writer:
         return self.scope.offsets[key]
 
     def load(self, dtype: DType, address: str, lanes: int) -> str:
-        """Load the value at an address."""
+        """Emit a load of ``lanes`` elements from an address, and return the value's name."""
         stored, align = stored_type(dtype), stored_bytes(dtype)
         value = self.emit(f"load {vector(stored, lanes)}, ptr {address}, align {align}")
         if dtype.kind != "b":
@@ -174,7 +174,7 @@ class Writer:
         return self.emit(f"icmp ne {vector('i32', lanes)} {value}, {splat('0', 'i32', lanes)}")
 
     def store(self, dtype: DType, address: str, value: str, lanes: int, mask: str | None = None) -> None:
-        """Write a store of a value, of only the lanes in ``mask`` if given."""
+        """Emit a store of a value to an address, only of the lanes in ``mask`` if given."""
         of, align = vector(stored_type(dtype), lanes), stored_bytes(dtype)
         if dtype.kind == "b":
             value = self.emit(f"zext {vector('i1', lanes)} {value} to {of}")
@@ -190,7 +190,7 @@ class Writer:
         self.do(f"call void @{name}({of} {value}, ptr {address}, i32 {align}, {vector('i1', lanes)} {mask})")
 
     def _store_first(self, element: str, address: str, value: str, lanes: int, count: int, align: int) -> None:
-        """Write the first lanes in pieces, where a masked store takes as long as a dozen others."""
+        """Emit the store of the first ``count`` lanes of type ``element`` in pieces, faster than a masked one."""
         of, begin = vector(element, lanes), 0
         while begin < count:
             size = 1 << ((count - begin).bit_length() - 1)
@@ -203,7 +203,7 @@ class Writer:
     # Values
 
     def value(self, access: Access) -> tuple[str, int]:
-        """Return the name and the lanes of the value at an access in the present loop."""
+        """Return the name and lanes of an array's value in the present loop; a loaded value is reused."""
         node, scope = access.node, self.scope
         if node.number in self.scalars:
             return self.scalars[node.number]
@@ -222,15 +222,15 @@ class Writer:
         return found
 
     def open_scope(self, domain: Shape, lane_axis: int | None = None) -> None:
-        """Begin a loop nest over a domain, scalar or in vectors along ``lane_axis``."""
+        """Begin a loop nest over ``domain``, scalar or in vectors along ``lane_axis``."""
         self.scope = Scope(domain, ["0"] * len(domain), lane_axis, {}, {})
 
     def read(self, access: Access) -> tuple[str, int]:
-        """Load the value at an access of the present loop again."""
+        """Emit a load of an array's value in the present loop, even if it was loaded before; return name and lanes."""
         return self._read(access, self.place(access.node))
 
     def _read(self, access: Access, place: Place) -> tuple[str, int]:
-        """Load the value at an access of the present loop; also return its lanes."""
+        """Emit a load of an array's value in the present loop from its place; return its name and lanes."""
         node, scope = access.node, self.scope
         index = [(None if a is None else scope.variables[a], offset) for a, offset in access.index]
         across = [i for i, (axis, _) in enumerate(access.index) if axis is not None and axis == scope.lane_axis]
@@ -246,18 +246,18 @@ class Writer:
         return self._gathered(node, place, index, across), self.lanes
 
     def vectors_ahead(self, node: Node, place: Place) -> int:
-        """Return how many vectors ahead an array is prefetched; 0: not by this code."""
+        """Return how many vectors ahead of its use an array is prefetched; 0: it is not."""
         return 2 if self.far and len(node.shape) > 1 and not place.short else 0
 
     def fetch(self, address: str, distance: int, written: bool = False) -> None:
-        """Write a prefetch of the memory ``distance`` [bytes] behind an address."""
+        """Emit a prefetch of the memory ``distance`` [bytes] after an address; ``written``: for a store."""
         self.declarations.add("declare void @llvm.prefetch.p0(ptr, i32, i32, i32)")
         ahead = self.emit(f"getelementptr i8, ptr {address}, i64 {distance}")
         # To be read or written, and kept close; data, not code.
         self.do(f"call void @llvm.prefetch.p0(ptr {ahead}, i32 {int(written)}, i32 3, i32 1)")
 
     def _pick(self, node: Node, lanes: int) -> str:
-        """Return the elements of an array at starts computed at run time."""
+        """Emit loads of an array's elements at run-time indices, and return the value's name."""
         access, place, (moved,) = node.args[0], self.place(node.args[0].node), node.attributes
         starts = [self.value(start) for start in node.args[1:]]
         dtypes = [start.node.dtype for start in node.args[1:]]
@@ -268,7 +268,7 @@ class Writer:
         return self._picked(node, place, wide, lanes)
 
     def begun(self, place: Place, moved: Moves, starts: list[tuple[str, int]], dtypes: Sequence[DType]) -> Place:
-        """Return a place offset by run-time starts, each clipped to its range."""
+        """Return a memory place offset along the axes ``moved`` by run-time ``starts``, each clipped to its range."""
         pointer = place.pointer
         for axis, move in enumerate(moved):
             if move is not None:
@@ -278,7 +278,7 @@ class Writer:
         return Place(pointer, place.offset, place.strides, place.own)
 
     def _distance(self, start: str, dtype: DType, largest: int, stride: int, element: str, lanes: int = 1) -> str:
-        """Return the offset [bytes] of a start, clipped to its range, as integers of the type ``element``."""
+        """Emit the byte offset of a run-time index, clipped to [0, largest], times ``stride``, in type ``element``."""
         of, sign = vector(scalar_type(dtype), lanes), "s" if dtype.kind == "i" else "u"
         for how, limit in (("max", 0), ("min", largest)):
             name = f"llvm.{sign}{how}.{suffix(scalar_type(dtype), lanes)}"
@@ -291,7 +291,7 @@ class Writer:
         return self.emit(f"mul {wide} {start}, {splat(str(stride), element, lanes)}")
 
     def _picked(self, node: Node, place: Place, starts: list[str], lanes: int) -> str:
-        """Return a vector of elements, each at its own run-time start."""
+        """Emit a load of a vector of elements, each lane at its run-time indices ``starts``, and return its name."""
         access, (moved,), wide = node.args[0], node.attributes, vector("i64", lanes)
         # From lane to lane: to the next world, or to the next element along the vector's axis.
         step = stored_bytes(node.dtype) if self._lanes_of(access.node) > 1 else 0
@@ -317,7 +317,7 @@ class Writer:
         return self.emit(f"icmp ne {vector('i32', lanes)} {found}, {splat('0', 'i32', lanes)}")
 
     def gathered(self, pointers: str, element: str, align: int, lanes: int) -> str:
-        """Load the values at a vector of pointers."""
+        """Emit loads of LLVM type ``element`` from a vector of pointers, and return the name of the vector."""
         of, places, mask = vector(element, lanes), vector("ptr", lanes), vector("i1", lanes)
         name = f"llvm.masked.gather.{suffix(element, lanes)}.v{lanes}p0"
         self.declarations.add(f"declare {of} @{name}({places}, i32, {mask}, {of})")
@@ -325,13 +325,13 @@ class Writer:
         return self.emit(f"call {of} @{name}({places} {pointers}, i32 {align}, {mask} {every}, {of} poison)")
 
     def _width(self, node: Node) -> int:
-        """Return the number of lanes in which the present loop computes a node."""
+        """Return the number of lanes in which the present loop computes a graph node."""
         if self.side_by_side:
             return self._lanes_of(node)
         return 1 if self.scope.lane_axis is None else self.lanes
 
     def _gathered(self, node: Node, place: Place, index: list[tuple[str | None, int]], across: list[int]) -> str:
-        """Load elements that are not adjacent as a vector; lanes past the end repeat the last element."""
+        """Emit a load of elements apart in memory as a vector; lanes past the end repeat the last element."""
         element = scalar_type(node.dtype)
         of, result = vector(element, self.lanes), "poison"
         axis = self.scope.lane_axis
@@ -348,7 +348,7 @@ class Writer:
         return result
 
     def widened(self, found: tuple[str, int], dtype: DType, lanes: int) -> str:
-        """Return a value repeated in all lanes."""
+        """Emit a value repeated in all lanes, and return its name; ``found``: its name and lanes."""
         text, have = found
         if have == lanes or (have == 0 and lanes == 1):
             return text
@@ -363,7 +363,7 @@ class Writer:
         return self.once(f"shufflevector {of} {first}, {of} poison, <{lanes} x i32> zeroinitializer")
 
     def place(self, node: Node) -> Place:
-        """Return the place of a node; a constant array is added to the program."""
+        """Return the memory place of a graph node; a constant array is added to the program."""
         if node.op != "constant":
             return self.places[node.number]
         if node.number not in self._constant_places:
@@ -376,7 +376,7 @@ class Writer:
         return self._constant_places[node.number]
 
     def write(self, place: Place, dtype: DType, value: str, lanes: int, variables: Sequence[str]) -> None:
-        """Store a value of the present loop at its element of a place."""
+        """Emit a store of a value to a memory place at the element of the present loop (``variables``: counters)."""
         wanted = self.lanes if place.own and self.side_by_side else lanes
         value = self.widened((value, lanes), dtype, wanted)
         address = self.address(place, [(v, 0) for v in variables])
@@ -387,7 +387,7 @@ class Writer:
         self.store(dtype, address, value, wanted, mask)
 
     def inside(self, counter: str, extent: int) -> str:
-        """Return a mask of the lanes that are within an axis."""
+        """Emit the mask of the lanes with an index (``counter`` plus lane) below ``extent``, and return its name."""
         if counter == "0":
             return "<" + ", ".join(f"i1 {'true' if lane < extent else 'false'}" for lane in range(self.lanes)) + ">"
         ramp = "<" + ", ".join(f"i64 {lane}" for lane in range(self.lanes)) + ">"

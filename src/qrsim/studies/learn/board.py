@@ -26,12 +26,12 @@ class Board:
         self._writer = module.SummaryWriter(str(folder), purge_step=steps + 1)
 
     def add(self, row: Tried) -> None:
-        """Write a row of the curve to the file."""
+        """Write a row of the training curve to TensorBoard's file."""
         for name, value in asdict(row).items():
             if name not in ("cycle", "steps"):
                 self._writer.add_scalar(f"training/{name}", value, row.steps)
         self._writer.flush()
 
     def close(self) -> None:
-        """Close the file."""
+        """Close TensorBoard's file."""
         self._writer.close()

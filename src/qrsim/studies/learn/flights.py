@@ -46,24 +46,24 @@ class Flights:
         self.last = np.zeros((self.rows, view.remembered), np.float32)
 
     def begin(self, seeds: Floats) -> None:
-        """Start all episodes with new seeds (B,)."""
+        """Start all B episodes with new seeds (B,)."""
         self.batch.reset(seeds)
         self.last[:] = 0.0
         self.objective.begin(self.batch)
 
     @property
     def seen(self) -> Floats:
-        """Observations (N, O) now."""
+        """Present observations (N, O) of all agents."""
         found: Floats = self.batch.seen.reshape(self.rows, -1)
         return found
 
     def features(self) -> Floats:
-        """Return the unscaled inputs (N, F) of the present state, for the next decision."""
+        """Return the network's inputs (N, F), not yet scaled, for the agents' next decisions."""
         found: Floats = self.view.features(self.seen, self.last)
         return found
 
     def decide(self, outputs: Floats, action: Floats) -> Decided:
-        """Apply the network's outputs (N, K) and their actions (N, A); call ``follow`` for episodes that ended.
+        """Advance all episodes by actions (N, A) of ``outputs`` (N, K); call ``follow`` for episodes that ended.
 
         Raises:
             RunError: a reward of the task is not finite.
@@ -75,7 +75,7 @@ class Flights:
         return Decided(own, crashed, ended)
 
     def follow(self, ended: Floats) -> None:
-        """Start the next episodes where rows (N,) have ended."""
+        """Start the next episodes of those in which an agent's flag in ``ended`` (N,) is set."""
         if not ended.any():
             return
         self.last[ended] = 0.0
@@ -83,7 +83,7 @@ class Flights:
         self.objective.begin(self.batch, ended)
 
     def fly(self, act: Any, seeds: Floats) -> tuple[Floats, Floats]:
-        """Fly one episode for each seed (B,) with ``act`` (inputs to outputs); return returns and survival.
+        """Fly one episode per seed (B,); ``act`` maps inputs to outputs. Return (mean returns, flown to the end).
 
         Returns:
             The mean return of the agents (B,), and whether each episode was flown to the end (B,).

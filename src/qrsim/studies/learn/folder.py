@@ -29,7 +29,7 @@ META, BEST = "checkpoint", "best"
 
 
 def make_folder(folder: Path) -> None:
-    """Create the folder of a training; raises an error if it cannot be used.
+    """Create the folder of a training; raise UsageError if it cannot be used.
 
     Raises:
         UsageError: it cannot be made, or nothing can be written into it.
@@ -41,7 +41,7 @@ def make_folder(folder: Path) -> None:
 
 
 def save(training: Training, folder: Path) -> None:
-    """Write the best policy, the curve and a checkpoint, keeping the previous checkpoint.
+    """Write the best policy, the training curve and a checkpoint to a folder, keeping the previous checkpoint.
 
     Raises:
         UsageError: the folder cannot be written.
@@ -55,7 +55,7 @@ def save(training: Training, folder: Path) -> None:
 
 
 def save_policy(training: Training, folder: Path) -> None:
-    """Write the best policy.
+    """Write the best policy so far to a training's folder.
 
     Raises:
         UsageError: the folder cannot be written.
@@ -75,7 +75,7 @@ def curve_text(curve: list[Tried]) -> str:
 
 
 def restore(training: Training, folder: Path) -> str:
-    """Continue from a folder's last checkpoint, or the previous one if it is damaged; return a note about it.
+    """Set a training to the last checkpoint in its folder, or the one before if damaged; return a note on it.
 
     Returns:
         A warning if the last one is damaged, else "".
@@ -100,7 +100,7 @@ def restore(training: Training, folder: Path) -> str:
 
 
 def _content(training: Training) -> bytes:
-    """Return the bytes of a checkpoint."""
+    """Return the bytes of a checkpoint of the present state of a training."""
     meta = {
         "format": FORMAT,
         "plan": _plan_of(training),
@@ -141,7 +141,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _take(training: Training, arrays: dict[str, Any], meta: dict[str, Any], path: Path) -> None:
-    """Set a training's state to that of a checkpoint.
+    """Set the state of a training to that of a checkpoint; ``meta``: its data other than arrays.
 
     Raises:
         UsageError: parts do not fit.
@@ -167,7 +167,7 @@ def _take(training: Training, arrays: dict[str, Any], meta: dict[str, Any], path
 
 
 def _averaged_of(training: Training, arrays: dict[str, Any], path: Path) -> Any:
-    """Return the running mean of the policies in a checkpoint; None without one.
+    """Return the running mean of policy weights in a checkpoint; None if the training does not average.
 
     Raises:
         UsageError: parts do not fit.
@@ -182,7 +182,7 @@ def _averaged_of(training: Training, arrays: dict[str, Any], path: Path) -> Any:
 
 
 def _plan_of(training: Training) -> dict[str, Any]:
-    """Return the settings that must be equal to continue a training."""
+    """Return those settings of a training that a resumed one must share."""
     plan = training.plan
     return {
         "task": f"{training.view.task} (version {training.view.version})",
@@ -199,7 +199,7 @@ def _plan_of(training: Training) -> dict[str, Any]:
 
 
 def _check_plan(kept: dict[str, Any], wanted: dict[str, Any], folder: Path) -> None:
-    """Raise UsageError if a checkpoint belongs to a training with other settings.
+    """Raise UsageError if the settings ``kept`` in a checkpoint differ from those of this training (``wanted``).
 
     Raises:
         UsageError: a value differs.
@@ -212,7 +212,7 @@ def _check_plan(kept: dict[str, Any], wanted: dict[str, Any], folder: Path) -> N
 
 
 def _nearest_folder(folder: Path) -> str:
-    """Return a hint at a folder with a similar name; "" without one."""
+    """Return a "did you mean" hint with the most similar folder name; "" if none is similar."""
     parent = folder.parent
     return (
         did_you_mean(folder.name, [each.name for each in parent.iterdir() if each.is_dir()]) if parent.is_dir() else ""

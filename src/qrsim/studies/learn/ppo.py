@@ -112,7 +112,7 @@ class Rows(NamedTuple):
 
 
 def _layers(key: Array, sizes: tuple[int, ...], last: float) -> list[tuple[Array, Array]]:
-    """Return orthogonally initialised layers of a network, with gain ``last`` in the last layer."""
+    """Return initial layers (weights, offset) for ``sizes``, orthogonal, with gain ``last`` in the last layer."""
     keys = jax.random.split(key, len(sizes) - 1)
     gains = [2.0**0.5] * (len(sizes) - 2) + [last]
     return [
@@ -122,7 +122,7 @@ def _layers(key: Array, sizes: tuple[int, ...], last: float) -> list[tuple[Array
 
 
 def network(layers: Any, inputs: Array) -> Array:
-    """Return the outputs (N, K) of a network with tanh between its layers, for inputs (N, F)."""
+    """Return the outputs (N, K) of a network of ``layers`` with tanh between them, for inputs (N, F)."""
     for weights, offset in layers[:-1]:
         inputs = jnp.tanh(inputs @ weights + offset[None])
     found: Array = inputs @ layers[-1][0] + layers[-1][1][None]
@@ -151,7 +151,7 @@ class Algorithm:
         self.improve_value = jax.jit(partial(self._improve, of=("value",)))
 
     def begin(self, seed: int) -> Learner:
-        """Return a learner whose network's outputs are near zero."""
+        """Return initial weights and optimiser state, drawn from a seed; the network's outputs are near zero."""
         policy, value = jax.random.split(jax.random.key(seed))
         hidden, outputs = (self.settings.width, self.settings.width), len(self.view.flown)
         weights = {
@@ -163,14 +163,14 @@ class Algorithm:
             return Learner(weights, self._adam.init(weights))
 
     def orders(self, rng: np.random.Generator, size: int) -> NumpyArray:
-        """Return shuffled indices of ``size`` samples, (epochs, minibatches, M); the remainder is left out."""
+        """Return shuffled indices of ``size`` samples for each pass, (epochs, minibatches, M), without remainder."""
         settings = self.settings
         count = size // settings.minibatches
         each = [rng.permutation(size)[: count * settings.minibatches] for _ in range(settings.epochs)]
         return np.array(each, np.int32).reshape(settings.epochs, settings.minibatches, count)
 
     def _decide(self, weights: Any, scaling: Pair, seen: Array, last: Array, noise: Array) -> Decision:
-        """Return the decision for observations (N, O), last outputs (N, K) and normals (N, K)."""
+        """Draw outputs and actions for observations (N, O), remembered values (N, K) and normals (N, outputs)."""
         features = self.view.features(seen, last)
         mean = network(weights["policy"], _scaled(scaling, features))
         outputs = mean + jnp.exp(weights["log_spread"])[None] * noise
@@ -186,7 +186,7 @@ class Algorithm:
         share: Array | None = None,
         of: tuple[str, ...] = ("policy", "value", "log_spread"),
     ) -> tuple[Learner, Array]:
-        """Return the learner after all passes over an iteration's samples, and the last pass's divergence ().
+        """Train on an iteration's samples in minibatches ``orders``; return learner, last pass's mean divergence ().
 
         Args:
             learner: before.
@@ -200,7 +200,7 @@ class Algorithm:
         settings, rows = self.settings, _rows_of(learner.weights, samples, self.settings)
 
         def minibatch(learner: Learner, chosen: Array) -> tuple[Learner, Array]:
-            """Update the learner by one gradient step on a minibatch of samples."""
+            """Update the learner by one gradient step on the samples with the indices ``chosen`` (M,)."""
             part = jax.tree.map(lambda leaf: leaf[chosen], rows)
             slope, divergence = jax.grad(partial(_loss, settings), has_aux=True)(learner.weights, part)
             slope = {name: each if name in of else jax.tree.map(jnp.zeros_like, each) for name, each in slope.items()}
@@ -222,18 +222,18 @@ def usual_promotion() -> Iterator[None]:
 
 
 def _scaled(scaling: Pair, features: Array) -> Array:
-    """Return inputs (..., F) with mean 0 and standard deviation 1."""
+    """Normalise the network's inputs (..., F) by ``scaling`` (mean, standard deviation)."""
     found: Array = Scaling(*scaling).scaled(features.reshape(-1, features.shape[-1])).reshape(features.shape)
     return found
 
 
 def _value(weights: Any, inputs: Array) -> Array:
-    """Return the value network's outputs (...,) for inputs (..., F)."""
+    """Return the expected discounted returns (...) that the value network gives for inputs (..., F)."""
     return network(weights["value"], inputs.reshape(-1, inputs.shape[-1])).reshape(inputs.shape[:-1])
 
 
 def _rows_of(weights: Any, samples: Samples, settings: Settings) -> Rows:
-    """Return an iteration's decisions (T N,), with their advantages."""
+    """Compute advantages and value targets; return an iteration's decisions as rows (T N, ...)."""
     value = _value(weights, samples.inputs)
     after = jnp.where(samples.ended, samples.beyond, value[1:])
     advantage = _advantages(samples.reward, value[:-1], after, samples.ended, settings)
@@ -242,17 +242,17 @@ def _rows_of(weights: Any, samples: Samples, settings: Settings) -> Rows:
 
 
 def _log_density(weights: Any, mean: Array, outputs: Array) -> Array:
-    """Return the log density of outputs (N, K), up to a constant."""
+    """Return the log density (N,) of outputs (N, K) of a Gaussian policy around ``mean``, up to a constant."""
     away = (outputs - mean) * jnp.exp(-weights["log_spread"])[None]
     return -jnp.sum(0.5 * away * away + weights["log_spread"][None], axis=-1)
 
 
 def _advantages(reward: Array, value: Array, after: Array, ended: Array, settings: Settings) -> Array:
-    """Return generalised advantages (T, N); ``after``: values of the states to which the decisions led."""
+    """Return generalised advantages (T, N); ``after``: values of the next states, ``ended``: flags of ends."""
     error = reward + settings.discount * after - value
 
     def back(later: Array, row: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Return the sum of temporal-difference errors, discounted, one step further back in the same episode."""
+        """Return a row's discounted sum of temporal-difference errors, with ``later`` ones of the same episode."""
         error, ended = row
         now = error + jnp.where(ended, 0.0, settings.discount * settings.trace) * later
         return now, now
@@ -261,7 +261,7 @@ def _advantages(reward: Array, value: Array, after: Array, ended: Array, setting
 
 
 def _loss(settings: Settings, weights: Any, rows: Rows) -> tuple[Array, Array]:
-    """Return the loss of a minibatch, and the divergence from the old policy."""
+    """Return the PPO loss of a minibatch, and the divergence from the old policy."""
     advantage = (rows.advantage - jnp.mean(rows.advantage)) / (jnp.std(rows.advantage) + 1e-8)
     mean = network(weights["policy"], rows.inputs)
     change = _log_density(weights, mean, rows.outputs) - rows.log_density

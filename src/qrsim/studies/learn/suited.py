@@ -36,7 +36,7 @@ SUITED: dict[type, tuple[Settings, int]] = {
 
 
 def plan_of(task: Any, overrides: tuple[str, ...] = (), envs: int | None = None, **changes: Any) -> Plan:
-    """Return the plan of a training of a task: scenario, sizes and settings.
+    """Return the training plan suited to a task: scenario, number of environments and PPO settings.
 
     Args:
         task, overrides: as of ``Plan``.

@@ -100,7 +100,7 @@ class Tried:
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Sort key of policies: first by the share of an episode that is flown to the end."""
+        """Sort key of policies: share of episodes flown to the end, then mean return."""
         return self.flown_to_the_end, self.mean_return
 
 
@@ -141,7 +141,7 @@ class Training:
         self.curve: list[Tried] = []
 
     def flights_of(self, episodes: int) -> Flights:
-        """Return flights of ``episodes`` parallel episodes, with the learner's inputs and outputs."""
+        """Return B = ``episodes`` parallel episodes with the learner's inputs, outputs and reward."""
         batch = batch_of(self.plan.task, episodes, list(self.plan.overrides), self.view)
         side = self.side_of(batch)
         return Flights(side, self.view, objective_of(side, self.plan.settings.discount))
@@ -159,11 +159,11 @@ class Training:
 
     @property
     def iterations(self) -> int:
-        """Number of iterations in a cycle of the training, enough for an episode to end."""
+        """Number of iterations in a training cycle, enough for an episode to end."""
         return -(-self.flights.batch.functional.play.steps // self.horizon)
 
     def cycles(self, told: Callable[[int], None] = lambda steps: None) -> Iterator[Tried]:
-        """Train, and yield a row after each cycle.
+        """Train, and yield a row of the training curve after each cycle; ``told`` is called with the decisions so far.
 
         Args:
             told: is called with the decisions so far.
@@ -232,7 +232,7 @@ class Training:
         self.learner = self.learner._replace(weights=self.learner.weights | {"policy": layers})
 
     def _average(self) -> None:
-        """Add the present policy to the running mean, if the settings want one."""
+        """Add the present weights to the running mean of policies, if the settings want one."""
         share = np.float32(1.0 - self.plan.settings.averaged)
         if share == 1.0:
             return
@@ -241,7 +241,7 @@ class Training:
         self.averaged = jax.tree.map(lambda old, new: old + share * (new - old), before, last)
 
     def _finite(self, divergence: float) -> float:
-        """Return the divergence unchanged; raises RunError unless it is finite.
+        """Return the divergence of an iteration unchanged; raise RunError if it is not finite.
 
         Raises:
             RunError: it is not finite, and so are the weights.
@@ -251,7 +251,7 @@ class Training:
         return divergence
 
     def keep_untried(self) -> bool:
-        """Store the present policy if training was interrupted before any was tried; return whether it did."""
+        """Keep the present policy if the training was interrupted before any was tried; return whether it was kept."""
         if self.best is not None or not self.steps:
             return False
         unknown = float("nan")
@@ -259,7 +259,7 @@ class Training:
         return True
 
     def _fly(self, rng: np.random.Generator) -> Samples:
-        """Fly an iteration and return its samples; ``scaling`` is then theirs, and the moments include them."""
+        """Fly an iteration and return its samples; sets ``scaling`` for them, and adds them to ``moments``."""
         flights, weights = self.flights, self.learner.weights
         self.scaling = self.moments.scaling()
         noise = rng.standard_normal((self.horizon, flights.rows, len(self.view.flown)), np.float32)
@@ -287,11 +287,11 @@ class Training:
 
     @property
     def _pair(self) -> Pair:
-        """Mean and standard deviation of the inputs, for compiled functions."""
+        """Mean and standard deviation of the network's inputs (F,), for compiled functions."""
         return self.scaling.mean, self.scaling.deviation
 
     def _policy(self) -> PolicyFile:
-        """Return the present policy as a ``PolicyFile``."""
+        """Return the present policy, or the running mean of policies, as a ``PolicyFile``."""
         found = self.learner.weights["policy"] if self.averaged is None else self.averaged
         layers = tuple((np.array(weights), np.array(offset)) for weights, offset in found)
         facts = {"seed": self.plan.seed, "steps": self.steps, "overrides": list(self.plan.overrides)}

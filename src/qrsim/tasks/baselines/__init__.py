@@ -67,12 +67,12 @@ class Baseline(Protocol):
     """Policy of the agents of an episode."""
 
     def act(self, seen: object) -> Any:
-        """Return the actions (n, A) in [-1, 1]; of several fleets by fleet."""
+        """Return the actions (n, A) in [-1, 1] for the agents' observations; fleet -> actions for several fleets."""
         ...
 
 
 def baseline(play: Play, seed: int = 0) -> Baseline:
-    """Return the baseline of a task for one episode; ``seed`` is for its own randomness.
+    """Return a task's built-in reference policy for one episode; ``seed``: of the policy's own random numbers.
 
     Raises:
         UsageError: the task has none.
@@ -94,7 +94,7 @@ def baseline(play: Play, seed: int = 0) -> Baseline:
 
 
 def oracle(play: Play, seed: int = 0) -> Baseline:
-    """Return the task's policy that knows the truth; call ``know(state)`` before every ``act``.
+    """Return a task's policy that acts on the true state; call ``know(state)`` before every ``act``.
 
     Raises:
         UsageError: the task has none.
@@ -149,21 +149,21 @@ class BaselinePolicy:
         return given
 
     def answer(self) -> NumpyArray | None:
-        """Return the agents' answers (n, ...) at the end of an episode; None for a task without answers."""
+        """Return the agents' answers (n, ...), such as a plume's map, at the end of an episode; None without any."""
         policy = self._baseline
         return np.asarray(policy.answer(), self._like.dtype) if isinstance(policy, Answering) else None
 
     @property
     def _like(self) -> NumpyArray:
-        """Return a zero of the floating-point type of the world."""
+        """Return a zero of the world's floating-point type."""
         return np.zeros((), np.asarray(self.play.world.fleets[0].start.position_ned.x).dtype)
 
     def _initial_memory(self, state: State) -> object:
-        """Return the task's memory at the start of an episode."""
+        """Return the task's memory (its own state) at the start of an episode."""
         ids = jnp.arange(self.play.task.ids, dtype=jnp.uint32)
         stream = Key.root(self.seed).stream(TASK, ids)
         return self.play.task.init(self.play.world, state, Draw(stream, jnp.int32(0), jnp.asarray(self._like)))
 
     def _observed(self, memory: object, state: State, tick: Array) -> object:
-        """Return the observation of a state at a tick."""
+        """Return what the agents observe of a world's state at a tick."""
         return self.play.observed(memory, state, tick)

@@ -35,7 +35,7 @@ class View(NamedTuple):
 
 
 def view(corners: NumpyArray, grid: NumpyArray, camera: Camera) -> View:
-    """Return the camera's pose of a picture, from the corners of its grid on the ground.
+    """Compute where a camera was from its picture's corners (4, 2) on the ground; ``grid``: rows and columns.
 
     Four points of a plane and the numbers of the camera give its pose (Zhang, IEEE Trans. PAMI 22, 2000, section 3.1).
 
@@ -102,7 +102,7 @@ class Belief:
         self.possible = inside[0][:, None] & inside[1][None, :]
 
     def look(self, ratio: NumpyArray, shown: View, corners: NumpyArray, grid: NumpyArray) -> NumpyArray:
-        """Update the map with a picture by Bayes' rule; return the seen cells' centres (M, 2) [m].
+        """Update the map of persons with a picture's log ratios (Bayes' rule); return seen cells' centres (M, 2) [m].
 
         Returns:
             the middles (M, 2) of the cells in the picture [m].
@@ -129,15 +129,15 @@ class Belief:
         return np.asarray(place[here])
 
     def odds(self, region: tuple[slice, slice]) -> NumpyArray:
-        """Return the log odds of a person in each cell of a region."""
+        """Return the log odds of a person in each map cell of a region (slices of rows and columns)."""
         return np.where(self.possible[region], self.prior + self.evidence[region], LEAST)
 
     def forget(self, point: NumpyArray, distance: float) -> None:
-        """Set the evidence for a person within ``distance`` [m] of a point to its lowest value."""
+        """Rule out a person in the map within ``distance`` [m] of a point (2,), such as one that has been found."""
         self.evidence[self.cells(point - distance, point + distance)] = LEAST
 
     def best(self, point: NumpyArray, distance: float) -> tuple[NumpyArray, float]:
-        """Return the centre (2,) [m] and the log odds of the most likely cell within ``distance`` [m] of a point."""
+        """Return the centre (2,) [m] and log odds of the likeliest map cell within ``distance`` [m] of a point (2,)."""
         region = self.cells(point - distance, point + distance)
         odds = self.odds(region)
         at = np.unravel_index(int(np.argmax(odds)), odds.shape)
@@ -145,7 +145,7 @@ class Belief:
         return self.low + (first + np.array(at) + 0.5) * CELL, float(odds[at])
 
     def suspected(self, above: float, apart: float) -> NumpyArray:
-        """Return the centres (K, 2) [m] of likely cells with log odds above ``above``, at least ``apart`` [m] apart."""
+        """Return centres (K, 2) [m] of map cells with log odds over ``above``, at least ``apart`` [m] apart."""
         odds = self.odds((slice(None), slice(None)))
         cells = np.argwhere(odds > above)
         order = np.argsort(-odds[cells[:, 0], cells[:, 1]], kind="stable")
@@ -156,7 +156,7 @@ class Belief:
         return np.array(kept).reshape(-1, 2)
 
     def cells(self, low: NumpyArray, high: NumpyArray) -> tuple[slice, slice]:
-        """Return the index slices of the cells in a rectangle, at least one."""
+        """Return the slices of map cells in a rectangle between two corners (2,) [m], at least one cell."""
         size = np.array(self.evidence.shape)
         first = np.clip(((low - self.low) / CELL).astype(int), 0, size - 1)
         last = np.clip(((high - self.low) / CELL).astype(int) + 1, first + 1, size)

@@ -106,7 +106,7 @@ class Chasing:
         return NEAREST + (FAR - NEAREST) * part, np.maximum(room, ROOM * length)
 
     def _way(self, mouse: NumpyArray) -> NumpyArray:
-        """Return the heading (..., 1) [rad] in which the cats should drive the mouse at (..., 1, 2)."""
+        """Return the heading (..., 1) [rad] in which to drive the mouse at (..., 1, 2) [m], to stay near the middle."""
         offset = mouse - self._middle
         distance = np.linalg.norm(offset, axis=-1)
         outward = np.arctan2(offset[..., 1], offset[..., 0])
@@ -127,5 +127,5 @@ class Chasing:
 
 
 def _wrap_angle(angle: Any) -> Any:
-    """Return an angle [rad] in the interval from -pi to pi."""
+    """Return an angle [rad] wrapped to the interval from -pi to pi."""
     return (angle + np.pi) % (2.0 * np.pi) - np.pi

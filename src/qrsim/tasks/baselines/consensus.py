@@ -27,7 +27,7 @@ class Consensus:
         self._limit = float(play.axes[0].high)
 
     def act(self, seen: Floats) -> Floats:
-        """Return the actions (n, 3) for observations (n, 9 + 8 n)."""
+        """Return actions (n, 3), scaled velocities NED that keep the formation, for observations (n, 9 + 8 n)."""
         others = np.asarray(seen, np.float64)[:, 9:].reshape(len(seen), -1, OTHER)
         to_place, velocity, heard = others[..., :3], others[..., 3:6], others[..., 7]
         mates = heard[:, 1:].sum(axis=1)

@@ -35,7 +35,7 @@ class Coverage:
         self._seen = np.zeros(shape)
 
     def evidence(self, distance: float) -> float:
-        """Return the expected evidence [nat] of a window with a person at a distance [m] (Kullback-Leibler)."""
+        """Return the expected evidence [nat] (Kullback-Leibler) of a picture cell with a person at a distance [m]."""
         ground = np.int32(CLEAR)
         (mean, std), (other, wide) = (
             [float(part) for part in model(np.float64(distance), ground)]  # type: ignore[arg-type]
@@ -44,16 +44,16 @@ class Coverage:
         return float(np.log(wide / std) - 0.5 + (std**2 + (mean - other) ** 2) / (2.0 * wide**2))
 
     def look(self, places: NumpyArray, distance: float) -> None:
-        """Add the evidence of a picture that showed places (M, 2) from a distance [m]."""
+        """Add to the map the evidence of a picture of the ground at places (M, 2) [m] from a distance [m]."""
         index = np.unique(((places - self._low) / SECTOR).astype(int), axis=0)
         self._seen[index[:, 0], index[:, 1]] += WINDOWS * self.evidence(distance)
 
     def left(self) -> NumpyArray:
-        """Return the share, 0 to 1, of the wanted evidence that each sector of the grid still lacks."""
+        """Return for each sector of the area the share, 0 to 1, of the required evidence that is still missing."""
         return np.where(self._wanted, np.clip(1.0 - self._seen / ENOUGH, 0.0, 1.0), 0.0)
 
     def heading(self, i: int, places: NumpyArray, velocity: NumpyArray, swath: float, yaw: float) -> NumpyArray:
-        """Return the unit direction (2,) in which a vehicle gains most missing evidence per time; 0 if none is missing.
+        """Return the unit vector (2,) in which vehicle ``i`` gains missing evidence fastest; 0 if none is missing.
 
         Args:
             i: which of the vehicles.

@@ -59,12 +59,12 @@ class Ellipsoids:
         self._guesses = self._like(self._prior, np.diag(self._doubt.ravel() ** 2))
 
     def measured(self, points: NumpyArray, values: NumpyArray) -> None:
-        """Fit the guesses to all measurements so far: values (M,) at points (M, 3) [m]."""
+        """Fit the guesses of the plume to all concentrations measured so far, values (M,) at points (M, 3) [m]."""
         loud = np.argsort(-np.abs(values), kind="stable")[:MOST_POINTS]
         points, values = points[loud], values[loud]
 
         def error(flat: NumpyArray) -> NumpyArray:
-            """Return the scaled errors of measurements and prior for flattened parameters."""
+            """Return the normalised residuals of measurements and prior for flattened plume parameters."""
             gaussians = flat.reshape(self._prior.shape)
             wrong = (self._field(gaussians[None], points)[0] - values) / self._white
             return np.concatenate([wrong, ((gaussians - self._prior) / self._doubt).ravel()])
@@ -82,15 +82,15 @@ class Ellipsoids:
         self._guesses = self._like(self._best, np.linalg.inv(best.jac.T @ best.jac))
 
     def concentration(self, points: NumpyArray) -> NumpyArray:
-        """Return the concentration (G, P) at points (P, 3) that each guess expects."""
+        """Return the concentration (G, P) that each of the G guesses of the plume gives at points (P, 3) NED [m]."""
         return self._field(self._guesses, np.asarray(points, float))
 
     def variance(self, mean: NumpyArray, seconds: NumpyArray | float) -> NumpyArray:
-        """Return the variance of measurements averaged over ``seconds`` with the expectation ``mean``."""
+        """Return the variance of a concentration measured over ``seconds`` [s], for an expected value ``mean``."""
         return np.asarray(self._white**2 / seconds + RELATIVE**2 * mean * mean)
 
     def promising(self, count: int) -> NumpyArray:
-        """Return positions (count, 3) [m] at which guesses expect concentration, good for measuring."""
+        """Return candidate positions (count, 3) NED [m] to measure at, where guesses expect the plume."""
         random = self._random
         rows, which = random.integers(0, len(self._guesses), count), random.integers(0, self._prior.shape[0], count)
         gaussian = self._guesses[rows, which]
@@ -100,7 +100,7 @@ class Ellipsoids:
         return np.asarray(gaussian[:, :3] + np.stack([north, east, offset[:, 2]], axis=1))
 
     def _told(self, locations: NumpyArray, count: int) -> tuple[float, NumpyArray, NumpyArray]:
-        """Return the misfit of ``count`` ellipsoids to locations, their Gaussians (K, 7), and the errors of these."""
+        """Fit ``count`` Gaussians to locations in the plume; return misfit, their numbers (K, 7), standard errors."""
         middle = np.broadcast_to(0.5 * (self._low + self._high), (count, NUMBERS)).copy()
         doubt = np.broadcast_to(0.5 * (self._high - self._low), (count, NUMBERS)).copy()
         if len(locations) < count:
@@ -129,12 +129,12 @@ class Ellipsoids:
         return cost, middle, doubt
 
     def _like(self, best: NumpyArray, covariance: NumpyArray) -> NumpyArray:
-        """Draw guesses (G, K, 7) around the best one (K, 7), by its covariance."""
+        """Draw guesses (G, K, 7) of the plume's Gaussians from a normal around ``best`` (K, 7) with this covariance."""
         drawn = self._random.multivariate_normal(best.ravel(), covariance, GUESSES, check_valid="ignore", method="eigh")
         return np.asarray(np.clip(drawn.reshape(GUESSES, *best.shape), self._low, self._high))
 
     def _field(self, gaussians: NumpyArray, points: NumpyArray) -> NumpyArray:
-        """Return the concentration (G, P) of Gaussians (G, K, 7) at points (P, 3)."""
+        """Return the concentration (G, P) at points (P, 3) NED [m] of the sum of Gaussians (G, K, 7) in each guess."""
         north, east, down = (points[:, i] - gaussians[..., i, None] for i in range(3))
         sine, cosine = np.sin(gaussians[..., 6, None]), np.cos(gaussians[..., 6, None])
         first, second, third = np.moveaxis(np.exp(-gaussians[..., 3:6, None]), -2, 0)

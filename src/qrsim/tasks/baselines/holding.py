@@ -38,7 +38,7 @@ class Holding:
         self._steps = 0
 
     def act(self, seen: Floats) -> Floats:
-        """Return the actions (n, 5) for observations (n, 12): position, velocity, attitude, offset to the goal."""
+        """Return actions (n, 5) that fly to the goal, for observations (n, 12): estimated state, offset to the goal."""
         position, velocity, yaw, offset = seen[:, :3], seen[:, 3:6], seen[:, 8], seen[:, 9:12]
         wanted = np.zeros_like(velocity)
         if self._by_velocity:

@@ -34,18 +34,18 @@ class Fit(Protocol):
     """Guesses (G,) of an episode's plume, about equally likely."""
 
     def measured(self, points: NumpyArray, values: NumpyArray) -> None:
-        """Fit the guesses to all measurements so far: values (M,) at points (M, 3) [m]."""
+        """Fit the guesses of the plume to all concentrations measured so far, values (M,) at points (M, 3) [m]."""
 
     def concentration(self, points: NumpyArray) -> NumpyArray:
-        """Return the mean concentration (G, P) that each guess expects at points (P, 3)."""
+        """Return the mean concentration (G, P) that each of the G plume guesses gives at points (P, 3) NED [m]."""
         ...
 
     def variance(self, mean: NumpyArray, seconds: NumpyArray | float) -> NumpyArray:
-        """Return the variance of measurements averaged over ``seconds`` with the expectation ``mean``."""
+        """Return the variance of a concentration measured over ``seconds`` [s], for an expected value ``mean``."""
         ...
 
     def promising(self, count: int) -> NumpyArray:
-        """Return positions (count, 3) [m] at which guesses expect concentration, good for measuring."""
+        """Return candidate positions (count, 3) NED [m] to measure at, where guesses expect the plume."""
         ...
 
 
@@ -73,7 +73,7 @@ class Mapping:
         self._limit = float(play.axes[0].high)
 
     def act(self, seen: dict[str, NumpyArray]) -> NumpyArray:
-        """Return the actions (n, 3), velocities towards places to measure at."""
+        """Return actions (n, 3), scaled velocities towards places where measurements tell most about the plume."""
         vehicle = np.asarray(seen["vehicle"], np.float64)
         place, velocity = vehicle[:, :3], vehicle[:, 3:6]
         if self._fit is None:
@@ -95,7 +95,7 @@ class Mapping:
         return np.clip((self._asked + self._drift) / self._limit, -1.0, 1.0)
 
     def answer(self) -> NumpyArray:
-        """Return each agent's answer: the expected mean, or samples of puffs."""
+        """Return each agent's answer at the end: expected concentrations at the locations, or samples for puffs."""
         self._update_fit()
         assert self._fit is not None
         shape = self._play.task.answer_shape(self._play.world)
@@ -109,7 +109,7 @@ class Mapping:
         return np.broadcast_to(found, (len(self._play.agents), *shape)).copy()
 
     def _begun(self) -> Fit:
-        """Return the first fit, to the locations where the plume is known to be."""
+        """Return the first fit of the plume, from locations that are known to be in it."""
         play, task = self._play, cast(PlumeMapping, self._play.task)
         fleet = play.world.fleets[number_of(play.world, play.task.fleet)]
         sensor = fleet.sensors[fleet.sensor_names.index(task.sensor)]
@@ -120,12 +120,12 @@ class Mapping:
         return Particles(WindPlume.of(play), white, told, self._random)
 
     def _update_fit(self) -> None:
-        """Refit the plume to all measurements."""
+        """Refit the plume to all measurements of concentration so far."""
         assert self._fit is not None
         self._fit.measured(np.concatenate(self._points), np.concatenate(self._values))
 
     def _targets(self, place: NumpyArray) -> NumpyArray:
-        """Return each vehicle's next position to measure at: the best of several, none near another's."""
+        """Return each vehicle's next position (n, 3) to measure at: the best of several, none near another's."""
         assert self._fit is not None
         places = np.clip(self._fit.promising(CANDIDATES), self._low, self._high)
         there, asked = self._fit.concentration(places), self._fit.concentration(self._locations)

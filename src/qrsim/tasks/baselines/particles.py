@@ -60,27 +60,27 @@ class Guess:
 
     @property
     def rates(self) -> NumpyArray:
-        """Rates (N, S), 0 for missing sources."""
+        """Release rates (N, S) of the particles' sources, 0 for missing sources."""
         return np.where(self.there, np.exp(self.rate), np.zeros_like(self.rate))
 
     @property
     def bearings(self) -> NumpyArray:
-        """Bearings (N, S), the same for all sources of a particle."""
+        """Wind bearings (N, S) [rad], the same for all sources of a particle."""
         return np.broadcast_to(self.bearing[:, None], self.rate.shape)
 
     def picked(self, rows: NumpyArray) -> Guess:
-        """Return the particles with the given indices."""
+        """Return the particles with these indices."""
         return Guess(**{name: value[rows] for name, value in vars(self).items()})
 
     def copy(self) -> Guess:
-        """Return a mutable copy."""
+        """Return a copy of all particles that can be changed."""
         return Guess(**{name: value.copy() for name, value in vars(self).items()})
 
     def where(self, taken: NumpyArray, other: Guess) -> Guess:
-        """Replace the particles selected by the mask ``taken`` (N,) by those of another guess, in place."""
+        """Return these particles, those selected by the mask ``taken`` (N,) replaced with another guess's."""
 
         def either(own: NumpyArray, others: NumpyArray) -> NumpyArray:
-            """Return the rows of others where they are taken, else the own rows."""
+            """Return the rows of ``others`` selected by the mask ``taken``, else those of ``own``."""
             return np.where(taken.reshape(-1, *[1] * (own.ndim - 1)), others, own)
 
         return Guess(**{name: either(value, getattr(other, name)) for name, value in vars(self).items()})
@@ -111,7 +111,7 @@ class Particles:
             self._search()
 
     def measured(self, points: NumpyArray, values: NumpyArray) -> None:
-        """Update with all measurements so far, at most once a second: values (M,) at points (M, 3) [m]."""
+        """Update the particles with all measurements so far, at most once a second: values (M,) at (M, 3) [m]."""
         cells, which = np.unique(np.floor(points / CELL).astype(int), axis=0, return_inverse=True)
         which, count = which.ravel(), len(cells)
         seconds = np.bincount(which, minlength=count).astype(float)
@@ -127,18 +127,18 @@ class Particles:
             self._sweep()
 
     def concentration(self, points: NumpyArray) -> NumpyArray:
-        """Return the mean concentration (N, P) over time that each particle expects at points (P, 3)."""
+        """Return the time-averaged concentration (N, P) that each particle gives at points (P, 3) NED [m]."""
         unit = self.plume.unit(self.guess.place, self.guess.bearings, np.asarray(points, np.float32))
         return self.plume.mean_rate * _summed(self.guess.rates, unit)
 
     def variance(self, mean: NumpyArray, seconds: NumpyArray | float) -> NumpyArray:
-        """Return the variance of measurements averaged over ``seconds`` with the expectation ``mean``."""
+        """Return the variance of a concentration measured over ``seconds`` [s], for an expected value ``mean``."""
         # Puffs take some time to pass, so the first seconds say little more than one.
         relative = RELATIVE**2 + self.plume.restless / (np.asarray(seconds) + 3.0)
         return np.asarray(self._white**2 / seconds + relative * mean * mean)
 
     def promising(self, count: int) -> NumpyArray:
-        """Return positions (count, 3) [m] at which particles expect concentration, good for measuring."""
+        """Return candidate positions (count, 3) NED [m] to measure at, where particles expect the plume."""
         random, guess = self._random, self.guess
         rows = random.integers(0, len(guess.bearing), count)
         slot = np.argmax(guess.there[rows] + random.uniform(size=(count, guess.there.shape[1])), axis=1)
@@ -155,7 +155,7 @@ class Particles:
         )
 
     def _begun(self, count: int) -> Guess:
-        """Return ``count`` initial particles: sources upwind of measured locations, and winds that pass several."""
+        """Draw ``count`` first particles: sources upwind of the known locations, and winds that line several up."""
         plume, random = self.plume, self._random
         shape = count, plume.most
         guess = Guess(
@@ -174,7 +174,7 @@ class Particles:
         return guess
 
     def _bearings(self, count: int) -> NumpyArray:
-        """Draw wind bearings (N,), preferring those along which many locations line up."""
+        """Draw wind bearings (N,) [rad], preferring those along which many known locations line up."""
         random = self._random
         if len(self._locations) < 2:
             return random.uniform(-np.pi, np.pi, count).astype(np.float32)
@@ -189,12 +189,12 @@ class Particles:
         return np.asarray(turned, np.float32)
 
     def _random_rates(self, shape: int | tuple[int, ...]) -> NumpyArray:
-        """Draw logarithms of source rates of the given shape."""
+        """Draw logarithms of source release rates, an array of this shape."""
         low, high = np.log(self.plume.rates)
         return np.asarray(self._random.uniform(low, high, shape), np.float32)
 
     def _new_places(self, guess: Guess) -> NumpyArray:
-        """Draw positions (N, 3) of new sources: upwind of a location outside all tubes, or anywhere.
+        """Draw positions (N, 3) NED [m] of new sources: upwind of a location that no plume explains, or anywhere.
 
         Where nobody tells locations, upwind of where something was smelt.
         """
@@ -217,18 +217,18 @@ class Particles:
         return np.clip(places, *self._inner).astype(np.float32)
 
     def _least(self, guess: Guess) -> NumpyArray:
-        """Return each particle's concentration threshold (N,) that locations exceed."""
+        """Return for each particle the concentration (N,) that the known locations must exceed."""
         smallest = np.where(guess.there, guess.rate, np.inf).min(axis=1)
         return np.asarray(self.plume.threshold * np.exp(smallest), np.float32)
 
     def _weigh(self, guess: Guess, which: NumpyArray) -> None:
-        """Recompute the tubes' volumes (N, S) of the selected particles."""
+        """Recompute the volumes (N, S) of the plumes of the selected particles (``which``)."""
         which = which & guess.there
         least = self._least(guess)[:, None] / np.exp(guess.rate)
         guess.volume[which] = self.plume.volume(guess.place[which], guess.bearings[which], least[which])
 
     def _likelihood(self, guess: Guess) -> NumpyArray:
-        """Return the log of the posterior density (N,), up to a constant."""
+        """Return the log posterior density (N,) of each particle, up to a constant."""
         rates = guess.rates
         total = np.where(guess.there, guess.rate, 0.0).sum(axis=1) - PER_SOURCE * guess.there.sum(axis=1)
         if len(self._locations):
@@ -245,14 +245,14 @@ class Particles:
         return np.asarray(np.where(self._possible(guess), total, -np.inf), np.float64)
 
     def _possible(self, guess: Guess) -> NumpyArray:
-        """Return whether all sources of each particle (N,) have allowed places and rates."""
+        """Return whether all sources of each particle have allowed positions and rates, (N,) bool."""
         low, high = np.log(self.plume.rates)
         inside = np.all((guess.place >= self._inner[0]) & (guess.place <= self._inner[1]), axis=2)
         inside &= (guess.rate >= low - 1e-5) & (guess.rate <= high + 1e-5)
         return np.all(inside | ~guess.there, axis=1)
 
     def _search(self) -> None:
-        """Fit tubes to the locations, with soft edges at first so that small steps improve the fit."""
+        """Fit the particles' plumes to the known locations, with soft edges at first so that small steps help."""
         for softness in SOFTNESS:
             self._softness = softness
             self._drawn_anew(SEARCHERS)
@@ -261,7 +261,7 @@ class Particles:
         self._drawn_anew(self._count)
 
     def _drawn_anew(self, count: int) -> None:
-        """Resample the particles by the change of their likelihood since the last time."""
+        """Resample ``count`` particles, weighted by how their likelihood has changed since the last resampling."""
         likely = self._likelihood(self.guess)
         gain = likely - self._likely
         weight = np.exp(np.maximum(gain - gain.max(), -50.0))
@@ -274,21 +274,21 @@ class Particles:
         self.guess, self._likely = self.guess.picked(rows), likely[rows]
 
     def _sweep(self) -> None:
-        """Propose small changes to every particle, with a source added or removed in some."""
+        """Propose and accept small changes of every particle, with a source added or removed in some."""
         for _ in range(self.plume.most):
             self._accept_moves(self._shifted())
         self._accept_moves(self._turned())
         self._accept_moves(self._replaced())
 
     def _accept_moves(self, proposed: Guess) -> None:
-        """Accept proposed particles by the Metropolis rule."""
+        """Accept or reject each proposed particle by the Metropolis rule."""
         likely = self._likelihood(proposed)
         taken = np.log(self._random.uniform(1e-30, 1.0, len(likely))) < likely - self._likely
         self.guess = self.guess.where(taken, proposed)
         self._likely = np.where(taken, likely, self._likely)
 
     def _changed(self, slot: NumpyArray, place: NumpyArray, rate: NumpyArray, there: NumpyArray) -> Guess:
-        """Return the particles with the source in slot (N,) changed."""
+        """Return the particles with source number ``slot`` (N,) set to this position, rate and existence."""
         old, new = self.guess, self.guess.copy()
         which = np.arange(len(slot)), slot
         new.place[which], new.rate[which], new.there[which] = place, rate, there
@@ -301,12 +301,12 @@ class Particles:
         return new
 
     def _any_slot(self) -> NumpyArray:
-        """Return a random existing source's index for each particle."""
+        """Return the index of a random existing source of each particle, (N,)."""
         there = self.guess.there
         return np.argmax(there + self._random.uniform(size=there.shape), axis=1)
 
     def _shifted(self) -> Guess:
-        """Propose particles with one source moved."""
+        """Propose particles with one source moved at random."""
         slot, random, old = self._any_slot(), self._random, self.guess
         which = np.arange(len(slot)), slot
         # Each number has a size of step of its own: a long way along the wind goes with a short one across it.
@@ -327,7 +327,7 @@ class Particles:
         return self._changed(np.where(more, np.argmin(old.there, axis=1), slot), self._new_places(old), rate, ~less)
 
     def _turned(self) -> Guess:
-        """Propose particles with another wind bearing, and sources turned about their plumes' centres."""
+        """Propose particles with another wind bearing, their sources turned about the centres of their plumes."""
         old, random, plume = self.guess, self._random, self.plume
         turn = TURN * 10.0 ** random.uniform(-2.0, 0.5, len(old.bearing)) * random.normal(size=len(old.bearing))
         new = old.copy()
@@ -342,5 +342,5 @@ class Particles:
 
 
 def _summed(rates: NumpyArray, unit: NumpyArray) -> NumpyArray:
-    """Sum the concentration (N, P) of all sources (N, S), from that of each at rate 1 (N, S, P)."""
+    """Return the total concentration (N, P) of sources with rates (N, S), from theirs at rate 1 (N, S, P)."""
     return np.einsum("ns,nsp->np", rates, unit)

@@ -14,7 +14,7 @@ from qrsim.tasks.baselines.tubes import WindPlume
 def puff_samples(
     known: WindPlume, puffs: PuffPlume, guess: Guess, points: NumpyArray, random: np.random.Generator
 ) -> NumpyArray:
-    """Sample concentrations (P, N) at points (P, 3) [m], one instant per particle of a guess.
+    """Draw concentrations (P, N) at points (P, 3) NED [m]: a random moment of the puffs of each particle of ``guess``.
 
     Releases are independent of each other, so those in the air at a moment are a random number of random ages.
     """

@@ -49,7 +49,7 @@ class Searching:
         self._place: NumpyArray | None = None
 
     def act(self, seen: dict[str, NumpyArray]) -> NumpyArray:
-        """Return the actions (n, 3) of the search for observations."""
+        """Return actions (n, 3), scaled velocities NED, of a team that searches for persons."""
         place = np.asarray(seen["vehicle"][:, :3], np.float64).copy()
         for i in range(len(place)):
             if int(seen["grid"][i][0]):
@@ -66,7 +66,7 @@ class Searching:
         return np.clip(over_ground(wanted + apart(place, SEPARATION), place) / self._limit, -1.0, 1.0)
 
     def _look(self, ratio: NumpyArray, corners: NumpyArray, grid: NumpyArray) -> NumpyArray:
-        """Add a picture to the maps of belief and coverage; return the camera's position (3,) [m]."""
+        """Add a picture (log ratios, corners on the ground) to both maps; return the camera's position (3,) NED [m]."""
         corners = np.asarray(corners, np.float64)
         shown = view(corners, grid, self._belief.camera)
         places = self._belief.look(ratio, shown, corners, grid)
@@ -75,7 +75,7 @@ class Searching:
         return shown.place
 
     def _follow(self, i: int, here: NumpyArray, velocity: NumpyArray) -> None:
-        """Update the target of a visit, or end the visit: confirmed, no longer likely, or out of patience."""
+        """Update the suspected person that vehicle ``i`` at ``here`` visits; drop it if found, unlikely or too slow."""
         target, odds = self._belief.best(self._target[i], 1.5)
         near = float(np.linalg.norm(self._target[i] - here[:2])) < NEAR + 1.0 and -here[2] < HEIGHT + 1.0
         self._waited[i] += near
@@ -87,7 +87,7 @@ class Searching:
             self._target[i] = target
 
     def _assign(self, place: NumpyArray) -> None:
-        """Assign suspected persons to vehicles as tours; surveys go on while these leave time."""
+        """Assign suspected persons to vehicles as tours; vehicles survey on while the tours leave time."""
         suspected = self._belief.suspected(LIKELY, APART)
         if not len(suspected):
             self._target[:] = np.nan
@@ -108,7 +108,7 @@ class Searching:
                 self._waited[i] = self._rested[i] = 0
 
     def _steer(self, i: int, place: NumpyArray, velocity: NumpyArray, yaw: float) -> NumpyArray:
-        """Return the commanded velocity NED [m/s] of vehicle ``i``."""
+        """Return the velocity NED (3,) [m/s] to command to vehicle ``i``, to visit a person or to survey."""
         here = place[i]
         if np.isfinite(self._target[i, 0]):
             distance = float(np.linalg.norm(self._target[i] - here[:2]))

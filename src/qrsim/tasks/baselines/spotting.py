@@ -35,7 +35,7 @@ class Spotting:
         self._next = np.arange(len(play.agents)) % len(CORNERS)
 
     def act(self, seen: Floats) -> Floats:
-        """Return the actions (n, 3) for observations (n, 12)."""
+        """Return actions (n, 3), scaled velocities NED, to likely persons or around the area, for ``seen`` (n, 12)."""
         seen = np.asarray(seen, np.float64)
         place, to_window = seen[:, :3], seen[:, 9:11]
         wanted = np.stack(
@@ -48,7 +48,7 @@ class Spotting:
         return found
 
     def _on_pattern(self, number: int, here: NumpyArray) -> NumpyArray:
-        """Return the velocity NED (3,) [m/s] of a vehicle towards its next corner, at the height of the pattern."""
+        """Return the velocity NED (3,) [m/s] of vehicle ``number`` at ``here`` (3,) to its next survey corner."""
         if np.linalg.norm(self._corners[self._next[number]] - here[:2]) < REACHED:
             self._next[number] = (self._next[number] + 1) % len(CORNERS)
         return toward(here, self._corners[self._next[number]], self._height)

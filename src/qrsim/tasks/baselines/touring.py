@@ -30,11 +30,11 @@ class Touring:
         self._tours: list[list[int]] | None = None
 
     def know(self, state: object) -> None:
-        """Take the true state of the world at the present step."""
+        """Take the true state of the world, from which the next actions follow."""
         self._state = state
 
     def act(self, seen: object) -> NumpyArray:
-        """Return the actions (n, 3), from the truth alone."""
+        """Return actions (n, 3), scaled velocities NED, that visit the persons at their true positions."""
         model, fleet = fleet_of(self._play.world, self._state, self._play.task.fleet)
         pose = model.vehicle.pose(fleet.vehicle)
         place = np.asarray(pose.position_ned.stack(), np.float64)

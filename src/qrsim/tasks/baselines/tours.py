@@ -10,13 +10,13 @@ ROUNDS = 50
 
 
 def length(start: NumpyArray, points: NumpyArray, order: list[int]) -> float:
-    """Return the length of the tour from ``start`` (2,) through ``points`` (P, 2) in an order, without the way back."""
+    """Return the length of a path from ``start`` (2,) through ``points`` (P, 2) in this order, without return."""
     way = np.concatenate([start[None], points[order]])
     return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
 
 
 def untangled(start: NumpyArray, points: NumpyArray, order: list[int]) -> list[int]:
-    """Return an order that no reversal of a part shortens (2-opt; Croes 1958)."""
+    """Improve an order of visits until no reversal of a part of it shortens the path (2-opt; Croes 1958)."""
     best, shortest = list(order), length(start, points, order)
     for _ in range(ROUNDS):
         tried = [best[:i] + best[i:j][::-1] + best[j:] for i in range(len(best)) for j in range(i + 2, len(best) + 1)]
@@ -29,7 +29,7 @@ def untangled(start: NumpyArray, points: NumpyArray, order: list[int]) -> list[i
 
 
 def tours(starts: NumpyArray, points: NumpyArray, stop: float) -> list[list[int]]:
-    """Return each vehicle's order of visits to its share of the points, with the last tour finished early.
+    """Share points among vehicles so that the longest tour is short; return orders of visits (``stop``: visit's cost).
 
     Args:
         starts: (n, 2) where the vehicles are.

@@ -51,7 +51,7 @@ class WindPlume:
 
     @staticmethod
     def of(play: Play) -> WindPlume:
-        """Return the plume parameters of a task's scenario."""
+        """Return the parameters of the plume in a task's scenario."""
         world, plume = play.world, play.world.contents.plume
         bounds = [[float(getattr(world.area, f"{axis}_{end}")) for axis in "xyz"] for end in ("min", "max")]
         wind = surroundings(world, ContentsState(), jnp.int32(0)).carrying_wind(jnp.float32)
@@ -82,17 +82,17 @@ class WindPlume:
         return self.rates[0] == self.rates[1]
 
     def spread(self, along: NumpyArray) -> NumpyArray:
-        """Return the plume's spread (variance) [m^2] at a distance downwind [m]."""
+        """Return a plume's spread [m^2] at a distance ``along`` [m] downwind: twice the variance along an axis."""
         return np.asarray(2.0 * self.factor * np.exp(self.exponent * np.log(np.maximum(along, 1e-3))))
 
     def along_across(self, place: NumpyArray, bearing: NumpyArray, points: NumpyArray) -> tuple[NumpyArray, NumpyArray]:
-        """Return downwind, crosswind distances (..., P) [m] of points (P, 3) from sources (..., 3) in winds (...)."""
+        """Return downwind, crosswind distances (..., P) [m] of points (P, 3) from sources (..., 3), for winds (...)."""
         sine, cosine = np.sin(bearing)[..., None], np.cos(bearing)[..., None]
         north, east = (points[:, i] - place[..., i, None] for i in range(2))
         return cosine * north + sine * east, cosine * east - sine * north
 
     def unit(self, place: NumpyArray, bearing: NumpyArray, points: NumpyArray) -> NumpyArray:
-        """Return the concentration (..., P) at points (P, 3) of unit sources (..., 3), for wind bearings (...)."""
+        """Return the concentration (..., P) at points (P, 3) of sources (..., 3) of rate 1, for wind bearings (...)."""
         along, across = self.along_across(place, bearing, points)
         spread = self.spread(along)
         height, source = points[:, 2], place[..., 2, None]
@@ -102,14 +102,14 @@ class WindPlume:
         return np.where(along > 0.0, field, np.zeros_like(field))
 
     def reach(self, place: NumpyArray, bearing: NumpyArray) -> NumpyArray:
-        """Return the distance (...) [m] from sources (..., 3) downwind to the edge of the box."""
+        """Return the distance (...) [m] from sources (..., 3) downwind to the edge of the area's box."""
         way = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
         edge = np.where(way > 0.0, self.high[:2], self.low[:2])
         far = (edge - place[..., :2]) / np.where(np.abs(way) < 1e-6, 1e-6, way)
         return np.maximum(far.min(axis=-1), 0.0)
 
     def volume(self, place: NumpyArray, bearing: NumpyArray, least: NumpyArray) -> NumpyArray:
-        """Return the volume (...) [m^3] in the box where sources (..., 3) of rate 1 give more than ``least`` (...).
+        """Return the volume (...) [m^3] of the area in which sources (..., 3) of rate 1 exceed ``least`` (...).
 
         Discs along the wind; what the ground throws back is left out.
         """
@@ -126,7 +126,7 @@ class WindPlume:
         return np.asarray(reach * np.mean(area * self._inside(place, bearing, along, radius), axis=-1))
 
     def _inside(self, place: NumpyArray, bearing: NumpyArray, along: NumpyArray, radius: NumpyArray) -> NumpyArray:
-        """Return the share of cross-wind discs' chords that lies in the box."""
+        """Return the share inside the area's box of the level diameter of a plume's cross-sections (``radius``)."""
         first, last = -radius, radius
         sine, cosine = np.sin(bearing)[..., None], np.cos(bearing)[..., None]
         for i, (way, side) in enumerate(((cosine, -sine), (sine, cosine))):

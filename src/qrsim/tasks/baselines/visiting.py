@@ -33,7 +33,7 @@ def toward(here: NumpyArray, point: NumpyArray, height: float = HEIGHT) -> Numpy
 
 
 def over_ground(velocity: NumpyArray, place: NumpyArray) -> NumpyArray:
-    """Return velocities NED (n, 3) [m/s], limited so that no vehicle at (n, 3) [m] descends into the ground.
+    """Limit velocities NED (n, 3) [m/s] so that no vehicle at ``place`` (n, 3) NED [m] descends into the ground.
 
     One that others above it push away would go there.
     """
