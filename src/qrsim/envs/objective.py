@@ -65,7 +65,7 @@ class Objective(Protocol):
         """Note the state at the start of episodes, of the agents ``ended`` (N,) bool or, for None, of all."""
 
     def reward(self, batch: Batch | OneSide, reward: Floats, terminated: Floats, outputs: Floats) -> Floats:
-        """Return the learner's rewards (N,) for a step; ``reward`` (B, n) is the task's, ``outputs`` the network's."""
+        """Return the learner's rewards, N = B n, from the task's ``reward`` (B, n) of n agents in B episodes."""
 
     def state(self) -> dict[str, Floats]:
         """Return what the reward has learned (statistics) as arrays, for a checkpoint."""

@@ -96,7 +96,7 @@ def _tell(file: str, found: BuildingsFile, default: float) -> None:
 
 
 def _prism(building: Building, height: float, ground: Ground | None) -> object:
-    """Convert a building of a map file to a prism obstacle; its base is at the lowest ground of its corners."""
+    """Return a building of ``height`` [m] as a prism obstacle on the lowest ground of its corners; no ground: on 0."""
     outline, *holes = building.rings
     down = 0.0
     if ground is not None and not ground.at_zero:

@@ -47,7 +47,14 @@ def answer(
 def table_of(
     frame: Frame, waypoints: Sequence[int], stops: Mapping[int, float], exact: bool = True
 ) -> tuple[Floats, list[str]]:
-    """Return a table of vehicles: numbers (9, n), a row per column of ``COLUMNS``, and the texts of their states."""
+    """Return a table of vehicles: numbers (9, n), a row per column of ``COLUMNS``, and the texts of their states.
+
+    Args:
+        frame: at the time shown.
+        waypoints: number of each vehicle's next waypoint.
+        stops: vehicle -> time [s] at which its flight ended.
+        exact: whether these times are known to a tick, or only to a frame.
+    """
     size = len(frame.valid)
     values = np.full((len(COLUMNS), size), np.nan)
     values[:3] = frame.position_ned.T * np.array([[1.0], [1.0], [-1.0]])

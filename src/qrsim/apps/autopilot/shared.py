@@ -103,8 +103,7 @@ def recorded(
     injections: tuple[Injection, ...],
     flown_by: Callable[[Simulation], Flown],
 ) -> Iterator[tuple[Flown, Pace]]:
-    """Fly and record a scenario by the flight that ``flown_by`` makes; yield the closed flight and its pace, then keep
-    the 3-D page open.
+    """In the context, use a finished flight of ``flown_by`` and its pace; after it, keep the 3-D page open.
 
     Args:
         options: of the command.

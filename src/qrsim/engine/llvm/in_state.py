@@ -78,7 +78,7 @@ class InState:
         return node.number in self.made and self._is_movable(node)
 
     def _is_movable(self, node: Node) -> bool:
-        """Return whether a graph node is stored in memory and has no place yet."""
+        """Return whether a graph node's result goes to memory and may be written to a place chosen for it."""
         stored = node.number in self.stored and node.number not in self.short
         fixed = node.op == "reduce" or (node.op in ALONE and node.op not in IN_PLACE)
         return stored and node.number not in self.places and not fixed

@@ -48,7 +48,7 @@ class Neighbours:
         """Emit a barrier of all threads."""
 
     def _parted(self, count: int) -> AbstractContextManager[tuple[str, str] | None]:
-        """Return a context for each thread's part of ``count`` points; it yields begin and end, None for all."""
+        """In the context, emit code for one thread's part of ``count`` points; yield its bounds, or None: all."""
         return nullcontext()
 
     def write(self, node: Node) -> None:

@@ -81,7 +81,7 @@ class BaseStation:
         return BaseState(started, tilts, Vec3(*first), Vec3(survey[0], survey[1], survey[2]))
 
     def step(self, state: BaseState, draw: Draw, dt: float) -> BaseState:
-        """Return the base station's errors dt [s] later, at the next update of the sky (knot); carrier unchanged."""
+        """Return the base station's errors ``dt`` [s] later, but for carrier phase, which ``carried`` advances."""
         code = draw.normal_rows(2, first=_CODE_PAIR)
         tilt = draw.alone(BASE).normal_rows(12, first=_TILT_PAIR)
         process = _unit(_TILT_TIMES, code)

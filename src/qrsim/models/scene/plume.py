@@ -304,7 +304,7 @@ class PuffPlume(Plume):
         return plume.mean(Sources(state.sources.position_ned, rate), position_ned, wind)
 
     def scale(self, state: PuffState) -> Array:
-        """Return the scale () of concentrations: 1."""
+        """Return 1, the scale () of concentrations in a task: puffs have no emission rate to scale by."""
         return jnp.ones((), state.age.dtype)
 
     def _in_box(self, source_ned: Vec3, flown: Array, wind: Wind, area: Any) -> Array:

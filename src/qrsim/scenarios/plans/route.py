@@ -260,7 +260,7 @@ class Route:
         return ""
 
     def _set_home(self, here: float, params: Sequence[object], path: str) -> None:
-        """Set the home that later returns fly to; altitudes still count from the old one."""
+        """Handle DO_SET_HOME: ``here`` 1: the last waypoint, else ``params``; altitudes count from the first home."""
         if here >= 0.5 or _is_placeless(params):
             place: Home | Waypoint = self.waypoints[-1] if self.waypoints else self.home
             found = place.latitude_deg, place.longitude_deg

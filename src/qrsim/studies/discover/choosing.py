@@ -156,7 +156,7 @@ def refined(
     count = len(proposal.constants)
 
     def residual(unknowns: Floats) -> Floats:
-        """Return the errors of the flown windows and the scaled trims, for B sets of K unknowns (K, B)."""
+        """Return residuals (B, R) for B sets of K unknowns (K, B): errors of flown windows, then trims over TRIM."""
         own = dict(zip(names, unknowns[count:], strict=True))
         flown = errors(unknowns[:count], own).reshape(unknowns.shape[1], -1)
         return np.concatenate([flown, unknowns[count:].T / TRIM], axis=1)

@@ -62,7 +62,7 @@ def _unexplained(log: FlightLog, train: float, given: Collection[str]) -> float:
 
 
 def _thrust_misfit(flight: Flight) -> float:
-    """Return the mean square error of thrust predicted by a quadratic of the command, fitted in simulated flight."""
+    """Fit thrust as a quadratic of the command so that simulated flights match; return the mean square error left."""
     tree = polynomial_tree([(0,), (1,), (2,)], "thrust")
     scale = np.std(flight.recorded, axis=(1, 2)) + 1e-9
     (throttle,), thrust = slopes(flight, "thrust")

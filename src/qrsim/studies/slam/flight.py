@@ -181,8 +181,8 @@ def advance(vehicle: Quadrotor, x: Array, commands: Array, air_ned: Array, norma
 
     Args:
         vehicle: its model.
-        x: (13,) state.
-        commands: (K, 5).
+        x: position, attitude, velocity, rates and thrust, as ``unpacked``.
+        commands: (K, 5), the fields of ``Command`` in order.
         air_ned: (K, 3) [m/s].
         normals: (K, 6) standard normals of the process noise.
         time_step: [s].

@@ -77,7 +77,7 @@ def fly_winds(flight: Outdoor) -> Windy:
 
 
 def horizons(flight: Outdoor, wind: Floats) -> dict[str, dict[str, float]]:
-    """Return the rms error [m/s] of the horizontal velocity after some seconds of open-loop flight, by wind."""
+    """Return case of wind -> horizon ("2_s") -> rms error [m/s] of horizontal velocity after open-loop flight."""
     steps = round(max(HORIZONS_S) / DT)
     found: dict[str, dict[str, float]] = {}
     for name, wind_ned in (("still_air", np.zeros(3)), ("fitted_wind", np.array([*wind, 0.0]))):

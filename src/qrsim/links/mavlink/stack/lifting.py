@@ -30,8 +30,7 @@ class Lift:
         self._stood, self._integral = not craft.flies, 0.0
 
     def stands(self, craft: Craft, rises: bool, lands: bool) -> tuple[Order | None, bool] | None:
-        """Return the order on the ground, where ``rises`` asks for take-off, and whether it has landed; None: the
-        vehicle is to fly.
+        """Return, for a vehicle that stays on the ground: its idle order, and whether it has landed; None if it flies.
 
         Args:
             craft: vehicle.

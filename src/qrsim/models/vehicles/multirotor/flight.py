@@ -132,7 +132,7 @@ def at_an_instant(
     noise: ProcessNoise,
     around: Around | None,
 ) -> Vec3:
-    """Return the specific force (n,) [m/s^2] in body axes at an instant, at the present rotor speeds."""
+    """Return the specific force (n,) [m/s^2] in body axes now, not the mean of a step; ``around``: ground and wakes."""
     outside = surroundings(model, state, air_velocity, noise, around)
     model = model.in_density(model.share(state.position_ned))
     return slope_of(model, motion_of(state), state.rotor_speed, outside)[1]
