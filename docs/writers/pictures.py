@@ -73,7 +73,6 @@ OTHERS = {
     "learning_curves.png": "make evidence learn:curves",
     "learning_keep_spot.png": "make evidence training:keep_spot",
     "learning_goto_waypoint.png": "make evidence training:goto_waypoint",
-    "learning_cats_and_mouse.png": "make evidence training:cats_and_mouse",
     "betaflight_identified.png": "make evidence betaflight",
     "estimator_nees.png": "make evidence estimator",
     "gnss_allan.png": "make evidence gnss",
