@@ -96,7 +96,7 @@ def test_a_row_is_cut_in_two_by_a_wall(run: Any) -> None:
     [worst] = [text for _, text in highlights_of([Series(member, member)]) if "radio" in text]
     assert worst == "worst radio link: row_0 to row_4, 100.0% of 10 packets lost"
     # As if the second vehicle had stopped, which ends its speed: that before is told.
-    member.recording.stops = [(SimpleNamespace(time=1.0), 1)]
+    member.recording.stops = [(SimpleNamespace(time=1.0, kind="collision"), 1)]
     truth = run["truth"]
     velocity = truth.arrays([f"velocity_body.{axis}" for axis in "xyz"])
     before = np.linalg.norm([part[49, 1] for part in velocity.values()])
