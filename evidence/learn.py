@@ -25,7 +25,6 @@ from qrsim.envs.one_side import OneSide
 from qrsim.envs.scoring import HOVER, maker
 from qrsim.envs.viewing import batch_of, view_of
 from qrsim.runs.picture import new_figure, save_picture
-from qrsim.studies.learn.flights import Flights
 from qrsim.studies.learn.suited import plan_of
 from qrsim.studies.learn.training import Plan, Training
 from qrsim.tasks.baselines.many import Many
@@ -42,13 +41,11 @@ STEPS = {
     "goto_waypoint": 2_000_000,
     "keep_velocity": 1_200_000,
     "land_on_pad": 2_000_000,
-    PURSUIT: 1_400_000,
+    PURSUIT: 3_000_000,
     "keep_formation": 3_000_000,
     SEARCH: 1_000_000,
 }
 SEEDS = 10
-# What training changes of a task [s].
-SHORTER = {PURSUIT: ("duration=200",)}
 # A mouse that is an agent: decisions, and seeds.
 BOTH, MOUSE_STEPS, MOUSE_SEEDS = "task.mouse=agent", 320_000, 3
 NEAR = 3.0
@@ -84,14 +81,13 @@ def run(full: bool, parts: tuple[str, ...] = PARTS) -> dict[str, Any]:
             found[key(task)] = {"steps": steps, **compared(task)}
         for seed in range(SEEDS):
             if f"{key(task)}_{seed}" in parts:
-                plan = plan_of(task, SHORTER.get(task, ()), seed=seed, steps=steps)
+                plan = plan_of(task, seed=seed, steps=steps)
                 found[f"{key(task)}_seed_{seed}"] = trained(plan, TRIALS)
     if MICE[0] in parts:
         found["mouse"] = {"steps": MOUSE_STEPS, "baseline": fleeing()}
     for seed in range(MOUSE_SEEDS):
         if MICE[1 + seed] in parts:
-            overrides = (*SHORTER[PURSUIT], BOTH)
-            plan = plan_of(PURSUIT, overrides, seed=seed, steps=MOUSE_STEPS, fleet="mice")
+            plan = plan_of(PURSUIT, (BOTH,), seed=seed, steps=MOUSE_STEPS, fleet="mice")
             found[f"mouse_seed_{seed}"] = trained(plan, TRIALS)
     if CURVES in parts:
         known = found if len(parts) > 1 else json.loads(REPORT.read_text("utf-8"))["results"]
@@ -107,15 +103,13 @@ def trained(plan: Plan, trials: int) -> dict[str, Any]:
     wall, processor = time.perf_counter() - wall, time.process_time() - processor
     assert training.best is not None
     policy, _ = training.best
-    whole = [each for each in plan.overrides if each not in SHORTER.get(plan.task, ())]
-    batch = training.side_of(batch_of(plan.task, trials, whole, training.view))
-    flights = Flights(batch, training.view, objective_of(batch, plan.settings.discount))
+    flights = training.flights_of(trials)
     total, alive = flights.fly(lambda seen: forward(policy.layers, policy.scaling.scaled(seen)), np.arange(trials))
     return {
         "decisions": cycles[-1].steps,
         "wall_s": round(wall, 1),
         "processor_s": round(processor, 1),
-        "near": float(np.mean(alive & near(batch))),
+        "near": float(np.mean(alive & near(flights.batch))),
         **summary(total, alive),
         "curve": {f"steps_{row.steps}": round(row.mean_return, 4) for row in cycles},
     }

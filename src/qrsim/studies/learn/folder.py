@@ -187,6 +187,7 @@ def _plan_of(training: Training) -> dict[str, Any]:
     return {
         "task": f"{training.view.task} (version {training.view.version})",
         "set": list(plan.overrides),
+        "shorter": list(plan.shorter),
         "seed": plan.seed,
         "envs": plan.envs,
         "tries": plan.tries,

@@ -21,6 +21,8 @@ STARTED: dict[str, Any] = {"spread": 0.03, "rate": 1e-4, "falling": True}
 STARTED_WIDTH = 48
 # Episodes in which policies are tried: so many that a crash in a hundred is seen.
 STARTED_TRIES = 200
+# Length of the episodes that pursuits are learned in [s]: most crashes come early. Policies are tried in whole ones.
+SHORTER_S = 200.0
 # Noise with which a vehicle near the ground seldom tips over.
 LANDING = Settings(spread=0.4)
 # Decisions of 0.2 s and more: fewer samples, and more passes over them.
@@ -46,11 +48,14 @@ def plan_of(task: Any, overrides: tuple[str, ...] = (), envs: int | None = None,
     Raises:
         UsageError, ScenarioError: there is no such task.
     """
-    kind = Functional.of(task, overrides).play.task
+    play = Functional.of(task, overrides).play
+    kind = play.task
     settings, suited = next((each for task, each in SUITED.items() if isinstance(kind, task)), (Settings(), ENVS))
     if envs is None:
         envs = suited
     fields: dict[str, Any] = {"settings": settings}
+    if isinstance(kind, Pursuit) and play.steps * kind.period > SHORTER_S:
+        fields["shorter"] = (f"duration={SHORTER_S:g}",)
     if isinstance(kind, Pursuit) and not kind.senses:
         fields["start"] = BASELINE
     if (fields | changes).get("start") is not None:

@@ -49,6 +49,7 @@ class Plan:
     Attributes:
         task: scenario, as ``qrsim.load`` takes it.
         overrides: assignments such as "world.wind.speed_20ft=7".
+        shorter: further assignments in the episodes that are learned from; policies are tried without them.
         seed: of the training.
         envs: episodes side by side.
         steps: decisions of all agents, after which it ends.
@@ -64,6 +65,7 @@ class Plan:
 
     task: Any
     overrides: tuple[str, ...] = ()
+    shorter: tuple[str, ...] = ()
     seed: int = 0
     envs: int = 512
     steps: int = 3_000_000
@@ -129,7 +131,7 @@ class Training:
         self._opponent = None if plan.others is None else read_policy(plan.others)
         self.algorithm = Algorithm(self.view, plan.settings)
         use_compilation_cache()
-        self.flights, self.trials = self.flights_of(plan.envs), self.flights_of(plan.tries)
+        self.flights, self.trials = self.flights_of(plan.envs, plan.shorter), self.flights_of(plan.tries)
         self.horizon = max(HORIZON, -(-FEWEST // self.flights.rows))
         self.learner: Learner = self.algorithm.begin(plan.seed)
         # Layers of the running mean of the policies.
@@ -140,9 +142,9 @@ class Training:
         self.best: tuple[PolicyFile, Tried] | None = None
         self.curve: list[Tried] = []
 
-    def flights_of(self, episodes: int) -> Flights:
-        """Return B = ``episodes`` parallel episodes with the learner's inputs, outputs and reward."""
-        batch = batch_of(self.plan.task, episodes, list(self.plan.overrides), self.view)
+    def flights_of(self, episodes: int, more: tuple[str, ...] = ()) -> Flights:
+        """Return B = ``episodes`` parallel episodes as the learner sees them; ``more``: further overrides."""
+        batch = batch_of(self.plan.task, episodes, [*self.plan.overrides, *more], self.view)
         side = self.side_of(batch)
         return Flights(side, self.view, objective_of(side, self.plan.settings.discount))
 
