@@ -33,8 +33,9 @@ def learn(settings: dict[str, Any]) -> dict[str, Any]:
     from stable_baselines3 import PPO
 
     name, seed, scale = (settings[each] for each in ("task", "seed", "scale"))
-    world: Any = gymnasium.make(learner_id(name)) if settings["learner"] else None
-    if world is None:
+    if settings["learner"]:
+        world: Any = gymnasium.make(learner_id(name))
+    else:
         world = gymnasium.wrappers.TransformReward(gymnasium.make(gymnasium_id(name)), lambda reward: scale * reward)
     model = PPO("MlpPolicy", world, seed=seed, device="cpu")
 

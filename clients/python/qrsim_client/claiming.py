@@ -215,7 +215,7 @@ class SharedCalls(ABC):
         return self.inject("world", "wind", speed_20ft=speed, wind_from_deg=from_deg)
 
     def status(self) -> Status:
-        """Return who controls each vehicle, the age of its last order, and the statistics of the pace."""
+        """Return each vehicle's controlling client and the age of its last order, and the statistics of the pace."""
         found = self._call(Message(type=Message.GET_STATUS, get_status=pb.GetStatus()), Message.STATUS).status
         vehicles = {
             each.name: VehicleStatus(

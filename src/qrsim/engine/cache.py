@@ -85,7 +85,7 @@ def _sources(rooms: tuple[str, ...]) -> str:
 
 @lru_cache(maxsize=4)
 def _origin(rooms: tuple[str, ...]) -> dict[str, str]:
-    """Return what cached programs depend on, by name: versions, processor, and digest of the sources in ``rooms``."""
+    """Return the dependencies of cached programs by name: versions, processor, and digest of sources in ``rooms``."""
     versions = {name: version(name) for name in ("jax", "numpy", "llvmlite")}
     return {"sources": _sources(rooms), "machine": machine_name(), **versions}
 

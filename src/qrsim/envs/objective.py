@@ -68,7 +68,7 @@ class Objective(Protocol):
         """Return the learner's rewards, N = B n, from the task's ``reward`` (B, n) of n agents in B episodes."""
 
     def state(self) -> dict[str, Floats]:
-        """Return what the reward has learned (statistics) as arrays, for a checkpoint."""
+        """Return the reward's running statistics as arrays, for a checkpoint."""
 
     def restore(self, state: dict[str, object]) -> None:
         """Restore what ``state`` returned, from a checkpoint."""

@@ -56,7 +56,7 @@ class OneSide:
         self._begin()
 
     def again(self, rows: Floats) -> None:
-        """Start the next episode in environments number ``rows``, each by the series of its own seed."""
+        """Start the next episode in environments number ``rows``, each from the series of its seed."""
         self._batch.again(rows)
         self._begin(rows)
 

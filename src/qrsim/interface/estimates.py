@@ -36,8 +36,7 @@ class EstimateReading(Tabled):
 
 
 def estimate_of(state: FleetState, rows: slice) -> EstimateReading:
-    """Return a fleet's present estimate for the vehicles ``rows``: of its own estimator, else the last that its
-    controller used."""
+    """Return the present estimate of vehicles ``rows``: the estimator's, or the last one that the controller used."""
     return EstimateReading(state.estimate if state.belief is None else state.belief.estimate, rows)
 
 

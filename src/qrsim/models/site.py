@@ -144,7 +144,7 @@ def _frame(latitude: float, longitude: float, height: float) -> tuple[float, ...
 def _ned_to_geodetic(
     north: Float64, east: Float64, down: Float64, latitude: float, longitude: float, height: float, deg: bool
 ) -> Sequence[npt.ArrayLike]:
-    """Return what pymap3d.ned2geodetic returns, bit for bit, in less than half of its time for a few points.
+    """Return the bits of pymap3d.ned2geodetic, for a few points in less than half of its time.
 
     Method of You (2000), doi: 10.1061/(ASCE)0733-9453(2000)126:1(1). Points near the Earth's axis or centre are left to
     pymap3d.

@@ -375,7 +375,7 @@ class Tracer(Indexing):
         return self.graph.node(op, args, squeezed(like.shape), dtype, attributes, invariant=False, uniform=False)
 
     def _region(self, closed: jex.ClosedJaxpr, inputs: list[View]) -> tuple[Region, list[View]]:
-        """Translate the jaxpr ``closed`` of a branch or loop body to a region of its own; return it and its results."""
+        """Translate the jaxpr ``closed`` of a branch or loop body to a separate region; return it and its results."""
         region = self.graph.region = Region(parent=self.graph.region)
         views = self.run(closed.jaxpr, closed.consts, inputs)
         region.results = [view.access() for view in views]

@@ -364,7 +364,7 @@ class Session:
 
 
 def _command_kind(command: object) -> object:
-    """Return what identifies a kind of command: its type, or {fleet: type} for commands by fleet."""
+    """Return the key of a kind of command: its type, or {fleet: type} for commands by fleet."""
     if isinstance(command, Mapping):
         return tuple((name, type(part)) for name, part in command.items())
     return type(command)

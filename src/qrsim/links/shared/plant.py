@@ -277,8 +277,11 @@ class Plant:
 
 
 def checked_silence(does: str, after: float, what: str) -> Silence:
-    """Return what a vehicle does (``does``) after how many seconds of silence (``after``); raises UsageError for bad
-    values."""
+    """Return a checked reaction to silence, ``does``, and the time ``after`` [s] of silence before it.
+
+    Raises:
+        UsageError: one of them is not allowed.
+    """
     if does not in ON_SILENCE:
         hint = did_you_mean(does[:60], ON_SILENCE)
         raise UsageError(f"{what} '{does[:60]}': expected {' or '.join(ON_SILENCE)}{hint}")

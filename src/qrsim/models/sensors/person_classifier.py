@@ -45,7 +45,7 @@ class PersonClassifier:
     clutter_std: Array = parameter(default=0.04, unit="1", doc="without a person: further std on clutter", minimum=0.0)
 
     def close(self, distance: Array) -> Close:
-        """Return what the means of the score are at distances [m] of any shape below ``near``."""
+        """Return the parts of the mean scores that hold at distances [m] below ``near``, of any shape."""
         part = jnp.minimum(self._clipped(distance) / self.near, 1.0)
         _, cosine = sincos(math.pi * (1.0 + part))
         return Close(self.person_mean + self.person_swing * cosine, part)
