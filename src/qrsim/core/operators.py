@@ -3,7 +3,7 @@
 ``a * b`` of two tracers calls a jitted function of ``jax.numpy``. JAX looks up its signature and inlines it, which
 takes two to four times as long as binding the one operation that it becomes. A tick has thousands of them. Here
 operators of arrays of one type, and of an array and a number, bind that operation at once. The traced program is the
-same, except for ``jnp.where``: JAX calls a separate program for each one, and here its operations stand in the main one.
+same, except for ``jnp.where``: JAX calls a separate program for each one, here its operations stand in the main one.
 """
 
 from __future__ import annotations
