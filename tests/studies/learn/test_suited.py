@@ -9,6 +9,7 @@ from qrsim.envs.viewing import view_of
 from qrsim.errors import QrsimError, UsageError
 from qrsim.studies.learn.ppo import Settings
 from qrsim.studies.learn.suited import plan_of
+from qrsim.studies.learn.training import Plan, Training
 
 
 def test_a_task_of_one_vehicle_has_the_defaults() -> None:
@@ -26,11 +27,19 @@ def test_a_pursuit_has_its_own() -> None:
     assert (plan.envs, plan.settings.discount, plan.settings.spread) == (128, 0.97, 0.03)
     # It starts with the baseline, changes it slowly, and sees a crash in a hundred episodes.
     assert (plan.start, plan.settings.rate, plan.settings.falling, plan.tries) == ("baseline", 1e-4, True, 200)
+    # Long episodes are learned in shorter ones.
+    assert plan.shorter == ("duration=200",)
+    assert plan_of("cats_and_mouse/1A", ("duration=200",)).shorter == plan_of("keep_spot").shorter == ()
     begun = plan_of("cats_and_mouse/1A", start=None)
     assert (begun.settings.spread, begun.settings.rate, begun.tries) == (0.3, 1e-3, 64)
     assert plan_of("cats_and_mouse/1A", envs=3).envs == 3
     # Asked for, the settings are those.
     assert plan_of("cats_and_mouse/1A", settings=Settings(rate=0.5)).settings.rate == 0.5
+
+
+def test_policies_are_tried_in_whole_episodes() -> None:
+    training = Training(Plan("keep_spot", ("duration=2",), shorter=("duration=1",), envs=1, tries=2))
+    assert [each.batch.functional.play.steps for each in (training.flights, training.trials)] == [10, 20]
 
 
 def test_slow_decisions_have_fewer_episodes_and_more_passes() -> None:
