@@ -46,6 +46,15 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+def pytest_sessionfinish() -> None:
+    """Collect what is left while there is time for it, and let pytest's own last collection find nothing more.
+
+    It follows the last word of a worker, and xdist sends Ctrl-C to a worker that has not ended five seconds after that.
+    """
+    gc.collect()
+    gc.freeze()
+
+
 DATA_INSTALL_LINE = "run 'qrsim data fetch' and set QRSIM_DATA_DIR to the folder it prints"
 
 # Compiled programs stay in memory as long as JAX keeps them, which over a whole suite are several gigabytes.
