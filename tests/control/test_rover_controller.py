@@ -56,9 +56,8 @@ def test_pure_pursuit_of_a_line_from_three_metres_beside_it() -> None:
     line, circle = np.zeros((2, 3)), np.array([[400.0, 0.0, 0.0], [0.0, -50.0, 0.0]])
 
     def policy(reading: Any) -> Any:
-        return qrsim.TrackSetpoint(
-            qrsim.Vec3(*line.T), qrsim.Vec3(*circle.T), np.array([0.0, -10.0]), np.full(2, 2.5), np.zeros(2)
-        )
+        numbers: list[Any] = [np.array([0.0, -10.0]), np.full(2, 2.5), np.zeros(2)]
+        return qrsim.TrackSetpoint(qrsim.Vec3(*line.T), qrsim.Vec3(*circle.T), *numbers)
 
     flight = qrsim.play(world, {"cars": policy}, ticks=1500, policy_ticks=1500, record_every=10)
     beside_line = flight.position_ned[:, 0, 1]
