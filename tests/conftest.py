@@ -34,7 +34,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
     made = ProgramsMade()
     made.watch(by_llvm, "build")
-    made.watch(by_xla, "make")
+    made.watch(by_xla, "make", made.key_of_xla)
     config.pluginmanager.register(made, "programs_made")
     one_by_one.install()
     # Tracing makes many objects. By Python's defaults, a sixth of the time went to looking through those that stay.
