@@ -56,26 +56,22 @@ def test_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert "persons_found" not in hover
 
 
-# A field of 12 m, 3 m above whose middle somebody hovers who finds within 5 m, so within 4 m of the ground below.
-NARROW = [
-    "world.area={type: box, x_min: -6, x_max: 6, y_min: -6, y_max: 6, z_min: -80, z_max: 0}",
-    "fleets.helicopters.placement={type: given}",
-    "fleets.helicopters.vehicles.0.position_ned=[0, 0, -3]",
-    "duration=4",
-]
+def searched(area_m: float, duration_s: int, *places: list[float]) -> list[str]:
+    """Return the words for a search by two who start at given places, which is one and the same program."""
+    half = 0.5 * area_m
+    items = [
+        f"world.area={{type: box, x_min: {-half}, x_max: {half}, y_min: {-half}, y_max: {half}, z_min: -80, z_max: 0}}",
+        "fleets.helicopters.placement={type: given}",
+        f"fleets.helicopters.vehicles={[{'position_ned': place} for place in places]}",
+        f"duration={duration_s}",
+    ]
+    return ["score", "search_and_rescue/2C", *(f"--set={item}" for item in items)]
 
 
 @pytest.mark.long
 def test_a_search_tells_who_was_found(capsys: pytest.CaptureFixture[str]) -> None:
-    words = [
-        "score",
-        "search_and_rescue/2A",
-        "--policy",
-        "hover",
-        "--seeds",
-        "4",
-        *(f"--set={item}" for item in NARROW),
-    ]
+    """In a field of 12 m two hover 3 m above the ground who find within 5 m, so within 4 m of the ground below."""
+    words = [*searched(12.0, 4, [-2.0, 0.0, -3.0], [2.0, 0.0, -3.0]), "--policy", "hover", "--seeds", "4"]
     assert cli.main([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert set(found) == {"task", "seeds", "first_seed", "policies", "figure", "dataset"}
@@ -97,9 +93,8 @@ def test_a_search_tells_who_was_found(capsys: pytest.CaptureFixture[str]) -> Non
 @pytest.mark.long
 def test_two_agents_with_an_oracle(capsys: pytest.CaptureFixture[str]) -> None:
     """In JSON first who was named; in the picture both agents, and the persons whom nobody has found."""
-    two = "fleets.helicopters.vehicles=[{position_ned: [0, -20, -25]}, {position_ned: [0, 20, -25]}]"
-    more = ["--policy", "oracle", "--seeds", "2", "--set", "duration=12", "--set", two, "--out", "two.png"]
-    assert cli.main(["score", "search_and_rescue/2C", *more, "--json"]) == 0
+    words = searched(420.0, 12, [0.0, -20.0, -25.0], [0.0, 20.0, -25.0])
+    assert cli.main([*words, "--policy", "oracle", "--seeds", "2", "--out", "two.png", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["task"], found["figure"]) == ("search_and_rescue_2C", "two.png")
     assert [row["policy"] for row in found["policies"]] == ["oracle", "baseline", "hover"]
