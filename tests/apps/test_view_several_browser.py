@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from evidence._view_browser import Watched
 from tests.apps.conftest import Flight
 
 from qrsim.runs import open_run
@@ -26,19 +27,6 @@ pytestmark = [
 ]
 HOSTILE = "<img src=x onerror=window.beacon=1>"
 DOCK = "document.getElementById('qrsim-plots')"
-
-
-class Watching(Browser):
-    """A browser that keeps the exceptions of its page."""
-
-    def __init__(self, *size: int):
-        super().__init__(*size)
-        self.errors: list[str] = []
-
-    def _note(self, method: str, parameters: dict[str, Any]) -> None:
-        if method == "Runtime.exceptionThrown":
-            self.errors.append(str(parameters["exceptionDetails"]))
-        super()._note(method, parameters)
 
 
 def eventually(condition: Callable[[], Any]) -> Any:
@@ -71,8 +59,7 @@ def search(browser: Browser, words: str) -> None:
 
 
 def test_runs_and_plots_on_one_page(replay: Replay):
-    with Watching(1280, 800) as browser:
-        browser.call("Runtime.enable")
+    with Watched(1280, 800) as browser:
         text: Callable[[str], str] = lambda selector: str(  # noqa: E731
             browser.evaluate(f"[...document.querySelectorAll('{selector}')].map(e => e.textContent).join('|')")
         )

@@ -61,7 +61,8 @@
     now = time; playing = plays;
     window.qrsimPlots?.time(time);
     done.style.width = 100 * time / Math.max(data.end, 1e-9) + "%";
-    button.textContent = plays ? "||" : "\u25B6";
+    const sign = plays ? "||" : "\u25B6";
+    if (button.textContent !== sign) button.textContent = sign;
     label.textContent = clock(time) + " / " + clock(data.end) + "  " + speed + " x";
   };
   // Seconds, or parts with colons; NaN for anything else.

@@ -126,7 +126,7 @@ const toolsIn = (host) => {
     const metres = (2 * far * host.tangent()) / box.height, most = Math.min(160, 0.3 * box.width) * metres;
     const decade = 10 ** Math.floor(Math.log10(most));
     const length = [5, 2, 1].map((part) => part * decade).find((value) => value <= most);
-    scaleText.textContent = length >= 1000 ? `${length / 1000} km` : `${+length.toPrecision(1)} m`;
+    put(scaleText, length >= 1000 ? `${length / 1000} km` : `${+length.toPrecision(1)} m`);
     scaleBar.style.width = length / metres + "px";
     compass.firstChild.style.transform = `rotate(${(-heading() * 180) / Math.PI}deg)`;
   };
