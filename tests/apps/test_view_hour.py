@@ -141,4 +141,5 @@ def test_a_browser_that_sleeps_through_a_live_flight_comes_back_to_the_present(
             now = flown()
             eventually(lambda: flown() > now + 20.0)  # noqa: B023
         assert len(view._server.get_clients()) == 1
-        assert browser.errors == []
+        # That a frozen page loses its connections, the browser itself says.
+        assert [error for error in browser.errors if "Back-Forward Cache" not in error] == []
