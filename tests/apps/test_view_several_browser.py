@@ -67,12 +67,16 @@ def test_runs_and_plots_on_one_page(replay: Replay):
         eventually(lambda: browser.evaluate("!!window.qrsim?.state.framed && !!window.qrsimPlots"))
         # Runs in the legend; distances, of two equal flights, in the legend and at the vehicles of the second.
         eventually(lambda: "0.00\u00a0m from A, at most 0.00\u00a0m" in text(".qrsim-legend"))
-        assert "A run, seed 3" in text(".qrsim-legend")
+        assert "run A (run, seed 3)" in text(".qrsim-legend")
         eventually(lambda: re.findall(r"B pelicans_\d\u20020\.00\u00a0m", text(".qrsim-label")))
-        # Plots begin with what belongs together, of the vehicle in both runs.
+        # Plots begin with the heights of all vehicles; the line next to the pointer is named, with its value.
         browser.evaluate("window.dispatchEvent(new KeyboardEvent('keydown', {key: 'p', bubbles: true}))")
         eventually(lambda: browser.evaluate(f"{DOCK}.querySelectorAll('canvas').length") == 1)
-        eventually(lambda: text("#qrsim-plots .line").count("north, ") == 8)
+        eventually(lambda: text("#qrsim-plots .line").count(" height") == 10)
+        place = f"{DOCK}.querySelector('.u-over').getBoundingClientRect()"
+        x, y = browser.evaluate(f"[{place}.left + {place}.width / 2, {place}.top + {place}.height / 2]")
+        browser.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+        eventually(lambda: re.fullmatch(r"[AB] pelicans_\d height [\d.]+, (4\.9|5\.0)\d s", text("#qrsim-plots .tip")))
         # A quantity that is searched for, by its meaning; a click on its extreme goes to its time.
         search(browser, "mean wind and gusts together")
         eventually(lambda: "wind_speed" in text("#qrsim-plots .line"))

@@ -41,7 +41,7 @@
     button.onclick = () => { act(); button.blur(); };
     return button;
   };
-  tool("Show all", "look at all vehicles and routes (F)", () => frame(true));
+  tool("Show all", "look at all vehicles and routes (F)", () => extra.go("Overview"));
   const themeTool = tool("", "dark or light", () => theme(state.theme === "dark" ? "light" : "dark"));
   const { theme, exact } = themeIn({ data, state, button: themeTool, nodes: () => nodes(), m: () => m });
   tool("Legend", "what is what", () => { legendOpen = !legendOpen; touched = true; seen = ""; });
@@ -215,6 +215,9 @@
     return found;
   };
   const differences = differencesIn(svg, data.differences);
+  // Vehicles whose labels are seen, with their boxes in pixels of the canvas; the vehicle under a pixel, or null.
+  let named = [];
+  const labelAt = (x, y) => named.find(([, own]) => hits(own, [x, y, x, y]))?.[0] ?? null;
   const layLabels = (tree, box) => {
     const room = free(box), few = data.names.length <= data.mostLabels;
     const wanted = few ? data.names.map((_, i) => i) : Object.keys(reasons).map(Number).slice(-data.mostLabels);
@@ -223,7 +226,7 @@
     const spots = (visible ? wanted : []).map((vehicle) => ({ vehicle, ...pixel(vehicle, box) })).filter((s) => "x" in s);
     const rank = (s) => (s.vehicle === state.chosen ? 0 : s.vehicle in reasons ? 1 : 2);
     spots.sort((a, b) => rank(a) - rank(b) || a.depth - b.depth);
-    const taken = [tools, extra.scale, bar, legend, table.box, ...extra.boxes()].filter((e) => e.offsetWidth).map((e) => {
+    const taken = [tools, extra.scale, bar, legend, table.box, root.querySelector(".qrsim-sky"), ...extra.boxes()].filter((e) => e.offsetWidth).map((e) => {
       const r = e.getBoundingClientRect();
       return [r.left - box.left, r.top - box.top, r.right - box.left, r.bottom - box.top];
     });
@@ -233,6 +236,7 @@
     if (tip) taken.push([tip.x - 8, tip.y - 10, tip.x + 8, tip.y + 10]);
     const left = new Set(Object.keys(made).map(Number));
     let lines = "";
+    named = [];
     for (const spot of spots) {
       if (spot.x < 0 || spot.y < 0 || spot.x > box.width || spot.y > room.bottom) continue;
       const found = label(spot.vehicle), [w, h] = found.size, may = around(spot, found.size);
@@ -247,6 +251,7 @@
       if (slot === undefined) { found.style.display = "none"; left.delete(spot.vehicle); continue; }
       const [x, y] = may[slot];
       taken.push([x, y, x + w, y + h]);
+      named.push([spot.vehicle, [x, y, x + w, y + h]]);
       found.style.transform = `translate(${Math.round(x)}px,${Math.round(y)}px)`;
       if (slot >= 8) lines += `M${spot.x},${spot.y}L${Math.min(Math.max(spot.x, x), x + w)},${y < spot.y ? y + h : y}`;
       left.delete(spot.vehicle);
@@ -342,7 +347,7 @@
     layLabels(tree, box);
   };
   const extra = toolsIn({
-    data, state, make, tools, root, draw, tool, nodes, floats, shown, at3, pixel, pixelOf, canvasBox, free, tangent, frame, look, follow, touch,
+    data, state, make, tools, root, draw, tool, nodes, floats, shown, at3, pixel, pixelOf, canvasBox, free, labelAt, tangent, frame, look, follow, touch,
     m: () => m, world: matrix, place: () => place, again: () => { seen = ""; },
   });
   const table = tableIn({ data, state, make, root, tool, css, again: () => { seen = ""; }, choose: (vehicle) => { state.chosen = vehicle; seen = ""; } });

@@ -115,8 +115,16 @@
     event.preventDefault();
     event.stopImmediatePropagation();
   };
+  // A number that is clicked in viser's panel is typed in place of the old one.
+  const focus = ({ target }) => {
+    if (!target.matches?.(".mantine-NumberInput-input")) return;
+    target.select();
+    target.addEventListener("mouseup", () => target.select(), { once: true });
+    target.onkeyup = (event) => { if (event.key === "Enter") target.blur(); };
+  };
+  window.addEventListener("focusin", focus);
   window.addEventListener("keydown", key, true);
   window.qrsimTimelineEnds = () => {
-    ended = true; socket?.close(); bar.remove(); window.removeEventListener("keydown", key, true);
+    ended = true; socket?.close(); bar.remove(); window.removeEventListener("keydown", key, true); window.removeEventListener("focusin", focus);
   };
 })();
