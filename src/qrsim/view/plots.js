@@ -33,6 +33,8 @@
   const own = (i) => (data.runs.length ? data.vehicles[i].slice(2) : data.vehicles[i]);
   const groups = [...new Set(data.vehicles.map((_, i) => own(i)))].map((name) => [name, data.vehicles.flatMap((_, i) => own(i) === name ? [i] : [])]);
   if (groups.length > 1 && data.vehicles.length <= 100) groups.unshift(["all vehicles", data.vehicles.map((_, i) => i)]);
+  // Of very many, one vehicle at first: a hundred lines take a while, and nobody reads them.
+  state.group = groups[0][0] === "all vehicles" && data.vehicles.length > 20 ? 1 : 0;
   const members = () => groups[state.group][1];
   const several = () => members().length > 1;
   const DASHES = [[], [7, 4], [2, 3], [9, 3, 2, 3]];
