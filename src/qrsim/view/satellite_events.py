@@ -36,6 +36,11 @@ def satellites_lost(member: Member) -> Iterator[Event]:
             before = now
 
 
+def satellite_of(event: Event) -> str:
+    """Return the satellite that an event is about and why it was lost, such as "G-C3 (hidden)"."""
+    return f"{satellite_name(int(event.value or 0))} ({event.message.rpartition(': ')[2]})"
+
+
 def first_lost(members: list[Member], most: int) -> list[Event]:
     """Return the ``most`` earliest events of satellites lost in all runs, in order of time."""
     found = [event for member in members for event in satellites_lost(member)]
