@@ -173,7 +173,7 @@ def test_events_and_states_say_it_in_the_same_words(recording: Recording):
     assert told[6.0] == "c: failsafe continues: land, at 6.00 s"
     assert told[7.0] == "c: failsafe ends at 7.00 s"
     assert recording.frame(5.0).reasons == {
-        0: "left the area to the north by 0.25 m",
+        0: "left the area to the north",
         1: "came too close to c, 3.75 m",
     }
 

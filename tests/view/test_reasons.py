@@ -15,12 +15,12 @@ AREA = SimpleNamespace(x_min=-200.0, x_max=200.0, y_min=100.0, y_max=300.0, z_mi
 @pytest.mark.parametrize(
     ("kind", "field", "value", "said"),
     [
-        ("out_of_area", "position_ned.x", 200.1, "left the area to the north by 0.10 m"),
-        ("out_of_area", "position_ned.x", -200.04, "left the area to the south by 0.04 m"),
-        ("out_of_area", "position_ned.y", 99.0, "left the area to the west by 1.00 m"),
-        ("out_of_area", "position_ned.y", 301.0, "left the area to the east by 1.00 m"),
-        ("out_of_area", "position_ned.z", -120.3, "left the area through its ceiling by 0.30 m"),
-        ("out_of_area", "position_ned.z", 0.2, "left the area through its floor by 0.20 m"),
+        ("out_of_area", "position_ned.x", 200.1, "left the area to the north"),
+        ("out_of_area", "position_ned.x", -200.04, "left the area to the south"),
+        ("out_of_area", "position_ned.y", 99.0, "left the area to the west"),
+        ("out_of_area", "position_ned.y", 301.0, "left the area to the east"),
+        ("out_of_area", "position_ned.z", -120.3, "left the area through its ceiling"),
+        ("out_of_area", "position_ned.z", 0.2, "left the area through its floor"),
         ("out_of_area", "fence", -1.25, "left the area by 1.25 m"),
         ("state_limit", "attitude.pitch", 1.5708, "turned beyond what its model holds for, pitch = 90°"),
         ("state_limit", "velocity_body.y", -15.06, "faster than its model holds for, -15.1 m/s along its y axis"),

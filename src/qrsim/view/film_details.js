@@ -67,7 +67,7 @@ const detailsIn = (host) => {
       const of = (name) => now(own, name, last), place = at.subarray(3 * vehicle, 3 * vehicle + 3);
       const text = stop ? `stopped at ${stop[0].toFixed(2)} s: ${stop[1]}` : doing(vehicle, time, of("commands.waypoint")).join();
       if (!texts.has(text)) texts.set(text, texts.size);
-      [place[0], place[1], -place[2], of("derived.speed"), of("truth.battery.charge"), of("derived.estimate_error"),
+      [place[0], place[1], -place[2], stop ? 0 : of("derived.speed"), of("truth.battery.charge"), of("derived.estimate_error"),
         Math.hypot(...STD.map(of)), texts.get(text), stop ? stop[0] : NaN].forEach((value, row) => { floats[row * count + vehicle] = value; });
     });
     return { time, texts: [...texts.keys()], floats };

@@ -42,7 +42,7 @@ def in_words(kind: str, field: str | None, value: float | None, area: object = N
     what, _, axis = name.partition(".")
     if kind == LEFT:
         far = outside_by(name, number, area)
-        return f"left the area, {axis} = {number:.1f} m" if far is None else f"left the area {far[1]} by {far[0]:.2f} m"
+        return f"left the area, {axis} = {number:.1f} m" if far is None else f"left the area {far[1]}"
     if kind == "state_limit" and what == "attitude":
         return f"turned beyond what its model holds for, {axis} = {math.degrees(number):.0f}°"
     if kind == "state_limit" and what == "velocity_body":
@@ -76,9 +76,11 @@ def event_in_words(event: Event, area: object = None) -> str:
 
 
 def as_shown(event: Event, area: object = None) -> Event:
-    """Return an event with the message that pages show: stops in words, and failsafes that go on."""
+    """Return an event with the message that pages show: stops in words, with the depth outside, and failsafes."""
     if (event.kind, event.field or "") in REASONS:
-        words = f" stopped: {event_in_words(event, area)}"
+        far = outside_by(event.field, event.value, area) if event.kind == LEFT else None
+        depth = "" if far is None or not far[1] else f" by {far[0]:.2f} m"
+        words = f" stopped: {event_in_words(event, area)}{depth}"
     elif event.kind == ENDS and still_acting(event.value):
         words = f": failsafe continues: {still_acting(event.value)}"
     else:
