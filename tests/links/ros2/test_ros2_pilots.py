@@ -254,6 +254,9 @@ class Wire:
     def announce(self):
         pass
 
+    def has_news(self):
+        return True
+
     def remarks(self):
         return []
 

@@ -24,6 +24,7 @@ from qrsim.links.shared.sight import (
     VERTICAL,
     VOLTAGE,
     Sight,
+    locate,
 )
 from qrsim.models.geoid import GeoidPlane
 from qrsim.models.vehicles.contracts import Vehicle
@@ -94,6 +95,12 @@ class StackSight(Sight):
             now = on_ground(fleet, state)
             found += [False] * fleet.size if now is None else np.asarray(now).tolist()
         return found
+
+    def look(self) -> None:
+        """Read the present estimates and readings of all vehicles into ``values`` (n, WIDTH), with their places on the
+        Earth."""
+        super().look()
+        locate(self.values, self._simulation.site, POSITION, PLACE)
 
     def see(self) -> list[Seen]:
         """Read the present state and return each vehicle's estimates and sensor status for its flight stack, valid
