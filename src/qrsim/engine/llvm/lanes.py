@@ -53,6 +53,8 @@ class Lanes:
         # Views of leaves that were read or set before, and of those of an only world, its numbers in a row.
         self._parts: dict[int, Array] = {}
         self._rows: list[Array] = []
+        # What was selected last: the function, the leaves' numbers and their structure.
+        self._selected: tuple[Callable[[Any], Any], list[int], Any] | None = None
         self.tiles = -(-count // self._lanes)
 
     def addresses(self, tile: int) -> list[int]:
@@ -66,23 +68,20 @@ class Lanes:
         return np.stack(columns, axis=1).astype(np.uint64)
 
     def fill(self, tree: object) -> None:
-        """Set the states of all worlds from a tree, each leaf (B, ...)."""
-        whole = self.tiles * self._lanes
-        leaves = jax.tree.leaves(tree)
-        if whole == 1:
-            # One world is given its inputs at every step, where a copy leaf by leaf would count.
-            for buffer, size, kind in zip(self._buffers, self.layout.sizes, (True, False), strict=True):
-                of_kind = zip(leaves, self.layout.is_float, strict=True)
-                parts = [self._stored(leaf)[0] for leaf, is_float in of_kind if is_float is kind]
-                if parts:
-                    np.concatenate(parts, out=buffer[0, :size])
-            return
-        for number, leaf in enumerate(leaves):
-            rows = self._stored(leaf)
-            if whole != self.count:
+        """Set the states of all worlds from a tree, each leaf (B, ...); of fewer worlds the last one is repeated."""
+        leaves, whole = jax.tree.leaves(tree), self.tiles * self._lanes
+        for buffer, size, kind in zip(self._buffers, self.layout.sizes, (True, False), strict=True):
+            of_kind = zip(leaves, self.layout.is_float, strict=True)
+            parts = [self._stored(leaf) for leaf, is_float in of_kind if is_float is kind]
+            if not parts:
+                continue
+            # All leaves at once: leaf by leaf the same would take as long as the start of a few worlds.
+            rows = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+            if whole != len(rows):
                 # Lanes without a world of their own repeat the last one.
-                rows = rows[np.minimum(np.arange(whole), self.count - 1)]
-            self._part(number)[...] = rows.reshape(self.tiles, self._lanes, -1).swapaxes(1, 2)
+                rows = rows[np.minimum(np.arange(whole), len(rows) - 1)]
+            part = buffer[:, : size * self._lanes].reshape(self.tiles, size, self._lanes)
+            part[...] = rows.reshape(self.tiles, self._lanes, size).swapaxes(1, 2)
 
     def fill_only(self, leaves: Sequence[Array]) -> None:
         """Set the only world, whose numbers lie one after the other, from its leaves."""
@@ -119,9 +118,13 @@ class Lanes:
             numbers = source.reshape(other.tiles, size, other._lanes)[there[0], :, there[1]]
             target.reshape(self.tiles, size, self._lanes)[here[0], :, here[1]] = numbers
 
-    def get(self, select: Callable[[Any], Any]) -> Any:
-        """Return a copy of the part of the states that ``select`` picks, each leaf (B, ...)."""
-        return jax.tree.map(self._leaf, select(self.layout.numbers))
+    def get(self, select: Callable[[Any], Any], first: int | None = None) -> Any:
+        """Return a copy of the part of the states that ``select`` picks, each leaf (B, ...), or (first, ...)."""
+        if self._selected is None or self._selected[0] is not select:
+            self._selected = select, *jax.tree.flatten(select(self.layout.numbers))
+        _, numbers, structure = self._selected
+        count = self.count if first is None else first
+        return structure.unflatten([self._leaf(number, count) for number in numbers])
 
     def _part(self, number: int) -> Array:
         """Return a view of the memory of leaf ``number``: (tiles, numbers of a world, lanes)."""
@@ -146,15 +149,13 @@ class Lanes:
         # The bits of a key, not its value, which int32 may not hold.
         return rows.view(np.int32) if rows.dtype == np.uint32 else rows.astype(np.int32)
 
-    def _leaf(self, number: int) -> Array:
-        """Return a copy of leaf ``number`` of all worlds in its shape and dtype (B, ...)."""
-        part, dtype = self._part(number), self.layout.dtypes[number]
-        shape = (self.tiles * self._lanes, *self.layout.shapes[number])
-        rows = np.ascontiguousarray(part.swapaxes(1, 2)).reshape(shape)[: self.count]
-        if dtype == np.uint32:
-            return rows.view(np.uint32)
-        # A view of the buffers would change under whoever holds it.
-        return rows.astype(dtype, copy=np.may_share_memory(rows, part))
+    def _leaf(self, number: int, count: int) -> Array:
+        """Return a copy of leaf ``number`` of the first ``count`` worlds in its shape and dtype (count, ...)."""
+        dtype = self.layout.dtypes[number]
+        # Always a copy, because a view of the buffers would change under whoever holds it.
+        rows = self._part(number).swapaxes(1, 2).astype(np.int32 if dtype == np.uint32 else dtype, order="C")
+        found = rows.reshape(self.tiles * self._lanes, *self.layout.shapes[number])[:count]
+        return found.view(np.uint32) if dtype == np.uint32 else found
 
 
 class LaneProgram:
