@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from qrsim.core.arrays import DType
 from qrsim.engine.layout import Buffers, Packer, aligned
 from qrsim.engine.llvm.calling import Program
 from qrsim.engine.llvm.program import Mode
@@ -53,8 +54,10 @@ class Lanes:
         # Views of leaves that were read or set before, and of those of an only world, its numbers in a row.
         self._parts: dict[int, Array] = {}
         self._rows: list[Array] = []
-        # What was selected last: the function, the leaves' numbers and their structure.
-        self._selected: tuple[Callable[[Any], Any], list[int], Any] | None = None
+        # Views of all floats and of all integers, worlds first (tiles, lanes, numbers of a world).
+        self._blocks: list[Any] = [None, None]
+        # What was selected last: the function, how each leaf is read, and their structure.
+        self._selected: tuple[Callable[[Any], Any], list[tuple[Any, ...]], Any] | None = None
         self.tiles = -(-count // self._lanes)
 
     def addresses(self, tile: int) -> list[int]:
@@ -70,9 +73,9 @@ class Lanes:
     def fill(self, tree: object) -> None:
         """Set the states of all worlds from a tree, each leaf (B, ...); of fewer worlds the last one is repeated."""
         leaves, whole = jax.tree.leaves(tree), self.tiles * self._lanes
-        for buffer, size, kind in zip(self._buffers, self.layout.sizes, (True, False), strict=True):
+        for kind, (buffer, size) in enumerate(zip(self._buffers, self.layout.sizes, strict=True)):
             of_kind = zip(leaves, self.layout.is_float, strict=True)
-            parts = [self._stored(leaf) for leaf, is_float in of_kind if is_float is kind]
+            parts = [self._stored(leaf) for leaf, is_float in of_kind if is_float is (kind == 0)]
             if not parts:
                 continue
             # All leaves at once: leaf by leaf the same would take as long as the start of a few worlds.
@@ -80,8 +83,10 @@ class Lanes:
             if whole != len(rows):
                 # Lanes without a world of their own repeat the last one.
                 rows = rows[np.minimum(np.arange(whole), len(rows) - 1)]
-            part = buffer[:, : size * self._lanes].reshape(self.tiles, size, self._lanes)
-            part[...] = rows.reshape(self.tiles, self._lanes, size).swapaxes(1, 2)
+            if self._blocks[kind] is None:
+                block = buffer[:, : size * self._lanes].reshape(self.tiles, size, self._lanes)
+                self._blocks[kind] = block.swapaxes(1, 2)
+            self._blocks[kind][...] = rows.reshape(self.tiles, self._lanes, size)
 
     def fill_only(self, leaves: Sequence[Array]) -> None:
         """Set the only world, whose numbers lie one after the other, from its leaves."""
@@ -121,10 +126,15 @@ class Lanes:
     def get(self, select: Callable[[Any], Any], first: int | None = None) -> Any:
         """Return a copy of the part of the states that ``select`` picks, each leaf (B, ...), or (first, ...)."""
         if self._selected is None or self._selected[0] is not select:
-            self._selected = select, *jax.tree.flatten(select(self.layout.numbers))
-        _, numbers, structure = self._selected
-        count = self.count if first is None else first
-        return structure.unflatten([self._leaf(number, count) for number in numbers])
+            numbers, structure = jax.tree.flatten(select(self.layout.numbers))
+            self._selected = select, list(map(self._read, numbers)), structure
+        _, reads, structure = self._selected
+        count, leaves = self.count if first is None else first, []
+        for part, dtype, shape, as_key in reads:
+            # Always a copy, because a view of the buffers would change under whoever holds it.
+            leaf = part.astype(dtype, order="C").reshape(shape)[:count]
+            leaves.append(leaf.view(np.uint32) if as_key else leaf)
+        return structure.unflatten(leaves)
 
     def _part(self, number: int) -> Array:
         """Return a view of the memory of leaf ``number``: (tiles, numbers of a world, lanes)."""
@@ -149,13 +159,12 @@ class Lanes:
         # The bits of a key, not its value, which int32 may not hold.
         return rows.view(np.int32) if rows.dtype == np.uint32 else rows.astype(np.int32)
 
-    def _leaf(self, number: int, count: int) -> Array:
-        """Return a copy of leaf ``number`` of the first ``count`` worlds in its shape and dtype (count, ...)."""
+    def _read(self, number: int) -> tuple[Array, DType, tuple[int, ...], bool]:
+        """Return how leaf ``number`` is read: its memory, worlds first; dtype; shape (B, ...); whether it is a key."""
         dtype = self.layout.dtypes[number]
-        # Always a copy, because a view of the buffers would change under whoever holds it.
-        rows = self._part(number).swapaxes(1, 2).astype(np.int32 if dtype == np.uint32 else dtype, order="C")
-        found = rows.reshape(self.tiles * self._lanes, *self.layout.shapes[number])[:count]
-        return found.view(np.uint32) if dtype == np.uint32 else found
+        as_key = dtype == np.uint32
+        shape = (self.tiles * self._lanes, *self.layout.shapes[number])
+        return self._part(number).swapaxes(1, 2), np.dtype(np.int32) if as_key else dtype, shape, as_key
 
 
 class LaneProgram:
