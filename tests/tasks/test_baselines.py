@@ -79,9 +79,25 @@ def test_cats_without_a_clock_are_near_while_the_mouse_is_led() -> None:
 
     # It is to be 4.4 m behind, and closes half of what it lacks in a second, up to its limit: 3.6 - 0.5 * 1.4.
     assert asked(6.0, timeless=True) == pytest.approx(3.0)
-    assert asked(3.0, timeless=True) == pytest.approx(2.9)
+    assert asked(4.8, timeless=True) == pytest.approx(3.0)
+    # At 3 m these are 2.9, and it would be 3.15 m from the mouse in 1.5 s: less by 2 for each metre that lacks of 4 m.
+    assert asked(3.0, timeless=True) == pytest.approx(2.9 - 2.0 * 0.85)
     # With the whole episode before it, it is to be 9 m behind a mouse of 3 m/s: 3 - 0.7 * 3.
     assert asked(6.0, timeless=False) == pytest.approx(0.9)
+
+
+def test_cats_without_a_clock_keep_clear_of_a_mouse_that_turns_round() -> None:
+    # In 1.5 s a cat that meets the mouse at 6 m/s is 1 m in front of it: 3 m are missing of 4, each of them 2 m/s.
+    meets, follows = np.array([6.0, 0.0]), np.array([0.0, 0.0])
+    found = Chasing._clear(np.stack([meets, follows]), np.array([[10.0, 0.0], [4.4, 0.0]]))
+    np.testing.assert_allclose(found, [[-6.0, 0.0], [0.0, 0.0]])
+    # Behind a mouse that runs where it is to run they are at 4.4 m and 3.6 m apart. With the mouse between two of them
+    # it is 0.75 / 0.8 of the way to 9 m and 6 m.
+    for second, behind, room in ((5.0, 4.4, 3.6), (-5.0, 8.7125, 5.85)):
+        offset, length = np.array([[5.0, 0.0], [second, 0.0]]), np.full((2, 1), 5.0)
+        far, apart = Chasing._by_state(np.zeros(1), offset, length)
+        np.testing.assert_allclose(far, behind)
+        np.testing.assert_allclose(apart, room)
 
 
 @pytest.mark.long

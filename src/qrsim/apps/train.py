@@ -7,7 +7,7 @@ import math
 import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -29,10 +29,10 @@ class Train:
     """Train a policy for a task by proximal policy optimisation.
 
     Many episodes are flown side by side, all agents with the same policy. Training has cycles of the length of an
-    episode. After each cycle the policy flies 64 episodes that it does not learn from, or 200 with --start. Their mean
-    return and the part flown to the end are printed. The best policy is kept in DIR/policy.npz, for 'qrsim score',
-    'qrsim run' and 'qrsim check'. DIR/curve.csv has a row for each cycle. Ctrl-C ends a training, and --resume
-    continues it from its last cycle.
+    episode. After each cycle the policy flies 64 episodes that it does not learn from, or 200 with --start.
+    In a long pursuit it flies 64, and the first 200 s of 1000 others. The mean return and the part flown to the end
+    are printed. The best policy is kept in DIR/policy.npz, for 'qrsim score', 'qrsim run' and 'qrsim check'.
+    DIR/curve.csv has a row for each cycle. Ctrl-C ends a training, and --resume continues it from its last cycle.
 
     Example:
       qrsim train keep_spot --steps 1000000
@@ -44,7 +44,7 @@ class Train:
     """Name of a scenario with a task, or a YAML file."""
     seed: int = 0
     """Seed of all randomness. Equal seeds give equal policies, bit for bit, on equally many cores of one machine."""
-    steps: int = 3_000_000
+    steps: Annotated[int | None, tyro.conf.arg(help_behavior_hint="(default: 3000000; in a pursuit 2000000)")] = None
     """Decisions of all agents, after which the training ends."""
     minutes: Annotated[float | None, tyro.conf.arg(help_behavior_hint="(default: no limit)")] = None
     """Wall time, after which the training ends earlier."""
@@ -88,18 +88,19 @@ class Train:
         from qrsim.studies.learn.training import Training
 
         seconds = None if self.minutes is None else 60.0 * self.minutes
-        started = {} if self.start is None else {"start": None if self.start == NOTHING else self.start}
+        given: dict[str, Any] = {} if self.start is None else {"start": None if self.start == NOTHING else self.start}
+        if self.steps is not None:
+            given["steps"] = self.steps
         plan = plan_of(
             self.task,
             tuple(self.set),
             self.envs,
             seed=self.seed,
-            steps=self.steps,
             seconds=seconds,
             integral=self.integral,
             fleet=self.fleet,
             others=self.others,
-            **started,
+            **given,
         )
         folder = self.out or Path("runs") / f"{_name_of(plan)}-policy-seed{self.seed}"
         if folder.exists() and not self.resume and not (folder.is_dir() and not any(folder.iterdir())):
@@ -111,7 +112,7 @@ class Train:
             print(f"warning: {warning}", file=sys.stderr)
         board = self._board(folder, training.steps)
         try:
-            with progress_bar("training", self.steps, "{task.fields[best]}", best="") as update:
+            with progress_bar("training", plan.steps, "{task.fields[best]}", best="") as update:
                 for row in training.cycles(lambda steps: update(completed=steps)):
                     save(training, folder)
                     if board is not None:
@@ -143,7 +144,7 @@ class Train:
         """
         if not 0 <= self.seed < 2**32:
             raise UsageError(f"--seed {self.seed}: expected 0 to 2**32 - 1")
-        if not 1 <= self.steps <= MOST_STEPS:
+        if self.steps is not None and not 1 <= self.steps <= MOST_STEPS:
             raise UsageError(f"--steps {self.steps}: expected 1 to {MOST_STEPS}")
         if self.minutes is not None and not (math.isfinite(self.minutes) and self.minutes > 0.0):
             raise UsageError(f"--minutes {self.minutes:g}: expected a positive number")

@@ -224,9 +224,9 @@ def _joined_details(members: list[Member], each: list[Details]) -> Details:
 
 
 def _name(member: Member) -> str:
-    """Return a run's letter, folder name and seed as text."""
+    """Return a run's letter, folder name and seed as text, such as "run A (first, seed 1)"."""
     run = member.recording.run
-    return f"{member.letter} {run.folder.resolve().name}, seed {run.info.seed}"
+    return f"run {member.letter} ({run.folder.resolve().name}, seed {run.info.seed})"
 
 
 def _cast(members: list[Member]) -> Cast:

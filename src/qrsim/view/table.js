@@ -73,7 +73,6 @@ const tableIn = (host) => {
     body.insertBefore(row, below.row);
     return { row, dot, called, cells };
   };
-  const put = (element, words) => { if (element.textContent !== words) element.textContent = words; };
   const lay = () => {
     const seen = Math.ceil(rows.clientHeight / ROW) + 2;
     const first = Math.max(0, Math.min(Math.floor(rows.scrollTop / ROW), order.length - seen));

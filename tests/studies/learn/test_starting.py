@@ -82,7 +82,7 @@ def test_a_start_is_a_policy_file_and_fits(mouse: Path) -> None:
     np.testing.assert_array_equal(found.scaling.deviation, first.scaling.deviation)
     np.testing.assert_array_equal(forward(found.layers, inputs), forward(first.layers, inputs))
     wide = dataclasses.replace(training.plan.settings, width=8)
-    with pytest.raises(UsageError, match=r"its layers are 12 x 48, .*; this training's are 12 x 8, 8 x 8, 8 x 2"):
+    with pytest.raises(UsageError, match=r"its layers are 12 x 64, .*; this training's are 12 x 8, 8 x 8, 8 x 2"):
         Training(brief(start=start, settings=wide))
     with pytest.raises(UsageError, match="it was trained on cats_and_mouse_1A"):
         Training(plan_of("keep_spot", start=start))

@@ -26,12 +26,20 @@ def test_a_pursuit_has_its_own() -> None:
     plan = plan_of("cats_and_mouse/1A")
     assert (plan.envs, plan.settings.discount, plan.settings.spread) == (128, 0.97, 0.03)
     # It starts with the baseline, changes it slowly, and sees a crash in a hundred episodes.
-    assert (plan.start, plan.settings.rate, plan.settings.falling, plan.tries) == ("baseline", 1e-4, True, 200)
-    # Long episodes are learned in shorter ones.
-    assert plan.shorter == ("duration=200",)
-    assert plan_of("cats_and_mouse/1A", ("duration=200",)).shorter == plan_of("keep_spot").shorter == ()
+    assert (plan.start, plan.settings.rate, plan.settings.falling) == ("baseline", 3e-4, True)
+    assert (plan.steps, plan_of("cats_and_mouse/1A", steps=7).steps, plan_of("keep_spot").steps) == (
+        2_000_000,
+        7,
+        3_000_000,
+    )
+    # Long episodes are learned in shorter ones, half of them in their first 40 s, and policies are tried in both.
+    assert (plan.shorter, plan.early, plan.tries, plan.starts) == (("duration=200",), 40.0, 64, 1000)
+    short = plan_of("cats_and_mouse/1A", ("duration=200",))
+    assert (short.shorter, short.early, short.tries, short.starts) == ((), 40.0, 200, 0)
+    assert (plan_of("keep_spot").shorter, plan_of("keep_spot").early) == ((), None)
     begun = plan_of("cats_and_mouse/1A", start=None)
     assert (begun.settings.spread, begun.settings.rate, begun.tries) == (0.3, 1e-3, 64)
+    assert (begun.steps, begun.early, begun.starts) == (3_000_000, None, 0)
     assert plan_of("cats_and_mouse/1A", envs=3).envs == 3
     # Asked for, the settings are those.
     assert plan_of("cats_and_mouse/1A", settings=Settings(rate=0.5)).settings.rate == 0.5

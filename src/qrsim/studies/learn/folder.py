@@ -192,6 +192,8 @@ def _plan_of(training: Training) -> dict[str, Any]:
         "envs": plan.envs,
         "tries": plan.tries,
         "settings": asdict(plan.settings),
+        "early": plan.early,
+        "starts": plan.starts,
         "integral": plan.integral,
         "start": plan.start,
         "fleet": plan.fleet,
@@ -205,8 +207,8 @@ def _check_plan(kept: dict[str, Any], wanted: dict[str, Any], folder: Path) -> N
     Raises:
         UsageError: a value differs.
     """
-    # Checkpoints of earlier versions had no integral.
-    kept = {"integral": False} | kept
+    # Checkpoints of earlier versions had no integral and no starts.
+    kept = {"integral": False, "starts": 0} | kept
     for name, value in wanted.items():
         if kept.get(name) != value:
             raise UsageError(f"--resume: the training in {folder} has {name} {kept.get(name)}; this one has {value}")

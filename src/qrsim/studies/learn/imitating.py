@@ -27,7 +27,7 @@ from qrsim.tasks.baselines.many import Many
 from qrsim.tasks.learned import LIMIT, Scaling, forward
 
 # Rounds of episodes, and blocks of steps of the gradient after each of them and after the last; their rate falls to 0.
-ROUNDS, BLOCKS, LAST_BLOCKS = 24, 4, 30
+ROUNDS, BLOCKS, LAST_BLOCKS = 30, 4, 60
 # Steps of the gradient in a block, states of each, and the rate of Adam.
 STEPS, ROWS, RATE = 250, 1024, 3e-3
 # Noise of the outputs that are flown, so that states near the flown ones are seen too.

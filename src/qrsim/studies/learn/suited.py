@@ -16,11 +16,17 @@ from qrsim.tasks.search import Search
 
 # Decisions of 1 s, whose consequences are fewer; noise that cats a few metres from each other survive.
 PURSUIT = Settings(discount=0.97, epochs=4, minibatches=8, spread=0.3, averaged=0.9)
-# From a policy that flies well: a network with room for what the baseline computes, and small changes of it.
+# From a policy that flies well: small changes of it; in a pursuit a network with room for what the baseline computes.
 STARTED: dict[str, Any] = {"spread": 0.03, "rate": 1e-4, "falling": True}
-STARTED_WIDTH = 48
+STARTED_PURSUIT: dict[str, Any] = {"width": 64, "rate": 3e-4}
+# Decisions after which a pursuit that was started with a policy does not become much better.
+STARTED_STEPS = 2_000_000
 # Episodes in which policies are tried: so many that a crash in a hundred is seen.
 STARTED_TRIES = 200
+# Cats come near each other and the mouse in this time [s], from which half of the episodes are learned.
+EARLY_S = 40.0
+# Where episodes are learned in shorter ones: policies are tried in more of these, and in fewer whole ones.
+STARTS, WHOLE_TRIES = 1000, 64
 # Length of the episodes that pursuits are learned in [s]: most crashes come early. Policies are tried in whole ones.
 SHORTER_S = 200.0
 # Noise with which a vehicle near the ground seldom tips over.
@@ -59,6 +65,10 @@ def plan_of(task: Any, overrides: tuple[str, ...] = (), envs: int | None = None,
     if isinstance(kind, Pursuit) and not kind.senses:
         fields["start"] = BASELINE
     if (fields | changes).get("start") is not None:
-        width = STARTED_WIDTH if isinstance(kind, Pursuit) else settings.width
-        fields |= {"settings": replace(settings, width=width, **STARTED), "tries": STARTED_TRIES}
+        suits = STARTED | (STARTED_PURSUIT if isinstance(kind, Pursuit) else {})
+        fields |= {"settings": replace(settings, **suits), "tries": STARTED_TRIES}
+        if isinstance(kind, Pursuit):
+            fields |= {"steps": STARTED_STEPS, "early": EARLY_S}
+        if "shorter" in fields:
+            fields |= {"starts": STARTS, "tries": WHOLE_TRIES}
     return Plan(task, overrides, envs=envs, **(fields | changes))

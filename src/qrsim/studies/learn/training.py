@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qrsim.core.arrays import NumpyArray
+from qrsim.core.arrays import Floats, NumpyArray
 from qrsim.engine.settings import use_compilation_cache
 from qrsim.envs.batch import Batch
 from qrsim.envs.functional import Functional
@@ -34,8 +34,9 @@ from qrsim.tasks.learned import PolicyFile, forward, read_policy
 HORIZON, FEWEST = 32, 2048
 # Interval, in decisions, of the inputs whose moments are taken; those between hardly differ.
 THINNED = 4
-# Seeds of the episodes that are learned from, of those that policies are tried in, and how many these are.
-LEARNED, TRIED, TRIES = 10**9, 5 * 10**8, 64
+# Seeds of the episodes that are learned from, of those that policies are tried in, whole or in the start, and how many
+# whole ones these are.
+LEARNED, TRIED, STARTED, TRIES = 10**9, 5 * 10**8, 6 * 10**8, 64
 # Episodes of one seed of a training; more than anybody has memory for.
 APART = 10**6
 # Cycles in which the value of a policy that was started with is learned, before the policy itself changes.
@@ -55,6 +56,9 @@ class Plan:
         steps: decisions of all agents, after which it ends.
         seconds: wall time after which it ends [s]; None: any.
         tries: episodes in which policies are tried.
+        early: time [s] after which half of the episodes that are learned from are left, so that more starts are seen;
+            None: none is.
+        starts: further episodes in which policies are tried, of the length of those that are learned from.
         integral: as of ``view_of``.
         settings: numbers of the algorithm.
         start: ``BASELINE``: the policy first imitates the task's baseline; the name of a policy file: it is that policy
@@ -71,6 +75,8 @@ class Plan:
     steps: int = 3_000_000
     seconds: float | None = None
     tries: int = TRIES
+    early: float | None = None
+    starts: int = 0
     integral: bool = False
     settings: Settings = field(default_factory=Settings)
     start: str | None = None
@@ -86,7 +92,7 @@ class Tried:
         cycle: number of the cycle, from 1.
         steps: decisions of all agents so far.
         seconds: wall time of the cycles so far [s].
-        mean_return: of the task, in the episodes that policies are tried in.
+        mean_return: of the task, in the episodes that policies are tried in; see ``in_parts`` for those with starts.
         flown_to_the_end: part of these.
         reward: mean of the learner's reward of a decision in the cycle.
         divergence: mean divergence of an iteration's policy from the one before.
@@ -131,7 +137,10 @@ class Training:
         self._opponent = None if plan.others is None else read_policy(plan.others)
         self.algorithm = Algorithm(self.view, plan.settings)
         use_compilation_cache()
-        self.flights, self.trials = self.flights_of(plan.envs, plan.shorter), self.flights_of(plan.tries)
+        early = None if plan.early is None else round(plan.early / self.view.seconds)
+        self.flights = self.flights_of(plan.envs, plan.shorter, early)
+        self.trials = self.flights_of(plan.tries)
+        self.starts = self.flights_of(plan.starts) if plan.starts else None
         self.horizon = max(HORIZON, -(-FEWEST // self.flights.rows))
         self.learner: Learner = self.algorithm.begin(plan.seed)
         # Layers of the running mean of the policies.
@@ -142,11 +151,17 @@ class Training:
         self.best: tuple[PolicyFile, Tried] | None = None
         self.curve: list[Tried] = []
 
-    def flights_of(self, episodes: int, more: tuple[str, ...] = ()) -> Flights:
-        """Return B = ``episodes`` parallel episodes as the learner sees them; ``more``: further overrides."""
+    def flights_of(self, episodes: int, more: tuple[str, ...] = (), left_after: int | None = None) -> Flights:
+        """Return B = ``episodes`` parallel episodes as the learner sees them.
+
+        Args:
+            episodes: B.
+            more: further overrides.
+            left_after: as of ``Flights``.
+        """
         batch = batch_of(self.plan.task, episodes, [*self.plan.overrides, *more], self.view)
         side = self.side_of(batch)
-        return Flights(side, self.view, objective_of(side, self.plan.settings.discount))
+        return Flights(side, self.view, objective_of(side, self.plan.settings.discount), left_after)
 
     def side_of(self, batch: Batch) -> Any:
         """Return a batch as the learner's fleet sees it.
@@ -195,17 +210,14 @@ class Training:
                     break
             self.cycle += 1
             policy = self._policy()
-            total, alive = self.trials.fly(
-                lambda features, policy=policy: forward(policy.layers, policy.scaling.scaled(features)),
-                TRIED + np.arange(self.plan.tries),
-            )
+            mean_return, flown_to_the_end = self._outcome(policy)
             elapsed = time.monotonic() - begun
             row = Tried(
                 self.cycle,
                 self.steps,
                 round(before + elapsed, 2),
-                float(total.mean()),
-                float(alive.mean()),
+                mean_return,
+                flown_to_the_end,
                 float(np.mean(rewards)),
                 float(np.mean(divergences)),
             )
@@ -213,6 +225,21 @@ class Training:
             if self.best is None or row.rank > self.best[1].rank:
                 self.best = policy, row
             yield row
+
+    def _outcome(self, policy: PolicyFile) -> tuple[float, float]:
+        """Try a policy; return the mean return, and the part of the episodes that is flown to the end."""
+
+        def act(features: Floats) -> Floats:
+            """Return the policy's outputs (N, K) for inputs (N, F)."""
+            found: Floats = forward(policy.layers, policy.scaling.scaled(features))
+            return found
+
+        whole = self.trials.fly(act, TRIED + np.arange(self.plan.tries))
+        if self.starts is None:
+            return float(whole[0].mean()), float(whole[1].mean())
+        length = self.flights.batch.functional.play.steps
+        starts = self.starts.fly(act, STARTED + np.arange(self.plan.starts), length)
+        return in_parts(whole, self.trials.lasted > length, starts)
 
     def _improved(self, samples: Samples, orders: NumpyArray) -> tuple[Learner, Any]:
         """Return the learner after an iteration, and its divergence; the value of a start is learned first."""
@@ -298,3 +325,19 @@ class Training:
         layers = tuple((np.array(weights), np.array(offset)) for weights, offset in found)
         facts = {"seed": self.plan.seed, "steps": self.steps, "overrides": list(self.plan.overrides)}
         return PolicyFile(self.view, self.scaling, layers, facts)
+
+
+def in_parts(whole: tuple[Floats, Floats], later: Floats, starts: tuple[Floats, Floats]) -> tuple[float, float]:
+    """Return mean return and part flown to the end, from whole episodes and from the starts of many more.
+
+    Crashes in the start are counted in the starts, and all that comes after it in those whole episodes that get there.
+
+    Args:
+        whole: mean returns (B,) of whole episodes, and whether each is flown to the end (B,).
+        later: (B,) whether these last longer than a start.
+        starts: returns (S,) of starts, and whether each is flown to its end (S,).
+    """
+    if not later.any():
+        return float(whole[0].mean()), float(whole[1].mean())
+    returns, well = (each[later].mean() for each in whole)
+    return float(np.where(starts[1], returns, starts[0]).mean()), float(starts[1].mean() * well)

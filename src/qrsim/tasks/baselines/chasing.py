@@ -27,8 +27,14 @@ SEPARATION, SEPARATION_AT_END = 6.0, 4.0
 # and the mouse's speed [m/s], which replaces the drift. They are far where the mouse runs this far from where it is to
 # run [rad]. They keep apart where they ask to be after so long [s], as a cat does not see the velocities of the others,
 # and on their way to the mouse by this part of their distance to it.
-NEAREST, LEAST_ROOM, SLOW_GAIN, FULL_SPEED = 4.4, 3.2, 0.5, 3.6
+NEAREST, LEAST_ROOM, SLOW_GAIN, FULL_SPEED = 4.4, 3.6, 0.5, 3.6
 ASTRAY, FARTHER_AHEAD_S, ROOM = 2.5, 1.0, 0.5
+# The mouse may turn towards a cat, so they keep this far [m] from where it will be after so long [s]; each metre that
+# lacks adds so much to their velocity [1/s].
+CLEAR, CLEAR_AHEAD_S, CLEAR_GAIN, SHORTEST = 4.0, 1.5, 2.0, 1e-3
+# A mouse between cats turns round. The mean of the unit vectors from the cats to the mouse has this length or more if
+# all are behind it; if it is shorter by so much, they keep far.
+TOGETHER, SCATTERED = 0.75, 0.8
 
 
 class Chasing:
@@ -67,7 +73,7 @@ class Chasing:
         astray = _wrap_angle(self._way(mouse) - runs)
         turn = np.clip(astray, -STEER, STEER)
         if self._timeless:
-            behind, distance = self._by_state(astray, np.sqrt(square))
+            behind, distance = self._by_state(astray, offset, np.sqrt(square))
         else:
             behind, distance = self._by_time()
         goal = mouse + behind * self._fan(offset, runs + turn)
@@ -76,6 +82,8 @@ class Chasing:
         self._asked = np.clip(running + gain * (goal - place), -self._limit, self._limit)
         ahead = FARTHER_AHEAD_S * self._asked if self._timeless else AHEAD_S * velocity
         wanted = self._asked + self._drift + apart(place + ahead, distance)
+        if self._timeless:
+            wanted = wanted + self._clear(self._asked - running * (MOUSE_SPEED / FULL_SPEED), offset)
         return np.clip(wanted / self._limit, -1.0, 1.0)
 
     def begin(self, size: int, rows: NumpyArray | None = None) -> None:
@@ -94,16 +102,32 @@ class Chasing:
         return NEAR + (FAR - NEAR) * closing, SEPARATION_AT_END + (SEPARATION - SEPARATION_AT_END) * closing
 
     @staticmethod
-    def _by_state(astray: NumpyArray, length: NumpyArray) -> tuple[NumpyArray, NumpyArray]:
-        """Return how far cats are behind the mouse, and at least from each other [m]: near where the mouse is led.
+    def _by_state(astray: NumpyArray, offset: NumpyArray, length: NumpyArray) -> tuple[NumpyArray, NumpyArray]:
+        """Return how far cats are behind the mouse, and at least from each other [m]: near where cats lead the mouse.
 
         Args:
             astray: (..., 1) angle from where the mouse runs to where it is to run [rad].
-            length: (..., n, 1) of the offsets to the mouse [m].
+            offset: (..., n, 2) from each cat to the mouse [m].
+            length: (..., n, 1) of these [m].
         """
-        part = np.minimum(np.abs(astray) / ASTRAY, 1.0)[..., None]
+        together = np.linalg.norm(np.mean(offset / length, axis=-2), axis=-1, keepdims=True)
+        part = np.maximum(np.abs(astray) / ASTRAY, (TOGETHER - together) / SCATTERED)
+        part = np.minimum(part, 1.0)[..., None]
         room = LEAST_ROOM + (SEPARATION - LEAST_ROOM) * part
         return NEAREST + (FAR - NEAREST) * part, np.maximum(room, ROOM * length)
+
+    @staticmethod
+    def _clear(velocity: NumpyArray, offset: NumpyArray) -> NumpyArray:
+        """Return the velocities (..., n, 2) [m/s] that keep cats clear of the mouse.
+
+        Args:
+            velocity: (..., n, 2) of each cat relative to the mouse [m/s].
+            offset: (..., n, 2) from each cat to the mouse [m].
+        """
+        meeting = CLEAR_AHEAD_S * velocity - offset
+        length = np.maximum(np.linalg.norm(meeting, axis=-1, keepdims=True), SHORTEST)
+        found: NumpyArray = CLEAR_GAIN * np.maximum(CLEAR / length - 1.0, 0.0) * meeting
+        return found
 
     def _way(self, mouse: NumpyArray) -> NumpyArray:
         """Return the heading (..., 1) [rad] in which to drive the mouse at (..., 1, 2) [m], to stay near the middle."""
