@@ -11,7 +11,10 @@ const eventsIn = ({ parent, make, go, highlights }) => {
   make("h4", extremes, "Highlights");
   if (data.events.length) make("h4", rest, `Events (${data.events.length})`);
   const row = (to, time, kind, text) => {
-    const button = make("button", to, `${time === null ? "" : time.toFixed(2) + " s  "}${text.replace(/,? at [\d.]+ s$/, "")}`);
+    // The time is in front, and not at the end again; the last time of a list is another one.
+    const when = time === null ? "" : time.toFixed(2) + " s", again = kind === "highlight" ? ` at ${when}` : text.match(/,? at [\d.]+ s$/)?.[0];
+    const words = again && text.endsWith(again) ? text.slice(0, -again.length) : text;
+    const button = make("button", to, `${when && when + "  "}${words}`);
     button.onclick = () => { if (time !== null) go(time); button.blur(); };
     const found = { time, button, words: `${kind} ${text}`.toLowerCase(), often: COMMON.includes(kind), event: to === rest };
     rows.push(found);

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from qrsim.core.arrays import DType
 from qrsim.engine.layout import Buffers, Packer, aligned
 from qrsim.engine.llvm.calling import Program
 from qrsim.engine.llvm.program import Mode
@@ -53,6 +54,10 @@ class Lanes:
         # Views of leaves that were read or set before, and of those of an only world, its numbers in a row.
         self._parts: dict[int, Array] = {}
         self._rows: list[Array] = []
+        # Views of all floats and of all integers, worlds first (tiles, lanes, numbers of a world).
+        self._blocks: list[Any] = [None, None]
+        # What was selected last: the function, how each leaf is read, and their structure.
+        self._selected: tuple[Callable[[Any], Any], list[tuple[Any, ...]], Any] | None = None
         self.tiles = -(-count // self._lanes)
 
     def addresses(self, tile: int) -> list[int]:
@@ -66,23 +71,22 @@ class Lanes:
         return np.stack(columns, axis=1).astype(np.uint64)
 
     def fill(self, tree: object) -> None:
-        """Set the states of all worlds from a tree, each leaf (B, ...)."""
-        whole = self.tiles * self._lanes
-        leaves = jax.tree.leaves(tree)
-        if whole == 1:
-            # One world is given its inputs at every step, where a copy leaf by leaf would count.
-            for buffer, size, kind in zip(self._buffers, self.layout.sizes, (True, False), strict=True):
-                of_kind = zip(leaves, self.layout.is_float, strict=True)
-                parts = [self._stored(leaf)[0] for leaf, is_float in of_kind if is_float is kind]
-                if parts:
-                    np.concatenate(parts, out=buffer[0, :size])
-            return
-        for number, leaf in enumerate(leaves):
-            rows = self._stored(leaf)
-            if whole != self.count:
+        """Set the states of all worlds from a tree, each leaf (B, ...); of fewer worlds the last one is repeated."""
+        leaves, whole = jax.tree.leaves(tree), self.tiles * self._lanes
+        for kind, (buffer, size) in enumerate(zip(self._buffers, self.layout.sizes, strict=True)):
+            of_kind = zip(leaves, self.layout.is_float, strict=True)
+            parts = [self._stored(leaf) for leaf, is_float in of_kind if is_float is (kind == 0)]
+            if not parts:
+                continue
+            # All leaves at once: leaf by leaf the same would take as long as the start of a few worlds.
+            rows = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+            if whole != len(rows):
                 # Lanes without a world of their own repeat the last one.
-                rows = rows[np.minimum(np.arange(whole), self.count - 1)]
-            self._part(number)[...] = rows.reshape(self.tiles, self._lanes, -1).swapaxes(1, 2)
+                rows = rows[np.minimum(np.arange(whole), len(rows) - 1)]
+            if self._blocks[kind] is None:
+                block = buffer[:, : size * self._lanes].reshape(self.tiles, size, self._lanes)
+                self._blocks[kind] = block.swapaxes(1, 2)
+            self._blocks[kind][...] = rows.reshape(self.tiles, self._lanes, size)
 
     def fill_only(self, leaves: Sequence[Array]) -> None:
         """Set the only world, whose numbers lie one after the other, from its leaves."""
@@ -119,9 +123,18 @@ class Lanes:
             numbers = source.reshape(other.tiles, size, other._lanes)[there[0], :, there[1]]
             target.reshape(self.tiles, size, self._lanes)[here[0], :, here[1]] = numbers
 
-    def get(self, select: Callable[[Any], Any]) -> Any:
-        """Return a copy of the part of the states that ``select`` picks, each leaf (B, ...)."""
-        return jax.tree.map(self._leaf, select(self.layout.numbers))
+    def get(self, select: Callable[[Any], Any], first: int | None = None) -> Any:
+        """Return a copy of the part of the states that ``select`` picks, each leaf (B, ...), or (first, ...)."""
+        if self._selected is None or self._selected[0] is not select:
+            numbers, structure = jax.tree.flatten(select(self.layout.numbers))
+            self._selected = select, list(map(self._read, numbers)), structure
+        _, reads, structure = self._selected
+        count, leaves = self.count if first is None else first, []
+        for part, dtype, shape, as_key in reads:
+            # Always a copy, because a view of the buffers would change under whoever holds it.
+            leaf = part.astype(dtype, order="C").reshape(shape)[:count]
+            leaves.append(leaf.view(np.uint32) if as_key else leaf)
+        return structure.unflatten(leaves)
 
     def _part(self, number: int) -> Array:
         """Return a view of the memory of leaf ``number``: (tiles, numbers of a world, lanes)."""
@@ -146,15 +159,12 @@ class Lanes:
         # The bits of a key, not its value, which int32 may not hold.
         return rows.view(np.int32) if rows.dtype == np.uint32 else rows.astype(np.int32)
 
-    def _leaf(self, number: int) -> Array:
-        """Return a copy of leaf ``number`` of all worlds in its shape and dtype (B, ...)."""
-        part, dtype = self._part(number), self.layout.dtypes[number]
+    def _read(self, number: int) -> tuple[Array, DType, tuple[int, ...], bool]:
+        """Return how leaf ``number`` is read: its memory, worlds first; dtype; shape (B, ...); whether it is a key."""
+        dtype = self.layout.dtypes[number]
+        as_key = dtype == np.uint32
         shape = (self.tiles * self._lanes, *self.layout.shapes[number])
-        rows = np.ascontiguousarray(part.swapaxes(1, 2)).reshape(shape)[: self.count]
-        if dtype == np.uint32:
-            return rows.view(np.uint32)
-        # A view of the buffers would change under whoever holds it.
-        return rows.astype(dtype, copy=np.may_share_memory(rows, part))
+        return self._part(number).swapaxes(1, 2), np.dtype(np.int32) if as_key else dtype, shape, as_key
 
 
 class LaneProgram:
