@@ -83,6 +83,7 @@ class Latches:
     def actions(self) -> dict[str, Some]:
         """Return the action of each fleet, made of the stored orders, for ``Simulation.step``; the next call overwrites
         its arrays."""
+        self._flown = b""
         for fleet in self._fleets:
             fleet.fill(self.codes, self.numbers)
         return self._actions
@@ -90,7 +91,7 @@ class Latches:
     def advance(self, simulation: Simulation) -> None:
         """Advance the simulation by a tick with the stored orders, which are handed over only if one has changed."""
         orders = self.codes.tobytes() + self.numbers.tobytes()
-        same, self._flown = orders == self._flown, b""
+        same = orders == self._flown
         # Numbers of orders are finite and in range (``checked``), so that they are not checked once more.
         simulation.advance(self._actions if same else self.actions(), again="same" if same else "renewed")
         self._flown = orders
