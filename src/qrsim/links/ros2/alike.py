@@ -103,4 +103,5 @@ class Alike:
         unknown = np.isnan(own[:, self._needs])
         if not np.logical_or.reduce(unknown, axis=None):
             return found
-        return [None if some else each for each, some in zip(found, unknown.any(axis=1).tolist(), strict=True)]
+        lacking = np.logical_or.reduce(unknown, axis=1).tolist()
+        return [None if lacks else each for each, lacks in zip(found, lacking, strict=True)]

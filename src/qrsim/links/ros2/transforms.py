@@ -89,7 +89,7 @@ class Transforms:
         known = np.isfinite(poses).all(axis=1)
         key = known.tobytes()
         if key not in self._messages:
-            names = [name for name, knows in zip(self._namespaces, known.tolist(), strict=True) if knows]
+            names = [self._namespaces[row] for row in np.flatnonzero(known).tolist()]
             self._messages[key] = _Known(self._types, names)
         return self._messages[key].message(poses[known], stamps[known])
 
