@@ -80,7 +80,7 @@ def map_from_the_top(browser: Watched, shown: Shown) -> None:
     assert width == pytest.approx(float(metres) * per_metre, rel=0.02)
     # What is under a pixel of it.
     box = "document.querySelector('canvas').getBoundingClientRect()"
-    for ned, off, wanted in (((32, -12, -15), 0, "roof"), ((40, 0, -15), 3, "corner"), ((0, -40, 0), 0, "ground")):
+    for ned, off, wanted in (((32, -12, -15), 0, "roof"), ((40, 0, -15), 3, "roof corner"), ((0, -40, 0), 0, "ground")):
         x, y = pixel(*ned)
         found = ask(browser, f"window.qrsim.tools.placeAt({x + off}, {y}, {box})")
         assert found["what"] == wanted

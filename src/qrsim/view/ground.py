@@ -170,12 +170,20 @@ def keep_out_layers(stage: Stage, world: World) -> list[Layer]:
 
 
 class Obstacles(Layer):
-    """Boxes, cylinders and prisms."""
+    """Boxes, cylinders and prisms.
+
+    Attributes:
+        numbers: by node, the number of each drawn solid's obstacle in the scenario.
+    """
 
     title = OBSTACLES
 
     def __init__(self, stage: Stage, world: World):
-        self._obstacles = world.obstacles
+        self._obstacles = own = world.obstacles
+        plain, count = np.asarray(own.numbers, int).tolist(), len(own.boxes.x_min)
+        prisms = None if own.prisms is None else np.asarray(own.prisms.pieces.number, int)[: own.prisms.count]
+        self.numbers = {"boxes": plain[:count], "cylinders": plain[count:]}
+        self.numbers["prisms"] = [] if prisms is None else prisms.tolist()
         super().__init__(stage)
 
     def begin(self) -> None:

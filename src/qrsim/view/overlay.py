@@ -17,7 +17,7 @@ from qrsim.runs import colours
 from qrsim.view.air import AIR, GUST, REACHES, WHOLE
 from qrsim.view.differences import DIFFERENCES, differences_of
 from qrsim.view.ellipsoids import UNCERTAINTY
-from qrsim.view.ground import KEEP_OUTS, OBSTACLES
+from qrsim.view.ground import KEEP_OUTS, OBSTACLES, Obstacles
 from qrsim.view.interference import INTERFERENCE
 from qrsim.view.jets import WAKES
 from qrsim.view.layers import MOST_LABELS, STRONG_WIND, Bodies, Layer, Stage
@@ -111,6 +111,7 @@ class Overlay:
         self._server = server
         self._said: dict[int, str] | None = None
         self._stated: dict[int, list[str]] = {}
+        obstacles = layers.get(OBSTACLES)
         self._data = {
             "title": title,
             "css": _text("overlay.css") + _text("table.css"),
@@ -128,7 +129,8 @@ class Overlay:
             "north": north[0],
             "site": stage.cast.site,
             "surface": f"{layers['ground and north'].path}/surface",
-            "obstacles": layers[OBSTACLES].path if OBSTACLES in layers else None,
+            "obstacles": None if obstacles is None else obstacles.path,
+            "obstacleNumbers": obstacles.numbers if isinstance(obstacles, Obstacles) else None,
             "layers": [layer.path for layer in layers.values()],
             "themes": {
                 name: {f"{layers['ground and north'].path}/{node}": _plain(own) for node, own in parts.items()}

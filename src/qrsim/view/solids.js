@@ -1,3 +1,21 @@
+// The least distance [m] of two convex outlines in the plane: corners `ring` around which it lies `radius` [m] wide; 0: they meet.
+const betweenOutlines = (a, b) => {
+  const edges = (ring) => ring.map((from, i) => [from, ring[(i + 1) % ring.length]]);
+  const toEdge = ([x, y], [[x0, y0], [x1, y1]]) => {
+    const [dx, dy] = [x1 - x0, y1 - y0], square = dx * dx + dy * dy;
+    const part = square ? Math.min(1, Math.max(0, ((x - x0) * dx + (y - y0) * dy) / square)) : 0;
+    return Math.hypot(x - x0 - part * dx, y - y0 - part * dy);
+  };
+  // They meet if the shadows of both overlap along the normal of each edge.
+  const normals = [...edges(a.ring), ...edges(b.ring)].map(([[x0, y0], [x1, y1]]) => [y1 - y0, x0 - x1]).filter((way) => way.some(Boolean));
+  const parted = ([nx, ny]) => {
+    const [own, other] = [a, b].map(({ ring }) => ring.map(([x, y]) => nx * x + ny * y));
+    return Math.max(...own) < Math.min(...other) || Math.max(...other) < Math.min(...own);
+  };
+  if (normals.length && !normals.some(parted)) return 0;
+  const nearest = (from, to) => Math.min(...from.flatMap((corner) => edges(to).map((edge) => toEdge(corner, edge))));
+  return Math.max(0, Math.min(nearest(a.ring, b.ring), nearest(b.ring, a.ring)) - a.radius - b.radius);
+};
 // Obstacles as they are drawn, and where a ray meets them first, all in NED [m]. `host` is the overlay.
 const solidsIn = (host) => {
   const { data, nodes, floats, shown } = host, read = new Map();
@@ -8,6 +26,8 @@ const solidsIn = (host) => {
   const solidsOf = (node) => {
     const props = node.message.props, old = read.get(node.message.name);
     if (old && old.key === props.vertices) return old.own;
+    // Numbers of the obstacles in the scenario; a prism may be several solids.
+    const numbers = data.obstacleNumbers?.[node.message.name.slice(data.obstacles.length + 1)] ?? [];
     const points = floats(props.vertices), faces = ints(props.faces), found = [], bounds = [];
     const at = props.batched_positions && floats(props.batched_positions), size = props.batched_scales && floats(props.batched_scales);
     const add = (first, last, offset, scale) => {
@@ -16,7 +36,7 @@ const solidsIn = (host) => {
         const value = points[3 * faces[f] + axis] * scale[axis] + offset[axis];
         low[axis] = Math.min(low[axis], value); high[axis] = Math.max(high[axis], value);
       }
-      found.push({ points, faces, first, last, offset, scale, low });
+      found.push({ points, faces, first, last, offset, scale, low, high, number: numbers[found.length] ?? found.length });
       bounds.push(...low, ...high);
     };
     const count = faces.length / 3;
@@ -70,8 +90,19 @@ const solidsIn = (host) => {
   };
   // Corners of a solid; none of one with round sides.
   const corners = ({ points, faces, first, last, offset, scale }) => {
-    const numbers = [...new Set(faces.subarray(3 * first, 3 * last))];
+    const numbers = [...new Set(faces.subarray(3 * first, 3 * last))].sort((a, b) => a - b);
     return numbers.length > 8 ? [] : numbers.map((k) => [0, 1, 2].map((axis) => points[3 * k + axis] * scale[axis] + offset[axis]));
   };
-  return { cast, corners };
+  // The outline of a solid, in the order of the corners of boxes and of pieces of prisms (ground.py); a cylinder is round.
+  const outline = (solid) => {
+    const ned = corners(solid);
+    if (!ned.length) return { ring: [solid.offset.slice(0, 2)], radius: solid.scale[0] };
+    return { ring: [0, 2, 6, 4].map((k) => ned[k].slice(0, 2)), radius: 0 };
+  };
+  // The least level distance [m] of the walls of two obstacles, by number; 0: one is over the other, or they meet.
+  const apart = (one, other) => {
+    const [own, others] = [one, other].map((number) => every().flatMap(({ solids }) => solids.filter((solid) => solid.number === number)).map(outline));
+    return Math.min(...own.flatMap((a) => others.map((b) => betweenOutlines(a, b))));
+  };
+  return { cast, corners, apart };
 };

@@ -71,25 +71,26 @@ const toolsIn = (host) => {
     const ray = rayTo(ned);
     return Math.min(solids.cast(ray.eye, ray.way)?.far ?? Infinity, host.shown(host.nodes(), "/world/ground") ? farOf(ray) : Infinity) < ray.size - slack;
   };
-  // What a pixel shows: its place NED [m], and in one word what is there; null for the sky.
+  // What a pixel shows: its place NED [m], in one or two words what is there, and of an obstacle its number and height [m]; null for the sky.
   const placeAt = (x, y, box) => {
     const ray = rayOf(x, y, box), seen = [[0, 0], [-1, -1], [1, -1], [-1, 1], [1, 1]].map(([dx, dy]) => {
       const own = rayOf(x + 0.7 * NEAR * dx, y + 0.7 * NEAR * dy, box);
       return solids.cast(own.eye, own.way);
     });
-    const close = [...new Set(seen.map((hit) => hit?.solid))].flatMap((solid) => (solid ? solids.corners(solid) : [])).flatMap((ned) => {
+    const close = [...new Set(seen.map((hit) => hit?.solid))].flatMap((solid) => (solid ? solids.corners(solid).map((ned) => ({ ned, solid })) : [])).flatMap(({ ned, solid }) => {
       const spot = host.pixelOf(host.at3(...ned), box), off = spot && Math.hypot(spot.x - x, spot.y - y);
-      return spot && off < NEAR ? [{ ned, off }] : [];
+      return spot && off < NEAR ? [{ ned, solid, off }] : [];
     });
     // Of two corners over each other the upper one is seen.
     close.sort((a, b) => (Math.abs(a.off - b.off) < 0.5 ? a.ned[2] - b.ned[2] : a.off - b.off));
     const corner = close.find(({ ned }) => !hides(ned, 0.05));
-    if (corner) return { ned: corner.ned, what: "corner" };
+    const of = (ned, solid, end) => {
+      const top = ned[2] < solid.low[2] + 0.01, what = top ? "roof" : "wall";
+      return { ned, what: end ? (top ? "roof corner" : "lower corner") : what, number: solid.number, tall: solid.high[2] - solid.low[2] };
+    };
+    if (corner) return of(corner.ned, corner.solid, true);
     const hit = seen[0], far = farOf(ray);
-    if (hit && hit.far < far) {
-      const ned = along(ray, hit.far);
-      return { ned, what: ned[2] < hit.solid.low[2] + 0.01 ? "roof" : "wall" };
-    }
+    if (hit && hit.far < far) return of(along(ray, hit.far), hit.solid, false);
     return far < Infinity ? { ned: along(ray, far), what: "ground" } : null;
   };
   // Latitude and longitude [deg] of a place NED [m] on WGS 84.
@@ -136,10 +137,12 @@ const toolsIn = (host) => {
   const pointer = make("div", "qrsim-pointer", host.root);
   let mouse = null;
   // Words for a place; those of flat ground are without its height, which is 0.
-  const told = ({ ned, what }) => {
+  const told = ({ ned, what, number: obstacle, tall }) => {
     const parts = [`N ${number(ned[0], 1)} m, E ${number(ned[1], 1)} m`], hilly = !!reliefOf();
     if (data.site) parts.unshift(geodetic(ned).map((value) => number(value, 6) + "\u00b0").join(", "));
-    if (what !== "ground" || hilly) parts.push(`${what} ${number(-ned[2], 1)} m`);
+    const up = `${number(-ned[2], 1)} m`;
+    if (what !== "ground") parts.push(`obstacle ${obstacle}, ${number(tall, 1)} m tall; ${what === "wall" ? "here" : what + ","} ${up} up`);
+    else if (hilly) parts.push(`ground ${up}`);
     const below = what !== "ground" && hilly ? ground(ned[0], ned[1]) : null;
     if (below !== null) parts.push(`ground ${number(-below, 1)} m`);
     return parts.join(" \u00b7 ");
@@ -161,11 +164,12 @@ const toolsIn = (host) => {
   // ---- measuring ----
 
   const line = host.draw("path", "qrsim-measure"), words = make("div", "qrsim-measured", host.root);
-  let measuring = false, ends = [];
+  // Of two ends on different obstacles, `gap` is how far [m] apart their walls are; null: there is none.
+  let measuring = false, ends = [], gap = null;
   const button = host.tool("Measure", "distance and height between two clicks; Escape ends", () => measure(!measuring));
   const measure = (on) => {
     measuring = on;
-    ends = [];
+    [ends, gap] = [[], null];
     button.classList.toggle("qrsim-on", on);
     host.again();
   };
@@ -189,11 +193,13 @@ const toolsIn = (host) => {
     const places = ends.map(placeOf), spots = places.map((ned) => host.pixelOf(host.at3(...ned), box));
     line.setAttribute("d", spots.every(Boolean) ? spots.map((s, i) => `${i ? "L" : "M"}${s.x},${s.y}`).join("") +
       spots.map((s) => `M${s.x - 5},${s.y}h10m-5,-5v10`).join("") : "");
-    const named = (end) => ("vehicle" in end ? data.names[end.vehicle] : end.what);
+    const named = (end) => ("vehicle" in end ? data.names[end.vehicle] : "number" in end ? `${end.what} of obstacle ${end.number}` : end.what);
     if (places.length < 2) { words.textContent = places.length ? `${named(ends[0])}: click the second place or vehicle` : "click a place or a vehicle"; return; }
     const [n, e, d] = places[1].map((value, axis) => value - places[0][axis]), level = Math.hypot(n, e);
     const bearing = (((Math.atan2(e, n) * 180) / Math.PI) + 360) % 360;
-    words.textContent = `${named(ends[0])} to ${named(ends[1])}: ${Math.hypot(level, d).toFixed(1)} m, level ${level.toFixed(1)} m, ` +
+    const heights = ends.map((end) => `obstacle ${end.number}, ${number(end.tall, 1)} m tall`).join(", and ");
+    const what = gap === null ? `${named(ends[0])} to ${named(ends[1])}` : `nearest walls: ${gap.toFixed(1)} m (${heights})\nbetween the points`;
+    words.textContent = `${what}: ${Math.hypot(level, d).toFixed(1)} m, level ${level.toFixed(1)} m, ` +
       `height ${number(-d, 1)} m, bearing ${bearing.toFixed(0)}\u00b0`;
     // No number is parted from its unit.
     words.textContent = words.textContent.replace(/(\d) m\b/g, "$1\u00a0m");
@@ -317,6 +323,8 @@ const toolsIn = (host) => {
       if (!measuring || !still) return;
       const end = pick(...at, host.canvasBox());
       if (end) ends = ends.length < 2 ? [...ends, end] : [end];
+      const [one, other] = ends.map((each) => each.number);
+      gap = one !== undefined && other !== undefined && one !== other ? solids.apart(one, other) : null;
       host.again();
     },
   };
