@@ -13,7 +13,7 @@ from qrsim.errors import UsageError
 from qrsim.runs import open_run
 from qrsim.runs.layout import Event
 from qrsim.runs.radio_figure import draw_radio
-from qrsim.runs.radio_links import Packets, components_of, connectivity, packets_of
+from qrsim.runs.radio_links import Packets, components_of, connectivity, out_of_reach, packets_of
 from qrsim.view.highlights import highlights_of
 from qrsim.view.recording import Recording
 from qrsim.view.series import Series
@@ -46,6 +46,19 @@ def test_packets_are_counted_for_each_direction() -> None:
     assert strength[0, 1] == -70.0
     assert strength[2, 1] == -72.0
     assert np.isnan(strength[3, 1])
+
+
+def test_receivers_out_of_reach_are_counted_if_the_log_tells() -> None:
+    pair = [(0, 1, HEARD), (1, 0, HEARD)]
+    found, sent = packets(pair, [*pair, (0, 2, HEARD)], stopped=(3,)), np.array([[1, 1, 1, 0], [2, 2, 2, 0]])
+    # Three vehicles send to two others twice, which makes 12, and 5 packets were within reach.
+    assert out_of_reach(found, sent, ALL) == 7
+    # Two of them with a radio: 4, all within reach.
+    without = np.array([True, True, False, True])
+    assert out_of_reach(packets(pair, pair, stopped=(3,)), sent * without, without) == 0
+    # One of them was silent, or a packet was for another vehicle.
+    assert out_of_reach(found, sent - [[0, 0, 1, 0]], ALL) is None
+    assert out_of_reach(packets([*pair, (0, 2, 0)], stopped=(3,)), sent[:1], ALL) is None
 
 
 def test_groups_are_of_those_who_hear_each_other_both_ways() -> None:

@@ -90,6 +90,7 @@ def test_what_is_derived(plots: Plots):
 def test_highlights_say_who_and_when(plots: Plots, monkeypatch: pytest.MonkeyPatch):
     # The first vehicle begins 5 m from the second, whose estimate is 5 m = 2.5 standard deviations off.
     assert plots.highlights() == [
+        (None, "stopped: 0 of 2"),
         (0.0, "closest to another vehicle: a_0 and <b>, 5.00 m at 0.00 s"),
         (0.0, "largest error of the estimate: <b>, 5.00 m"),
         (0.0, "estimate first outside its 95 % band (1.96 sigma): <b> 0.00 s"),
@@ -101,7 +102,7 @@ def test_highlights_say_who_and_when(plots: Plots, monkeypatch: pytest.MonkeyPat
         assert plots.highlights()[-1][1] == f"estimate {told}"
     data = plots.answer({"number": 3, "lines": [], "highlights": True})
     assert data is not None
-    assert json.loads(data[4:])["highlights"][0] == [0.0, "closest to another vehicle: a_0 and <b>, 5.00 m at 0.00 s"]
+    assert json.loads(data[4:])["highlights"][1] == [0.0, "closest to another vehicle: a_0 and <b>, 5.00 m at 0.00 s"]
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from qrsim.core.arrays import Floats
 from qrsim.errors import UsageError
 from qrsim.runs.picture import colours_of, new_figure, time_limits, title_of
 from qrsim.runs.radio_columns import LOGGED_LINKS
-from qrsim.runs.radio_links import Connectivity, Packets, connectivity, packets_of
+from qrsim.runs.radio_links import Connectivity, Packets, connectivity, packets_of, radios_of
 from qrsim.runs.reader import Run
 from qrsim.runs.summary import stops_of
 
@@ -46,7 +46,7 @@ def draw_radio(run: Run, vehicles: Sequence[str] = (), start: float | None = Non
     grid = figure.add_gridspec(2, 2, width_ratios=(1.25, 1))
     graph, delivery, parts = (figure.add_subplot(grid[place]) for place in (np.s_[:, 0], np.s_[0, 1], np.s_[1, 1]))
     _graph(figure, graph, run, packets)
-    found = connectivity(packets, BINS, _radios(run))
+    found = connectivity(packets, BINS, radios_of(run))
     _draw_delivery(delivery, found)
     _draw_groups(parts, found)
     for axes in (delivery, parts):
@@ -57,14 +57,6 @@ def draw_radio(run: Run, vehicles: Sequence[str] = (), start: float | None = Non
     title = title_of(run, run.vehicles, len(stops_of(run)), last)
     figure.suptitle(f"{title}\nradio {run.scenario['world']['radio']['preset']}, {span}{each}")
     return figure
-
-
-def _radios(run: Run) -> Floats:
-    """Return a bool array (n,) of which vehicles of the run have a radio."""
-    fleets = run.scenario["fleets"].values()
-    own = [(fleet.get("radio") or {}).get("works", True) is not False for fleet in fleets]
-    found = np.repeat(own, [len(fleet["vehicles"]) for fleet in fleets])
-    return found if len(found) == len(run.vehicles) else np.ones(len(run.vehicles), bool)
 
 
 def _graph(figure: Figure, axes: Axes, run: Run, packets: Packets) -> None:

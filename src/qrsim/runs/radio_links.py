@@ -102,6 +102,32 @@ def packets_of(run: Run, start: float | None = None, end: float | None = None) -
     return Packets(stream.time[rows], read["sender"], read["outcome"], read["rssi"], flies)
 
 
+def radios_of(run: Run) -> NumpyArray:
+    """Return a bool array (n,) of which vehicles of the run have a radio."""
+    fleets = run.scenario["fleets"].values()
+    own = [(fleet.get("radio") or {}).get("works", True) is not False for fleet in fleets]
+    found = np.repeat(own, [len(fleet["vehicles"]) for fleet in fleets])
+    return found if len(found) == len(run.vehicles) else np.ones(len(run.vehicles), bool)
+
+
+def out_of_reach(packets: Packets, sent: NumpyArray, radios: NumpyArray) -> int | None:
+    """Return how many packets had a receiver out of reach, summed over the receivers; None if the log does not tell.
+
+    The number is known if every flying vehicle with a radio sends to all in each period, and all links are logged.
+
+    Args:
+        packets: of P periods.
+        sent: (P, n) packets that each vehicle has sent since the start.
+        radios: (n,) bool: the vehicle has a radio.
+    """
+    there, links = packets.flies & radios, packets.sender >= 0
+    count = there.sum(axis=1)
+    all_send = (np.diff(sent, axis=0, prepend=0) == there).all()
+    if not all_send or (links & ~packets.meant).any() or count.max() - 1 > packets.sender.shape[1]:
+        return None
+    return int((count * (count - 1)).sum() - links.sum())
+
+
 @dataclass(frozen=True)
 class Connectivity:
     """How connected the vehicles were, in bins of time (B,).

@@ -8,6 +8,7 @@ const eventsIn = ({ parent, make, go, highlights }) => {
   filter.placeholder = "filter highlights and events";
   filter.type = "search";
   const extremes = make("div", parent, "", "highlights"), rest = make("div", parent), more = make("button", parent, "", "more");
+  const none = make("small", parent, `0 of ${data.events.length} events; the search of the plots finds logged quantities`);
   make("h4", extremes, "Highlights");
   if (data.events.length) make("h4", rest, `Events (${data.events.length})`);
   const row = (to, time, kind, text) => {
@@ -29,6 +30,7 @@ const eventsIn = ({ parent, make, go, highlights }) => {
     const fits = words.map((word) => new RegExp("(?<![a-z0-9])" + word.replace(/[^\w]/g, "\\$&") + (LETTERS.includes(word) ? "(?![a-z0-9])" : "")));
     const shown = (own) => words.length ? fits.every((fit) => fit.test(own.words)) : every || !own.often || !rare.length;
     for (const own of rows) own.button.style.display = shown(own) ? "" : "none";
+    none.hidden = !words.length || rows.some(shown);
     const hidden = rows.filter((own) => !words.length && !shown(own)), kinds = [...new Set(hidden.map((own) => own.words.split(" ")[0].replaceAll("_", " ")))];
     more.style.display = hidden.length ? "" : "none";
     more.textContent = `show ${hidden.length} more: ${kinds.join(", ")}`;

@@ -12,7 +12,7 @@ from qrsim.core.arrays import Floats
 from qrsim.errors import QrsimError
 from qrsim.runs.layout import Event
 from qrsim.runs.radio_columns import links_logged
-from qrsim.runs.radio_links import packets_of
+from qrsim.runs.radio_links import out_of_reach, packets_of, radios_of
 from qrsim.view.derived import CHARGE, FENCE, NEAREST
 from qrsim.view.reasons import LEFT, outside_by
 from qrsim.view.satellite_events import satellite_of, satellites_lost
@@ -29,8 +29,9 @@ SIGMAS, SPEED = "derived.estimate_error_sigmas", "derived.speed"
 MOST_NAMED, MOST_STOPS = 5, 9
 # Links with fewer packets than this are not compared.
 FEWEST_PACKETS = 10
-# Quantities of which the largest value counts, and text with places for the vehicle and the value.
+# Quantities of which the largest value counts, and text with places for the vehicle, the value and, for some, the time.
 LARGEST: tuple[tuple[str, str], ...] = (
+    (SPEED, "fastest: {}, {:.1f} m/s at {:.2f} s"),
     ("derived.wind_speed", "strongest wind: {}, {:.1f} m/s"),
     ("derived.estimate_error", "largest error of the estimate: {}, {:.2f} m"),
     ("derived.setpoint_distance", "farthest from the set-point: {}, {:.2f} m"),
@@ -40,8 +41,8 @@ LARGEST: tuple[tuple[str, str], ...] = (
 def highlights_of(runs: Sequence[Series]) -> list[Highlight]:
     """Return (time [s] or None, text) of notable moments of runs, such as extremes; unlogged quantities are skipped."""
     largest: list[Find] = [partial(_largest, name=name, words=words) for name, words in LARGEST]
-    others = (_battery, _outside, _stopped, _lost_satellites, _apart, _worst_link)
-    finders: tuple[Find, ...] = (_fence, _closest, *largest, *others)
+    others = (_battery, _outside, _at_stops, _lost_satellites, _apart, _worst_link)
+    finders: tuple[Find, ...] = (_stops, _fence, _closest, *largest, *others)
     return [line for find in finders for own in runs for line in _guarded(find, own)]
 
 
@@ -95,10 +96,21 @@ def _extreme(own: Series, name: str, sign: float) -> tuple[float, int, float] | 
 
 
 def _largest(own: Series, name: str, words: str) -> Iterator[Highlight]:
-    """Yield when a quantity was largest; ``words``: text with places for the vehicle and the value."""
+    """Yield when a quantity was largest; ``words``: text with places as in ``LARGEST``."""
     found = _extreme(own, name, 1.0)
     if found is not None:
-        yield found[0], words.format(_named(own, found[1]), found[2])
+        yield found[0], words.format(_named(own, found[1]), found[2], found[0])
+
+
+def _stops(own: Series) -> Iterator[Highlight]:
+    """Yield how many vehicles stopped, and when, the first one first."""
+    stops = sorted((float(at), vehicle) for vehicle, at in enumerate(own.ends) if np.isfinite(at))
+    count = f"stopped: {_letter(own)}{len(stops)} of {len(own.ends)}"
+    if stops:
+        times = _listed(own, [(vehicle, f"{at:.2f} s") for at, vehicle in stops])
+        yield stops[0][0], f"{count}: {times}"
+    else:
+        yield None, count
 
 
 def _fence(own: Series) -> Iterator[Highlight]:
@@ -188,7 +200,7 @@ def _outside(own: Series) -> Iterator[Highlight]:
         yield None, f"estimate never outside its 95 % band ({BAND} sigma){_of_run(own)}"
 
 
-def _stopped(own: Series) -> Iterator[Highlight]:
+def _at_stops(own: Series) -> Iterator[Highlight]:
     """Yield for each vehicle that stopped its last speed [m/s] before, and whether its estimate was in its band."""
     speeds, sigmas = _shown(own, SPEED), _shown(own, SIGMAS)
     for vehicle in np.argsort(own.ends, kind="stable").tolist()[:MOST_STOPS]:
@@ -235,7 +247,8 @@ def _worst_link(own: Series) -> Iterator[Highlight]:
     run = own.member.recording.run
     if "measurements" not in run or not links_logged(run["measurements"].columns()):
         return
-    sent, heard, _ = packets_of(run).counts()
+    packets = packets_of(run)
+    sent, heard, _ = packets.counts()
     lost = np.where(sent >= FEWEST_PACKETS, 1.0 - heard / np.maximum(sent, 1), -1.0)
     sender, receiver = np.unravel_index(np.argmax(lost), lost.shape)
     share = float(lost[sender, receiver])
@@ -243,4 +256,8 @@ def _worst_link(own: Series) -> Iterator[Highlight]:
         link = f"{_named(own, int(sender))} to {run.vehicles[receiver]}"
         yield None, f"worst radio link: {link}, {100.0 * share:.1f} % of {int(sent[sender, receiver])} packets lost"
     elif share == 0.0:
-        yield None, f"radio: no packet lost of {int(sent.sum())} within reach{_of_run(own)}"
+        stream = run["measurements"]
+        beyond = out_of_reach(packets, stream["radio.sent"][np.searchsorted(stream.time, packets.time)], radios_of(run))
+        also = "" if beyond is None else f"; out of reach: {beyond}"
+        letter = f" of {own.member.letter}" if own.member.letter else ""
+        yield None, f"radio{letter}: no packet lost of {int(sent.sum())} within reach{also}"

@@ -84,14 +84,15 @@
   const suggest = () => {
     found.replaceChildren();
     found.hidden = false;
-    const some = matches(search.value);
+    const some = matches(search.value), elsewhere = /(^|\s)(modes?|states?)(\s|$)/i.test(search.value);
+    if (elsewhere) make("small", found, "for modes and states, see Table (T), column state");
     some.slice(0, 60).forEach((item, i) => {
       const row = make("button", found, item.title, i ? "" : "first");
       make("br", row);
       make("small", row, item.doc);
       row.onpointerdown = (event) => { event.preventDefault(); add(item.names); };
     });
-    if (!some.length) make("small", found, "nothing of this name was logged");
+    if (!some.length && !elsewhere) make("small", found, "nothing of this name was logged");
     else if (some.length > 60) make("small", found, `and ${some.length - 60} more`);
   };
   search.onfocus = search.oninput = suggest;

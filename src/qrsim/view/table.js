@@ -136,6 +136,8 @@ const tableIn = (host) => {
   const toggle = (open = !kept.open) => {
     kept.open = open;
     box.hidden = !open;
+    // A table that is opened again has all vehicles.
+    if (!open) kept.filter = filter.value = "";
     button.classList.toggle("qrsim-on", open);
     host.again();
     if (open) { show(); poll(); }
