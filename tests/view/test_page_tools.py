@@ -80,10 +80,15 @@ def map_from_the_top(browser: Watched, shown: Shown) -> None:
     assert width == pytest.approx(float(metres) * per_metre, rel=0.02)
     # What is under a pixel of it.
     box = "document.querySelector('canvas').getBoundingClientRect()"
-    for ned, off, wanted in (((32, -12, -15), 0, "roof"), ((40, 0, -15), 3, "roof corner"), ((0, -40, 0), 0, "ground")):
+    places = (
+        ((32, -12, -15), 0, ("roof", 15.0)),
+        ((40, 0, -15), 3, ("roof corner", 15.0)),
+        ((0, -40, 0), 0, ("ground", None)),
+    )
+    for ned, off, wanted in places:
         x, y = pixel(*ned)
         found = ask(browser, f"window.qrsim.tools.placeAt({x + off}, {y}, {box})")
-        assert found["what"] == wanted
+        assert (found["what"], found.get("tall")) == wanted
         np.testing.assert_allclose(found["ned"], ned, atol=0.01)
     # A vehicle that is seen is meant; one of a hidden layer is not, and neither is one under a roof.
     x, y = pixel(*shown.frame.position_ned[0])

@@ -12,6 +12,7 @@ from qrsim.models.scene import contracts
 from qrsim.models.scene.area import BoxArea
 from qrsim.models.scene.fence import PolygonArea
 from qrsim.models.scene.ground import FlatGround
+from qrsim.models.scene.obstacles import Obstacles as WorldObstacles
 from qrsim.models.scene.prisms import Prisms
 from qrsim.models.scene.zone import Point, Zone
 from qrsim.models.scene.zones import ZonesArea
@@ -179,11 +180,8 @@ class Obstacles(Layer):
     title = OBSTACLES
 
     def __init__(self, stage: Stage, world: World):
-        self._obstacles = own = world.obstacles
-        plain, count = np.asarray(own.numbers, int).tolist(), len(own.boxes.x_min)
-        prisms = None if own.prisms is None else np.asarray(own.prisms.pieces.number, int)[: own.prisms.count]
-        self.numbers = {"boxes": plain[:count], "cylinders": plain[count:]}
-        self.numbers["prisms"] = [] if prisms is None else prisms.tolist()
+        self._obstacles = world.obstacles
+        self.numbers = numbers_of(world.obstacles)
         super().__init__(stage)
 
     def begin(self) -> None:
@@ -211,6 +209,13 @@ class Obstacles(Layer):
         if len(middle):
             colour, scales = shapes.linear(OBSTACLE_COLOUR), np.asarray(size, np.float32)
             self.several(name, mesh, middle, colour, scales, opacity=0.8, receive_shadow=True)
+
+
+def numbers_of(obstacles: WorldObstacles) -> dict[str, list[int]]:
+    """Return by node the number of each solid's obstacle in the scenario, in the order in which they are drawn."""
+    plain, count, prisms = np.asarray(obstacles.numbers, int).tolist(), len(obstacles.boxes.x_min), obstacles.prisms
+    pieces = [] if prisms is None else np.asarray(prisms.pieces.number, int)[: prisms.count].tolist()
+    return {"boxes": plain[:count], "cylinders": plain[count:], "prisms": pieces}
 
 
 def solids(prisms: Prisms) -> shapes.Mesh:
