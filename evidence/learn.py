@@ -41,7 +41,7 @@ STEPS = {
     "goto_waypoint": 2_000_000,
     "keep_velocity": 1_200_000,
     "land_on_pad": 2_000_000,
-    PURSUIT: 2_000_000,
+    PURSUIT: 2_400_000,
     "keep_formation": 3_000_000,
     SEARCH: 1_000_000,
 }
