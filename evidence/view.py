@@ -4,10 +4,11 @@
 can, without a page and with one that one browser or two look at (benchmarks/view.py): medians of runs in turns, and
 their spread. ``reach``: frames and bytes of few and of many vehicles with two browsers, and how old a frame is behind a
 link of 1 Mbit/s. ``hours``: memory of a live page over two hours at fifty times the wall clock. ``export``: two hours
-as one page: processor time and the peak of memory while it is written, and its size.
+as one page: processor time and the peak of memory while it is written, and its size. ``browser``: what a page costs a
+real browser (evidence/_view_browser.py): opening two long runs, scrubbing them, many vehicles, an hour.
 
-The default scenario with more vehicles (benchmarks/_common.py), recorded. Browsers are processes that fetch what a
-browser fetches (benchmarks/_view_client.py). Memory is that of the simulating process, or of the exporting one.
+The default scenario with more vehicles (benchmarks/_common.py), recorded. Other browsers are processes that fetch
+what a browser fetches (benchmarks/_view_client.py). Memory is that of the simulating process, or of the exporting one.
 """
 
 from __future__ import annotations
@@ -23,17 +24,18 @@ from pathlib import Path
 from typing import Any
 
 import qrsim
+from evidence import _view_browser
 from evidence._processes import BENCHMARKS, benchmark, resident_bytes
 from qrsim.runs.recorder import fly
 from qrsim.view.clock import Clock
 from qrsim.view.live import LiveView
 
-DOC = "the 3-D page: frames, bytes, lag, memory and slowdown of live pages; memory and size of exports of two hours"
+DOC = "the 3-D page: frames, bytes, lag, memory and slowdown of live pages; exports of two hours; a real browser"
 SEED = 20261121
 FULL, SMALL = (1000, 60.0), (20, 3.0)
 # Pairs of runs, and vehicles and seconds of each.
 FULL_RUNS, SMALL_RUNS = (1000, 60.0, 5), (2, 2.0, 1)
-PARTS = ("minute", "reach", "hours", "export")
+PARTS = ("minute", "reach", "hours", "export", "browser")
 # Vehicles, seconds of flight, and seconds behind a slow link.
 FULL_REACH, SMALL_REACH = ((5, 1000), 60.0, 30.0), ((2,), 2.0, 2.0)
 SLOW_BITS_PER_SECOND = 1e6
@@ -41,6 +43,12 @@ SLOW_BITS_PER_SECOND = 1e6
 FULL_HOURS, SMALL_HOURS = (5, 7200.0, 50.0), (2, 20.0, 10.0)
 # Vehicles, and seconds of a flight that is long and of one that is short.
 FULL_EXPORT, SMALL_EXPORT = ((5, 50), 7200.0, 60.0), ((2,), 4.0, 2.0)
+# Vehicles and seconds of two runs, how often they are opened, how often their time is set; of one with many vehicles;
+# of a long live flight, with its speed.
+FULL_BROWSER, SMALL_BROWSER = (
+    ((50, 600.0), 3, 200, (1000, 20.0), (5, 3600.0, 50.0)),
+    ((2, 2.0), 1, 5, (20, 3.0), (2, 60.0, 10.0)),
+)
 EXPORT = """
 import resource, sys
 from qrsim import cli
@@ -221,9 +229,36 @@ def exported(count: int, seconds: float) -> dict[str, float]:
     }
 
 
+def browser(full: bool) -> dict[str, Any]:
+    """Return what a browser spends on opening two runs, scrubbing them, many vehicles, and a live flight of an hour."""
+    (count, seconds), opened, seeks, (many, short), (few, long, speed) = FULL_BROWSER if full else SMALL_BROWSER
+
+    def flown(count: int, seconds: float, path: Path, seed: int = SEED, view: LiveView | None = None) -> Path:
+        scenario = qrsim.load_scenario(patrol(count), [f"duration={seconds}"], quiet=True)
+        fly(scenario, path, seed=seed, precision="float32", view=view)
+        return path
+
+    found: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        two = flown(count, seconds, folder / "first"), flown(count, seconds, folder / "second", SEED + 1)
+        openings = [_view_browser.opening(*two) for _ in range(opened)]
+        found["opening"] = {name: min(each[name] for each in openings) for name in openings[0]}
+        found["scrubbing"] = {"vehicles": 2 * count, "simulated_s": seconds, **_view_browser.scrubbing(two, seeks)}
+        found["many"] = {"vehicles": many, **_view_browser.playing(flown(many, short, folder / "many"), short - 1.0)}
+        view = LiveView(0, Clock(speed))
+        looking = threading.Thread(target=lambda: found.update(hour=_view_browser.hour(view, long)))
+        looking.start()
+        flown(few, long, folder / "hour", view=view)
+        looking.join()
+        view.close()
+    found["hour"] |= {"vehicles": few, "simulated_s": long}
+    return {"browser": found}
+
+
 def run(full: bool, parts: tuple[str, ...] = PARTS) -> dict[str, Any]:
     """Return the results of the parts."""
     found: dict[str, Any] = {}
     for part in parts:
-        found |= {"minute": minute, "reach": reach, "hours": hours, "export": export}[part](full)
+        found |= {"minute": minute, "reach": reach, "hours": hours, "export": export, "browser": browser}[part](full)
     return found

@@ -34,7 +34,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
     made = ProgramsMade()
     made.watch(by_llvm, "build")
-    made.watch(by_xla, "make")
+    made.watch(by_xla, "make", made.key_of_xla)
     config.pluginmanager.register(made, "programs_made")
     one_by_one.install()
     # Tracing makes many objects. By Python's defaults, a sixth of the time went to looking through those that stay.
@@ -43,6 +43,15 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_collection_finish() -> None:
     """Let the collector leave out what was imported: it stays."""
+    gc.freeze()
+
+
+def pytest_sessionfinish() -> None:
+    """Collect what is left while there is time for it, and let pytest's own last collection find nothing more.
+
+    It follows the last word of a worker, and xdist sends Ctrl-C to a worker that has not ended five seconds after that.
+    """
+    gc.collect()
     gc.freeze()
 
 

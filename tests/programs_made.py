@@ -7,11 +7,13 @@ cache of programs is not counted. The bounds hold for whole tiers: a run of some
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Hashable
 from typing import Any
 
 import pytest
 
-# Programs that a tier may compile. Who needs more looks for a world to share first (tests/small_worlds.py).
+# Programs that a tier may compile: those of a cold run and 6 % more, because two workers that need a program at once
+# both compile it. Who needs more looks for a world to share first (tests/small_worlds.py).
 BUDGET = {"not long and not nightly": 330, "long and not nightly": 975}
 KEY = "programs_made"
 SHOWN = 10
@@ -23,16 +25,32 @@ class ProgramsMade:
     def __init__(self) -> None:
         self.by_file: Counter[str] = Counter()
         self.now = "elsewhere"
+        self._known: set[int] = set()
 
-    def watch(self, module: Any, name: str) -> None:
-        """Count the calls of a function of a module."""
+    def watch(self, module: Any, name: str, key: Callable[..., Hashable] | None = None) -> None:
+        """Count the calls of a function of a module.
+
+        Args:
+            module, name: which.
+            key: of its arguments; a call whose key is that of an earlier one makes no program.
+        """
         function = getattr(module, name)
 
         def counted(*arguments: Any, **named: Any) -> Any:
-            self.by_file[self.now] += 1
+            # Their hashes alone, which keep nothing in memory.
+            known = None if key is None else hash(key(*arguments, **named))
+            if known is None or known not in self._known:
+                self.by_file[self.now] += 1
+            if known is not None:
+                self._known.add(known)
             return function(*arguments, **named)
 
         setattr(module, name, counted)
+
+    @staticmethod
+    def key_of_xla(function: Hashable, shared: Any, own: Hashable, *further: Hashable) -> Hashable:
+        """Return what JAX knows a program by; ``further``: layout of its state, extent, and why LLVM refused it."""
+        return function, shared.layout, own, *further[:2]
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logstart(self, nodeid: str) -> None:

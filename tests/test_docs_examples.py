@@ -122,10 +122,29 @@ WITHOUT_A_TASK = [name for name in built_in_names() if not name.startswith("cats
 VARIANTS = [name for name in WITHOUT_A_TASK if "/" in name and name[-2:] not in ("2B", "3F")]
 
 
+# What pages add to this scenario is flown together by day, in as few flights as contradict each other.
+EXTENDED = "extends: patrol_plain\n"
+ADDED = {
+    "sensors": ("choose_a_receiver", "choose_sensors", "sensors_heading_and_height", "sensors_inertial",
+                "sensors_looking_around", "radio", "vehicle", "turbulence_field"),
+    "receivers": ("corrections", "jam_and_spoof"),
+}  # fmt: skip
+
+
+def added(pages: tuple[str, ...]) -> list[tuple[str, str]]:
+    """Return (name, text) of the first scenario of each of these pages."""
+    found = {Path(name.removesuffix("-1")).stem: (name, text) for name, text in blocks("yaml") if name.endswith("-1")}
+    return [found[page] for page in pages]
+
+
 def page_by_page() -> list[Any]:
     """Return a case for every scenario; of each page the first is flown in the long tier, the others at night."""
-    later = {True: (), False: pytest.mark.nightly}
-    return [pytest.param(name, text, id=name, marks=later[name.endswith("-1")]) for name, text in blocks("yaml")]
+    together = {name for pages in ADDED.values() for name, _ in added(pages)}
+    later: dict[bool, Any] = {True: (), False: pytest.mark.nightly}
+    return [
+        pytest.param(name, text, id=name, marks=later[name.endswith("-1") and name not in together])
+        for name, text in blocks("yaml")
+    ]
 
 
 @pytest.mark.parametrize(("name", "text"), [case for case in blocks("yaml") if not case[0].endswith("-1")])
@@ -152,6 +171,23 @@ def test_scenario_flies(name: str, text: str, seeds: int, tmp_path: Path, monkey
     monkeypatch.chdir(tmp_path)
     Path("example.yaml").write_text(text, "utf-8")
     assert stopped("example.yaml", seeds) == set()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("pages", ADDED.values(), ids=ADDED)
+def test_what_pages_add_to_a_scenario_flies(
+    pages: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each is built, and nobody stops where all is added; at night each flies alone."""
+    monkeypatch.chdir(tmp_path)
+    before = EXTENDED
+    for number, (name, text) in enumerate(added(pages)):
+        assert text.count(EXTENDED) == 1, name
+        Path("alone.yaml").write_text(text, "utf-8")
+        assert qrsim.load_scenario("alone.yaml").world().fleets
+        Path(f"{number}.yaml").write_text(text.replace(EXTENDED, before), "utf-8")
+        before = f"extends: ./{number}.yaml\n"
+    assert stopped(f"{len(pages) - 1}.yaml", 4) == set()
 
 
 @pytest.mark.nightly

@@ -1,4 +1,8 @@
-"""The small form of the study of range-only SLAM (``make evidence slam``), and what the full form must have found."""
+"""The small forms of two studies of range-only SLAM, and what the full form must have found.
+
+``make evidence slam`` and, of what it says of its own errors, ``make evidence slam_consistency``: in one process,
+because both solve the same problems by the same programs.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +10,11 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from evidence import slam as study
+from evidence import slam_consistency as consistency
+from evidence.__main__ import plain
 
 REPORT = Path(__file__).parents[1] / "docs" / "evidence" / "slam.json"
 
@@ -72,3 +79,26 @@ def test_the_full_study_solved_an_hour_in_the_memory_that_is_stated() -> None:
     assert found["flight_3600_s"]["not_converged"] == 0
     for flight in (found[name] for name in found if name.startswith("flight_")):
         assert flight["bytes"] < flight["stated_bytes"]
+
+
+def test_nees_is_the_squared_error_in_standard_deviations() -> None:
+    """2 m at 4 m^2 and 3 m at 1 m^2: 1 + 9; 2 m twice at 1 m^2, correlated by a half: (4 + 4 - 4) / 0.75."""
+    assert consistency.nees(np.array([2.0, 3.0]), np.diag([4.0, 1.0])) == pytest.approx(10.0)
+    assert consistency.nees(np.array([2.0, 2.0]), np.array([[1.0, 0.5], [0.5, 1.0]])) == pytest.approx(16.0 / 3.0)
+
+
+def test_the_band_of_fifty_seeds() -> None:
+    """Chi-square of 100 degrees of freedom, 74.222 and 129.561 (tables), over 50."""
+    assert consistency.band(50, 2) == pytest.approx((74.222 / 50, 129.561 / 50), rel=1e-5)
+
+
+@pytest.mark.long
+def test_coloured_errors_taken_for_white_make_it_too_sure_of_itself() -> None:
+    """White inside its band; coloured above by far; as a state inside again."""
+    found = consistency.run(full=False)
+    # What a file of evidence can hold.
+    assert plain(found, "") == found
+    assert found["white"]["position"]["inside"]
+    assert found["coloured"]["position"]["nees"] > 5.0 * found["coloured"]["position"]["band_high"]
+    assert found["coloured"]["position"]["coverage"]["high"] < 0.95
+    assert found["coloured_as_state"]["position"]["inside"]

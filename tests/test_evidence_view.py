@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 from evidence import view as study
 
+from qrsim.view.browser import INSTALL, find_browser
+
 pytestmark = pytest.mark.long
 
 
@@ -52,3 +54,21 @@ def test_exports_are_measured() -> None:
         # viser's own page is 0.82 MB of it.
         assert 0.82 < page["page_megabytes"] < 3.0
     assert found["vehicles_2"]["page_megabytes"] > found["short"]["page_megabytes"]
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(find_browser() is None, reason=f"no browser; {INSTALL}")
+def test_a_browser_opens_scrubs_and_looks_for_long() -> None:
+    found = study.run(full=False, parts=("browser",))["browser"]
+    opening, scrubbing, many, hour = (found[name] for name in ("opening", "scrubbing", "many", "hour"))
+    assert 0.0 < opening["names_what_it_loads_s"] <= opening["whole_s"]
+    assert 0.0 < opening["page_processor_until_it_names_s"] <= opening["page_processor_s"]
+    # Not for each vehicle a call: twenty take as many as a thousand, some 14.
+    assert (scrubbing["vehicles"], many["vehicles"]) == (4, 20)
+    assert 2.0 < scrubbing["draw_calls_a_frame"] < 30.0
+    assert 2.0 < many["draw_calls_a_frame"] < 30.0
+    assert 20 * 100 < many["triangles_a_frame"] < 20 * 2000
+    assert many["frames_per_second"] > 0.0
+    # Of a minute of flight nothing is left but its paths.
+    assert hour["heap_at_end_megabytes"] - hour["heap_after_a_sixth_megabytes"] < 3.0
+    assert (scrubbing["errors"], many["errors"], hour["errors"]) == (0, 0, 0)

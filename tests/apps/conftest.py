@@ -5,14 +5,19 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.small_worlds import bare_pair
 
 from qrsim import cli
+from qrsim.runs.recorder import fly as record
+from qrsim.view.clock import Clock
+from qrsim.view.live import LiveView
 
 SEED, DURATION = 3, 10.0
 
@@ -56,3 +61,17 @@ def flown(fly: Callable[..., Flight]) -> Flight:
 def flown_again(fly: Callable[..., Flight], flown: Flight) -> Flight:
     """The resolved scenario of ``flown`` with the same seed, as a table."""
     return fly(str(flown.folder / "scenario.yaml"), "--seed", str(SEED), "--no-figure")
+
+
+@contextlib.contextmanager
+def flying(folder: Path, duration: float, clock: Clock) -> Iterator[tuple[LiveView, threading.Thread]]:
+    """Fly with a page in a thread; its address is known at once."""
+    view = LiveView(0, clock)
+    flight = threading.Thread(
+        target=lambda: record(bare_pair(duration=duration), folder, seed=1, precision="float32", view=view), daemon=True
+    )
+    with contextlib.closing(view):
+        flight.start()
+        yield view, flight
+        clock.close()
+        flight.join(60.0)

@@ -41,7 +41,7 @@ def test_a_table_and_a_picture(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.long
 def test_json(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["score", "keep_spot", "--seeds", "2", "--first-seed", "5", "--set", "duration=3", "--json"]) == 0
+    assert cli.main(["score", "keep_spot", "--seeds", "2", "--first-seed", "5", "--set", "duration=4", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["task"], found["seeds"], found["first_seed"], found["figure"]) == ("keep_spot", 2, 5, None)
     baseline, hover = found["policies"]
@@ -56,26 +56,23 @@ def test_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert "persons_found" not in hover
 
 
-# A field of 12 m, 3 m above whose middle somebody hovers who finds within 5 m, so within 4 m of the ground below.
-NARROW = [
-    "world.area={type: box, x_min: -6, x_max: 6, y_min: -6, y_max: 6, z_min: -80, z_max: 0}",
-    "fleets.helicopters.placement={type: given}",
-    "fleets.helicopters.vehicles.0.position_ned=[0, 0, -3]",
-    "duration=4",
-]
+def searched(area_m: float, *places: list[float]) -> list[str]:
+    """Return the words for a search of 4 s by two who start at given places, which is one and the same program."""
+    half = 0.5 * area_m
+    items = [
+        f"world.area={{type: box, x_min: {-half}, x_max: {half}, y_min: {-half}, y_max: {half}, z_min: -80, z_max: 0}}",
+        "fleets.helicopters.placement={type: given}",
+        f"fleets.helicopters.vehicles={[{'position_ned': place} for place in places]}",
+        # Of another number of steps it would be another program.
+        "duration=4",
+    ]
+    return ["score", "search_and_rescue/2C", *(f"--set={item}" for item in items)]
 
 
 @pytest.mark.long
 def test_a_search_tells_who_was_found(capsys: pytest.CaptureFixture[str]) -> None:
-    words = [
-        "score",
-        "search_and_rescue/2A",
-        "--policy",
-        "hover",
-        "--seeds",
-        "4",
-        *(f"--set={item}" for item in NARROW),
-    ]
+    """In a field of 12 m two hover 3 m above the ground who find within 5 m, so within 4 m of the ground below."""
+    words = [*searched(12.0, [-2.0, 0.0, -3.0], [2.0, 0.0, -3.0]), "--policy", "hover", "--seeds", "4"]
     assert cli.main([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert set(found) == {"task", "seeds", "first_seed", "policies", "figure", "dataset"}
@@ -97,15 +94,14 @@ def test_a_search_tells_who_was_found(capsys: pytest.CaptureFixture[str]) -> Non
 @pytest.mark.long
 def test_two_agents_with_an_oracle(capsys: pytest.CaptureFixture[str]) -> None:
     """In JSON first who was named; in the picture both agents, and the persons whom nobody has found."""
-    two = "fleets.helicopters.vehicles=[{position_ned: [0, -20, -25]}, {position_ned: [0, 20, -25]}]"
-    more = ["--policy", "oracle", "--seeds", "2", "--set", "duration=12", "--set", two, "--out", "two.png"]
-    assert cli.main(["score", "search_and_rescue/2C", *more, "--json"]) == 0
+    words = searched(420.0, [0.0, -20.0, -25.0], [0.0, 20.0, -25.0])
+    assert cli.main([*words, "--policy", "oracle", "--seeds", "2", "--out", "two.png", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["task"], found["figure"]) == ("search_and_rescue_2C", "two.png")
     assert [row["policy"] for row in found["policies"]] == ["oracle", "baseline", "hover"]
     oracle, baseline, hover = found["policies"]
     assert (oracle["difference"], oracle["flown_to_the_end"], len(oracle["returns"])) == (None, 1.0, 2)
-    # Twelve steps without a find cost a twelfth each.
+    # Four steps without a find cost a quarter each.
     assert hover["returns"] == pytest.approx([-1.0, -1.0], abs=1e-6)
     assert hover["persons_found"] == {"mean": 0.0, "low": 0.0, "high": 0.0, "episodes": [0, 0]}
     for row in (baseline, hover):

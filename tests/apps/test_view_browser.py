@@ -178,7 +178,7 @@ def test_a_click_on_a_vehicle_shows_its_values(watched: Watched):
     eventually(lambda: watched.page.scene.cast.names[3] in panel_values(watched.browser))
     watched.browser.evaluate("window.qrsimPlots.toggle(true)")
     eventually(lambda: words_of_plots(watched.browser, "#qrsim-plots select option:checked") == "pelicans_3")
-    eventually(lambda: "north, truth" in words_of_plots(watched.browser, "#qrsim-plots .lines"))
+    eventually(lambda: "height" in words_of_plots(watched.browser, "#qrsim-plots .lines"))
     watched.browser.evaluate("window.qrsimPlots.toggle(false)")
     watched.page.choose(None)
 
@@ -299,7 +299,7 @@ def test_an_export_has_heading_layers_and_plots(page: Path, browser: Browser):
     browser.evaluate("document.querySelector('#qrsim-panel details').open = true")
     browser.evaluate("window.qrsimPlots.toggle(true)")
     eventually(lambda: words_of_plots(browser, "#qrsim-plots select option:checked") == "pelicans_3")
-    eventually(lambda: "north, truth" in words_of_plots(browser, "#qrsim-plots .lines"))
+    eventually(lambda: "height" in words_of_plots(browser, "#qrsim-plots .lines"))
     browser.evaluate("window.qrsimPlots.toggle(false)")
     press_key(browser, "8")
     eventually(lambda: "t = 8.00 s" in str(browser.evaluate("document.body.innerText")))

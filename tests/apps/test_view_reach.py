@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import resource
 import threading
 import time
@@ -12,14 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.apps.conftest import DURATION, Flight
-from tests.small_worlds import bare_pair
+from tests.apps.conftest import DURATION, Flight, flying
 
 from qrsim.runs import open_run
-from qrsim.runs.recorder import fly
 from qrsim.view.browser import INSTALL, Browser, find_browser
 from qrsim.view.clock import SPEEDS, Clock
-from qrsim.view.live import LiveView
 from qrsim.view.page import Page
 from qrsim.view.recording import Recording
 from qrsim.view.replay import Replay
@@ -51,20 +47,6 @@ def press(browser: Browser, key: str, shift: bool = False) -> None:
     code = KEYS.get(key, f"Digit{key}" if key.isdigit() else key)
     for kind in ("keyDown", "keyUp"):
         browser.call("Input.dispatchKeyEvent", type=kind, key=key, code=code, modifiers=8 if shift else 0)
-
-
-@contextlib.contextmanager
-def flying(folder: Path, duration: float, clock: Clock) -> Iterator[tuple[LiveView, threading.Thread]]:
-    """Fly with a page in a thread; its address is known at once."""
-    view = LiveView(0, clock)
-    flight = threading.Thread(
-        target=lambda: fly(bare_pair(duration=duration), folder, seed=1, precision="float32", view=view), daemon=True
-    )
-    with contextlib.closing(view):
-        flight.start()
-        yield view, flight
-        clock.close()
-        flight.join(60.0)
 
 
 @pytest.fixture(scope="module")

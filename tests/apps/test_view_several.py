@@ -177,4 +177,4 @@ def test_a_page_of_several_has_all(both: Several, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(film, "FASTEST_HZ", 0.5)
     page = film.film(both)
     assert page.count('id="qrsim-plots-') == 10
-    assert '"runs": ["A run, seed 3", "B run, seed 4"]' in page
+    assert '"runs": ["run A (run, seed 3)", "run B (run, seed 4)"]' in page

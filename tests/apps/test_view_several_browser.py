@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from evidence._view_browser import Watched
 from tests.apps.conftest import Flight
 
 from qrsim.runs import open_run
@@ -26,19 +27,6 @@ pytestmark = [
 ]
 HOSTILE = "<img src=x onerror=window.beacon=1>"
 DOCK = "document.getElementById('qrsim-plots')"
-
-
-class Watching(Browser):
-    """A browser that keeps the exceptions of its page."""
-
-    def __init__(self, *size: int):
-        super().__init__(*size)
-        self.errors: list[str] = []
-
-    def _note(self, method: str, parameters: dict[str, Any]) -> None:
-        if method == "Runtime.exceptionThrown":
-            self.errors.append(str(parameters["exceptionDetails"]))
-        super()._note(method, parameters)
 
 
 def eventually(condition: Callable[[], Any]) -> Any:
@@ -71,8 +59,7 @@ def search(browser: Browser, words: str) -> None:
 
 
 def test_runs_and_plots_on_one_page(replay: Replay):
-    with Watching(1280, 800) as browser:
-        browser.call("Runtime.enable")
+    with Watched(1280, 800) as browser:
         text: Callable[[str], str] = lambda selector: str(  # noqa: E731
             browser.evaluate(f"[...document.querySelectorAll('{selector}')].map(e => e.textContent).join('|')")
         )
@@ -80,12 +67,16 @@ def test_runs_and_plots_on_one_page(replay: Replay):
         eventually(lambda: browser.evaluate("!!window.qrsim?.state.framed && !!window.qrsimPlots"))
         # Runs in the legend; distances, of two equal flights, in the legend and at the vehicles of the second.
         eventually(lambda: "0.00\u00a0m from A, at most 0.00\u00a0m" in text(".qrsim-legend"))
-        assert "A run, seed 3" in text(".qrsim-legend")
+        assert "run A (run, seed 3)" in text(".qrsim-legend")
         eventually(lambda: re.findall(r"B pelicans_\d\u20020\.00\u00a0m", text(".qrsim-label")))
-        # Plots begin with what belongs together, of the vehicle in both runs.
+        # Plots begin with the heights of all vehicles; the line next to the pointer is named, with its value.
         browser.evaluate("window.dispatchEvent(new KeyboardEvent('keydown', {key: 'p', bubbles: true}))")
         eventually(lambda: browser.evaluate(f"{DOCK}.querySelectorAll('canvas').length") == 1)
-        eventually(lambda: text("#qrsim-plots .line").count("north, ") == 8)
+        eventually(lambda: text("#qrsim-plots .line").count(" height") == 10)
+        place = f"{DOCK}.querySelector('.u-over').getBoundingClientRect()"
+        x, y = browser.evaluate(f"[{place}.left + {place}.width / 2, {place}.top + {place}.height / 2]")
+        browser.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+        eventually(lambda: re.fullmatch(r"[AB] pelicans_\d height [\d.]+, (4\.9|5\.0)\d s", text("#qrsim-plots .tip")))
         # A quantity that is searched for, by its meaning; a click on its extreme goes to its time.
         search(browser, "mean wind and gusts together")
         eventually(lambda: "wind_speed" in text("#qrsim-plots .line"))

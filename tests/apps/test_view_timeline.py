@@ -7,11 +7,12 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from evidence._view_browser import Watched
 from tests.apps.conftest import DURATION, Flight
 
 from qrsim.runs import open_run
 from qrsim.runs.layout import Event
-from qrsim.view.browser import INSTALL, Browser, find_browser
+from qrsim.view.browser import INSTALL, find_browser
 from qrsim.view.clock import SPEEDS, Clock
 from qrsim.view.page import Page
 from qrsim.view.recording import Recording
@@ -64,8 +65,8 @@ def test_marks_are_what_is_rare():
 @pytest.mark.skipif(find_browser() is None, reason=f"no browser; {INSTALL}")
 def test_keys_and_the_mouse_in_a_browser(replay: Any):
     clock = replay.clock
-    with Browser(800, 600) as browser:
-        browser.open(f"{address(replay.page.server)}/?fixedDpr=1")
+    with Watched(800, 600) as browser:
+        browser.look(address(replay.page.server))
         eventually(lambda: bool(browser.evaluate("!!document.getElementById('qrsim-timeline')")))
         whole = "document.getElementById('qrsim-timeline').getBoundingClientRect().width"
         eventually(lambda: browser.evaluate(whole) == 800)
@@ -89,6 +90,19 @@ def test_keys_and_the_mouse_in_a_browser(replay: Any):
         browser.click(left + 0.5 * width, browser.evaluate("innerHeight") - 17.0)
         eventually(lambda: 0.45 * DURATION < replay.time < 0.55 * DURATION)
         assert "2 x" in browser.evaluate("document.getElementById('qrsim-timeline').innerText")
+        # A number that is typed in the panel replaces the one before, and is not overwritten between its digits.
+        press(" ")
+        eventually(lambda: not clock.playing)
+        field = (
+            "(r => [r.left + r.width / 2, r.top + r.height / 2])(document.querySelector('.mantine-NumberInput-input')"
+        )
+        for typed in ("7.5", "2.52"):
+            browser.click(*browser.evaluate(f"{field}.getBoundingClientRect())"))
+            for letter in typed:
+                browser.call("Input.dispatchKeyEvent", type="char", text=letter)
+            for kind in ("keyDown", "keyUp"):
+                browser.call("Input.dispatchKeyEvent", type=kind, key="Enter", windowsVirtualKeyCode=13)
+            eventually(lambda: replay.time == pytest.approx(float(typed)))  # noqa: B023
 
 
 def test_while_the_bar_is_dragged_paths_wait(replay: Any):

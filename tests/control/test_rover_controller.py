@@ -15,6 +15,7 @@ from qrsim.control.rover import RoverController
 from qrsim.errors import ScenarioError, UsageError
 
 TRUTH = {"type": "rover", "feed": "truth"}
+EAST = np.array([0.0, 500.0, 0.0])
 
 
 def scenario(vehicle: Any = "rover", **fleet: Any) -> dict[str, Any]:
@@ -22,22 +23,46 @@ def scenario(vehicle: Any = "rover", **fleet: Any) -> dict[str, Any]:
     return {"name": "x", "duration": 30.0, "fleets": {"cars": {**own, **fleet}}}
 
 
+def both(cars: list[Any], tracks: list[Any] | None = None, **fleet: Any) -> dict[str, Any]:
+    """Return a scenario of a fleet of each kind of rover; however the numbers are chosen, it is one program.
+
+    Args:
+        cars: steered vehicles.
+        tracks: those that turn on the spot; by default the same, 500 m further east.
+        fleet: what both have.
+    """
+    wide = {"type": "box", "x_min": -6e4, "x_max": 6e4, "y_min": -6e4, "y_max": 6e4, "z_min": -100.0, "z_max": 0.0}
+    own = {"controller": TRUTH, **fleet}
+    fleets = {
+        "cars": {**own, "vehicle": {"type": "rover"}, "vehicles": cars},
+        "tracks": {**own, "vehicle": {"type": "differential_rover"}, "vehicles": tracks or [beside(v) for v in cars]},
+    }
+    return {"name": "x", "duration": 30.0, "world": {"area": wide, "collision_distance": 0.2}, "fleets": fleets}
+
+
+def beside(vehicle: dict[str, Any]) -> dict[str, Any]:
+    """Return the same vehicle with its route, 500 m further east."""
+    return {name: (np.array(value) + EAST).tolist() for name, value in vehicle.items()}
+
+
+def at(*places: list[float]) -> list[Any]:
+    return [{"position_ned": place} for place in places]
+
+
 @pytest.mark.long
 def test_pure_pursuit_of_a_line_from_three_metres_beside_it() -> None:
     """The published number of the law at 2.5 m/s: 0.000 m after 10 s, overshoot 0.13 m; and a circle within 3 %."""
-    vehicles = [{"position_ned": [0.0, 3.0, 0.0]}, {"position_ned": [0.0, -40.0, 0.0]}]
-    world = {**scenario(vehicles=vehicles), "world": {"collision_distance": 0.5}}
+    world = both(at([0.0, 3.0, 0.0], [0.0, -40.0, 0.0]))
     line, circle = np.zeros((2, 3)), np.array([[400.0, 0.0, 0.0], [0.0, -50.0, 0.0]])
 
     def policy(reading: Any) -> Any:
-        return qrsim.TrackSetpoint(
-            qrsim.Vec3(*line.T), qrsim.Vec3(*circle.T), np.array([0.0, -10.0]), np.full(2, 2.5), np.zeros(2)
-        )
+        numbers: list[Any] = [np.array([0.0, -10.0]), np.full(2, 2.5), np.zeros(2)]
+        return qrsim.TrackSetpoint(qrsim.Vec3(*line.T), qrsim.Vec3(*circle.T), *numbers)
 
     flight = qrsim.play(world, {"cars": policy}, ticks=1500, policy_ticks=1500, record_every=10)
-    beside = flight.position_ned[:, 0, 1]
-    assert abs(beside[50]) < 0.01
-    assert -np.min(beside) == pytest.approx(0.13, abs=0.03)
+    beside_line = flight.position_ned[:, 0, 1]
+    assert abs(beside_line[50]) < 0.01
+    assert -np.min(beside_line) == pytest.approx(0.13, abs=0.03)
     away = np.hypot(flight.position_ned[75:, 1, 0], flight.position_ned[75:, 1, 1] + 50.0)
     np.testing.assert_allclose(away, 10.0, rtol=0.03)
     # Against the clock as seen from above.
@@ -46,71 +71,60 @@ def test_pure_pursuit_of_a_line_from_three_metres_beside_it() -> None:
     assert (swing < 0.0).all()
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("vehicle", ["rover", "differential_rover"])
-def test_it_stops_at_the_last_waypoint(vehicle: str) -> None:
-    route = [[20.0, 3.0, 0.0], [20.0, 18.0, 0.0]]
-    fleet = {"guidance": {"type": "rover", "repeat": False}}
-    vehicles = [{"position_ned": [0, 3, 0], "waypoints_ned": route}]
-    simulation = qrsim.load(scenario(vehicle, **fleet, vehicles=vehicles))
-    simulation.reset()
-    for _ in range(30):
-        simulation.advance(ticks=50)
-    truth = simulation.truth
-    np.testing.assert_allclose(truth.position_ned[0], route[-1], atol=0.35)
-    np.testing.assert_allclose(truth.velocity_ned[0], 0.0, atol=1e-3)
-
-
-@pytest.mark.parametrize("vehicle", ["rover", "differential_rover"])
-def test_it_comes_to_a_place_inside_its_turning_circle(vehicle: str) -> None:
+def test_it_stops_at_the_last_waypoint_and_comes_to_a_place_inside_its_turning_circle() -> None:
     """Steering for a place 0.75 m beside it at the lookahead's curvature, 1/0.75 m, would go round it for ever."""
     places = np.array([[0.0, 0.75], [0.0, -0.4], [0.1, 0.6], [-0.3, 0.35], [0.3, 1.2]])
     starts = [[0.0, 10.0 * i, 0.0] for i in range(len(places))]
     targets = np.array([[*place, 0.0] for place in places]) + starts
-    vehicles = [
+    cars = [
         {"position_ned": start, "waypoints_ned": [target.tolist()]}
         for start, target in zip(starts, targets, strict=True)
     ]
-    fleet = {"guidance": {"type": "rover", "repeat": False}, "vehicles": vehicles}
-    simulation = qrsim.load(scenario(vehicle, **fleet))
+    cars.append({"position_ned": [0.0, -60.0, 0.0], "waypoints_ned": [[20.0, -60.0, 0.0], [20.0, -45.0, 0.0]]})
+    simulation = qrsim.load(both(cars, guidance={"type": "rover", "repeat": False}))
     simulation.reset()
-    simulation.advance(ticks=1000)
-    np.testing.assert_allclose(simulation.truth.position_ned, targets, atol=0.3)
-    np.testing.assert_allclose(simulation.truth.velocity_ned, 0.0, atol=1e-3)
+    simulation.advance(ticks=1500)
+    truth = simulation.truth
+    for fleet in (slice(0, 6), slice(6, 12)):
+        where = truth.position_ned[fleet] - (0.0 if fleet.start == 0 else EAST)
+        np.testing.assert_allclose(where[:5], targets, atol=0.3)
+        np.testing.assert_allclose(where[5], [20.0, -45.0, 0.0], atol=0.35)
+    np.testing.assert_allclose(truth.velocity_ned, 0.0, atol=1e-3)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("vehicle", ["rover", "differential_rover"])
-def test_places_velocities_and_missions(vehicle: str) -> None:
-    def to_place(reading: Any) -> Any:
-        return qrsim.WaypointSetpoint.of([[-10.0, 3.0, 0.0]])
+def test_places_velocities_and_missions() -> None:
+    world = both(at([0.0, 3.0, 0.0], [0.0, -40.0, 0.0]))
 
-    flight = qrsim.play(scenario(vehicle), {"cars": to_place}, ticks=1000, policy_ticks=1000, record_every=50)
-    np.testing.assert_allclose(flight.position_ned[-1, 0], [-10.0, 3.0, 0.0], atol=0.35)
+    def flown(setpoint: Any) -> Any:
+        told = {"cars": lambda reading: setpoint(0.0), "tracks": lambda reading: setpoint(EAST)}
+        return qrsim.play(world, told, ticks=1000, policy_ticks=1000, record_every=50)
 
-    def at_velocity(reading: Any) -> Any:
-        return qrsim.VelocitySetpoint.of([[-1.0, 1.0, 0.0]])
-
-    flight = qrsim.play(scenario(vehicle), {"cars": at_velocity}, ticks=1000, policy_ticks=1000, record_every=50)
-    np.testing.assert_allclose(flight.velocity_ned[-1, 0], [-1.0, 1.0, 0.0], atol=0.02)
+    place = np.array([[-10.0, 3.0, 0.0], [-10.0, -40.0, 0.0]])
+    flight = flown(lambda east: qrsim.WaypointSetpoint.of(place + east))
+    np.testing.assert_allclose(flight.position_ned[-1], [*place, *(place + EAST)], atol=0.35)
+    flight = flown(lambda east: qrsim.VelocitySetpoint.of([[-1.0, 1.0, 0.0]] * 2))
+    np.testing.assert_allclose(flight.velocity_ned[-1], [[-1.0, 1.0, 0.0]] * 4, atol=0.02)
     legs = [{"to_ned": [20, 3, 0], "speed": 2.0}, {"to_ned": [20, 20, 0], "speed": 2.0, "stop": True}]
-    simulation = qrsim.load(scenario(vehicle, vehicles=[{"position_ned": [0, 3, 0], "legs": legs}]))
+    each = {"position_ned": [0, 3, 0], "legs": legs}
+    further = [{**leg, "to_ned": (np.array(leg["to_ned"]) + EAST).tolist()} for leg in legs]
+    simulation = qrsim.load(both([each], [{"position_ned": [0.0, 503.0, 0.0], "legs": further}]))
     simulation.reset()
     simulation.advance(ticks=1500)
-    np.testing.assert_allclose(simulation.truth.position_ned[0], [20.0, 20.0, 0.0], atol=0.5)
+    where = [[20.0, 20.0, 0.0], [20.0, 520.0, 0.0]]
+    np.testing.assert_allclose(simulation.truth.position_ned, where, atol=0.5)
 
 
 @pytest.mark.long
 def test_it_drives_slowly_far_away_and_its_floor_is_no_margin() -> None:
     """0.2 m/s at 49 km in single precision, where a step is less than its rounding: 2 m less the lag in 10 s."""
-    world = scenario(vehicles=[{"position_ned": [49_000.0, 0.0, 0.0]}])
-    world["world"] = {"area": {**dict.fromkeys(("x_max", "y_max"), 6e4), **dict.fromkeys(("x_min", "y_min"), -6e4)}}
-    world["world"]["area"] |= {"type": "box", "z_min": -100.0, "z_max": 0.0}
+    world = both(at([49_000.0, 0.0, 0.0], [49_000.0, 50.0, 0.0]))
 
     def north(reading: Any) -> Any:
-        return qrsim.VelocitySetpoint.of([[0.2, 0.0, 0.0]])
+        return qrsim.VelocitySetpoint.of([[0.2, 0.0, 0.0]] * 2)
 
-    flight = qrsim.play(world, {"cars": north}, ticks=500, policy_ticks=500, record_every=500)
+    told = {"cars": north, "tracks": north}
+    flight = qrsim.play(world, told, ticks=500, policy_ticks=500, record_every=500)
     assert flight.position_ned[-1, 0, 0] - 49_000.0 == pytest.approx(1.991, abs=1e-3)
     # Who drives on the floor of the area is not for that at its edge.
     assert np.isnan(qrsim.rollout(world, ticks=10).metrics["fence_distance_min_m"]).all()

@@ -113,6 +113,15 @@ def test_some_start_again_and_the_others_go_on(compiler: str) -> None:
     once = some.begin_some(np.array([34, 0]), given(4.0, 6.0), lambda state: state["x"])
     expected[34], expected[0] = 14.0, 16.0
     assert (once.ravel().tolist(), x_of(some)) == ([14.0, 16.0], expected)
+    # What the start before returned is the caller's.
+    assert again[0].ravel().tolist() == [10.5, 11.5, 12.5]
+    # More than a vector of them, and then one.
+    most = some.begin_some(every[:20], given(*range(100, 120)), lambda state: state["x"])
+    expected[:20] = [110.0 + number for number in range(20)]
+    one = some.begin_some(np.array([19]), given(-10.0), lambda state: state["x"])
+    expected[19] = 0.0
+    assert (most.ravel().tolist(), one.ravel().tolist()) == ([110.0 + number for number in range(20)], [0.0])
+    assert x_of(some) == expected
     other = worlds(35)
     other.prepare(given(0.0), given(0.0))
     other.restore(jax.tree.map(np.array, some.get(lambda state: state)))

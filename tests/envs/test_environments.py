@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
@@ -15,6 +15,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from pettingzoo.test import parallel_api_test, parallel_seed_test
+from tests.envs.ids import every
 
 from qrsim.envs import SEVERAL, SINGLE, Functional, gymnasium_id, parallel_env
 from qrsim.envs.parallel import ParallelTask
@@ -41,18 +42,12 @@ def test_every_scenario_with_a_task_is_an_environment() -> None:
     assert all(gymnasium_id(name) in gymnasium.registry for name in SINGLE)
 
 
-def checked(names: Sequence[str]) -> list[Any]:
-    """Return a case for every name; all but the quick ones take long."""
-    quick = ("keep_spot", "goto_waypoint", "cats_and_mouse/1A")
-    return [pytest.param(name, marks=() if name in quick else (pytest.mark.long,)) for name in names]
-
-
-@pytest.mark.parametrize("name", checked(SINGLE))
+@every(SINGLE)
 def test_gymnasium_finds_nothing_wrong(name: str) -> None:
     check_env(gymnasium.make(gymnasium_id(name)).unwrapped)
 
 
-@pytest.mark.parametrize("name", checked(SEVERAL))
+@every(SEVERAL)
 def test_pettingzoo_finds_nothing_wrong(name: str) -> None:
     parallel_api_test(parallel_env(name), num_cycles=1000)
     parallel_seed_test(lambda: parallel_env(name))

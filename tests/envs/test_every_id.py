@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
@@ -16,19 +16,12 @@ import pytest
 from gymnasium.wrappers import FlattenObservation, NormalizeObservation, RecordVideo
 from pettingzoo.test import api_test
 from pettingzoo.utils.conversions import parallel_to_aec
+from tests.envs.ids import every
 
 from qrsim.envs import SEVERAL, SINGLE, gymnasium_id, parallel_env
 
-# The others take seconds to load and compile.
-QUICK = ("keep_spot", "goto_waypoint", "cats_and_mouse/1A")
 # Steps of an episode that a copy goes on in.
 STEPS = 3
-
-
-def every(names: Sequence[str]) -> Any:
-    """Return a case for every name; all but the quick ones take long."""
-    marked = [pytest.param(name, marks=() if name in QUICK else (pytest.mark.long,)) for name in names]
-    return pytest.mark.parametrize("name", marked)
 
 
 @pytest.fixture(autouse=True)

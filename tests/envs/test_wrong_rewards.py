@@ -82,7 +82,8 @@ def test_what_comes_after_an_episode_has_no_meaning(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_a_score_of_what_is_handed_in() -> None:
     """The square of 1e30 is more than single precision holds."""
-    batch = Batch("plume_mapping/3A", 1, ["duration=1"])
+    # As long as the episodes of test_environments.py: another number of steps is another program.
+    batch = Batch("plume_mapping/3A", 1, ["duration=2"])
     batch.reset([5])
     batch.step(np.zeros((1, 1, 3)))
     with pytest.raises(RunError, match="step 1, episode 0 of seed 5, 'helicopters_0': the score of what was handed in"):

@@ -107,8 +107,8 @@ def test_labels_state_what_is_known(scene: Scene) -> None:
     scene.frame = FRAME
     scene.show(STATES, True)
     assert told[-1] == {
-        0: ["0.0 m/s, 50.0 m high", "battery 50 %", "estimate 1 m off (\u03c3 3.5 m)"],
-        1: ["0.0 m/s, 8.0 m high", "failsafe: return", "estimate 1 m off (\u03c3 3.5 m)"],
+        0: ["0.0 m/s, 50.0 m high", "battery 50 %", "estimate 1 m off (sigma 3.5 m)"],
+        1: ["0.0 m/s, 8.0 m high", "failsafe: return", "estimate 1 m off (sigma 3.5 m)"],
     }
     # Hidden, only the selected vehicle has them.
     scene.show(STATES, False)

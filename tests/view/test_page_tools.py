@@ -147,6 +147,12 @@ def test_tools_of_the_page(browser: Watched) -> None:
         words = "document.querySelector('.qrsim-measured').innerText"
         eventually(lambda: "level" in browser.evaluate(words))
         assert "bearing" in browser.evaluate(words)
+        # A label is the vehicle, and not the ground behind it.
+        label = "[...document.querySelectorAll('.qrsim-label')].find(e => e.offsetWidth)"
+        place = f"(r => [r.left + r.width / 2, r.top + r.height / 2])({label}.getBoundingClientRect())"
+        name = browser.evaluate(f"{label}.querySelector('b').innerText")
+        browser.click(*browser.evaluate(place))
+        eventually(lambda: browser.evaluate(words) == f"{name}: click the second place or vehicle")
         browser.evaluate(press)
         map_from_the_top(browser, shown)
         table_of_all(browser, shown)

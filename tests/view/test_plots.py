@@ -15,7 +15,7 @@ from qrsim.models.scene.area import BoxArea
 from qrsim.runs import Column, RunInfo, RunWriter, open_run
 from qrsim.runs.layout import Event
 from qrsim.view import highlights
-from qrsim.view.derived import nearest, to_fence
+from qrsim.view.derived import FENCE, nearest, to_fence
 from qrsim.view.highlights import highlights_of
 from qrsim.view.plots import Plots, binned, extremes
 from qrsim.view.recording import Member, Recording
@@ -90,33 +90,37 @@ def test_what_is_derived(plots: Plots):
 def test_highlights_say_who_and_when(plots: Plots, monkeypatch: pytest.MonkeyPatch):
     # The first vehicle begins 5 m from the second, whose estimate is 5 m = 2.5 standard deviations off.
     assert plots.highlights() == [
-        (0.0, "closest to another vehicle: a_0, 5.00 m"),
+        (0.0, "closest to another vehicle: a_0 and <b>, 5.00 m at 0.00 s"),
         (0.0, "largest error of the estimate: <b>, 5.00 m"),
-        (0.0, "estimate first outside its 95 % band: <b>"),
+        (0.0, "estimate first outside its 95 % band (1.96 sigma): <b> 0.00 s"),
     ]
     # The first one's error is 3 m = 1.5 standard deviations.
-    outside = "first outside its 95 % band: a_0; then <b> 0.00 s"
-    for band, told in ((1.0, outside), (9.0, "never outside its 95 % band")):
+    outside = "first outside its 95 % band (1.0 sigma): a_0 0.00 s, <b> 0.00 s"
+    for band, told in ((1.0, outside), (9.0, "never outside its 95 % band (9.0 sigma)")):
         monkeypatch.setattr(highlights, "BAND", band)
         assert plots.highlights()[-1][1] == f"estimate {told}"
     data = plots.answer({"number": 3, "lines": [], "highlights": True})
     assert data is not None
-    assert json.loads(data[4:])["highlights"][0] == [0.0, "closest to another vehicle: a_0, 5.00 m"]
+    assert json.loads(data[4:])["highlights"][0] == [0.0, "closest to another vehicle: a_0 and <b>, 5.00 m at 0.00 s"]
 
 
 @pytest.mark.parametrize(
     ("past", "stops", "told"),
     [
         # The first vehicle is at the fence at 7.5 s, and 0.1 m beyond it from the next tick on.
-        ([], {}, (7.6, "outside the fence: a_0 from 7.60 s on")),
+        ([], {}, (7.6, "outside the fence: a_0 by up to 12.40 m from 7.60 s on")),
         # Back inside at 9 s, and the second one outside at 8 s.
         (
             [(90, 200, 0, 3.0), (80, 100, 1, -1.0)],
             {},
-            (7.6, "outside the fence: a_0 from 7.60 s to 9.00 s; then <b> 8.00 s"),
+            (
+                7.6,
+                "outside the fence: a_0 by up to 1.40 m from 7.60 s to 9.00 s; "
+                "<b> by up to 1.00 m from 8.00 s to 10.00 s",
+            ),
         ),
-        # It stopped there: its log has the last place inside for good, so that many ticks are equally near.
-        ([(75, 200, 0, 0.001)], {0: 7.52}, (7.52, "outside the fence: a_0 from 7.52 s on")),
+        # It stopped there, in an area that is not known: its log has the last place inside for good.
+        ([(75, 200, 0, 0.001)], {0: 7.52}, (7.52, "outside the fence: a_0 at 7.52 s")),
         # Never outside: the closest approach, at its first tick.
         ([(75, 200, 0, 0.001)], {}, (7.5, "closest to the fence: a_0, 0.00 m")),
     ],
@@ -131,9 +135,9 @@ def test_beyond_a_fence_the_first_time_counts(
     values = np.stack([7.5 - np.arange(TICKS) * STEP, np.full(TICKS, 5.0)], axis=1)
     for first, last, vehicle, value in past:
         values[first:last, vehicle] = value
-    series.quantities[highlights.FENCE] = series.quantities["derived.height"]
-    series._kept[highlights.FENCE] = (np.arange(TICKS) * STEP, values)
-    assert list(highlights._extreme(series, *highlights.EXTREMES[0])) == [(pytest.approx(told[0]), told[1])]
+    series.quantities[FENCE] = series.quantities["derived.height"]
+    series._kept[FENCE] = (np.arange(TICKS) * STEP, values)
+    assert list(highlights._fence(series)) == [(pytest.approx(told[0]), told[1])]
 
 
 @pytest.mark.filterwarnings("ignore:.*cannot be built:UserWarning")
@@ -142,10 +146,10 @@ def test_where_two_runs_part(plots: Plots):
     # Run B is 2 s late, so that its first vehicle is 2 m behind that of A once B has begun.
     both = [Member("A", recording), Member("B", recording, shift=2.0, first=2)]
     found = highlights_of([Series(own, both[0]) for own in both])
-    assert (2.0, "first 1 m from run A: B a_0") in found
+    assert (2.0, "first 1 m from run A: B a_0 2.00 s") in found
     assert "farthest from run A: B a_0, 2.00 m" in [text for _, text in found]
     # The earliest of B's times that are shown.
-    assert (2.0, "closest to another vehicle: B a_0, 5.00 m") in found
+    assert (2.0, "closest to another vehicle: B a_0 and <b>, 5.00 m at 2.00 s") in found
 
 
 def test_one_value_is_exact(plots: Plots):

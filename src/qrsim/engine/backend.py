@@ -49,8 +49,8 @@ IntArray = npt.NDArray[np.int_]
 class States(Protocol):
     """The states of B worlds, as a compiler wants them to lie."""
 
-    def get(self, select: Callable[[Tree], Tree]) -> Tree:
-        """Return the part of the tree of states that ``select`` picks, each leaf with worlds first (B, ...)."""
+    def get(self, select: Callable[[Tree], Tree], first: int | None = None) -> Tree:
+        """Return the part of the tree of states that ``select`` picks, leaves (B, ...); of the ``first``, a copy."""
 
     def take(self, worlds: IntArray, other: States) -> None:
         """Overwrite the states of the worlds with these indices by the first len(worlds) of other states."""
@@ -330,7 +330,7 @@ class Worlds:
             zeros = jax.tree.map(lambda leaf: np.zeros((count, *leaf.shape[1:]), leaf.dtype), tree)
             self._states = program.hold(zeros)
         self._states.take(rows, some)
-        return jax.tree.map(lambda leaf: np.array(leaf[: len(rows)]), some.get(select))
+        return some.get(select, len(rows))
 
     def restore(self, tree: Tree) -> None:
         """Replace the states of all worlds by a tree with leaves (B, ...), after ``prepare``."""

@@ -228,6 +228,8 @@ class LlvmProgram:
         self._mode = program.mode
         self._program: LaneProgram | None = None
         self._flat: NumpyArray | None = None
+        # First states of a few of many worlds, kept for the next few; None: those of other numbers of worlds.
+        self._few: Lanes | None = None
         # The state that was advanced last, and the same as lanes.
         self._last: tuple[Any, Lanes | None] = (None, None)
 
@@ -238,8 +240,13 @@ class LlvmProgram:
             return
         worlds = self._extent.worlds
         count = 1 if worlds is None else len(leaves[0]) if leaves else worlds
-        if self._program is None or self._program.own.count != count:
+        few = worlds is not None and count < worlds and count <= self._mode.worlds
+        if few:
+            # A few of many start again at every step: they share one vector, which is made once.
+            count = self._mode.worlds
+        if self._program is None or self._program.own.count != count or few is (self._few is None):
             self._program = self._make(own=Lanes(self._own_layout, count, self._mode))
+            self._few = Lanes(self.layout, count, self._mode) if few else None
         own = self._program.own
         if worlds is not None:
             own.fill(leaves)
@@ -254,13 +261,18 @@ class LlvmProgram:
         return self._flat if self._own_layout.slices else np.zeros(0, self._extent.dtype)
 
     def start(self) -> Any:
-        """Return the first state of each world that ``give`` has set inputs for."""
+        """Return the first state of each world that ``give`` has set inputs for.
+
+        States of fewer worlds than all are those of a vector of them, and valid until the next start.
+        """
         assert self._program is not None
-        count = self._program.own.count
+        if self._few is not None:
+            self._program.advance(self._few, 0, 1)
+            return self._few
         if self._extent.worlds is not None:
-            state = Lanes(self.layout, count, self._mode)
+            state = Lanes(self.layout, self._program.own.count, self._mode)
             self._program.advance(state, 0, 1)
-            # Many a start is of a few worlds of many, and its memory is not needed again.
+            # Most starts are of other numbers of worlds, and this memory is not needed again.
             self._program = None
             return state
         floats, integers = (

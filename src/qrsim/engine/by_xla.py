@@ -207,9 +207,10 @@ class Arrays:
     def __init__(self, tree: object):
         self.tree = tree
 
-    def get(self, select: Callable[[Any], Any]) -> Any:
-        """Return the part of the states that ``select`` picks."""
-        return select(self.tree)
+    def get(self, select: Callable[[Any], Any], first: int | None = None) -> Any:
+        """Return the part of the states that ``select`` picks, leaves (B, ...); or a copy of the ``first`` worlds'."""
+        found = select(self.tree)
+        return found if first is None else jax.tree.map(lambda leaf: np.array(leaf[:first]), found)
 
     def put(self, worlds: NumpyArray, tree: object) -> None:
         """Overwrite the states of ``worlds`` by the first rows of a tree's leaves; further rows are ignored."""

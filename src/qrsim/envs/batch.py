@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -117,7 +117,10 @@ class Batch:
 
     def _precision_context(self) -> AbstractContextManager[object]:
         """Return a context in which JAX uses the precision (32 or 64 bits) of the batch."""
-        return jax.enable_x64(self.dtype == np.float64)
+        wide = self.dtype == np.float64
+        # To enter JAX's context takes as long as to look at all actions.
+        same: bool = jax.config.jax_enable_x64 == wide  # type: ignore[attr-defined]
+        return nullcontext() if same else jax.enable_x64(wide)
 
     def reset(self, seeds: Iterable[object], rows: Floats | None = None) -> None:
         """Reset the episodes ``rows`` (None: all) with new seeds, one each.
@@ -172,8 +175,9 @@ class Batch:
             self.seen, self.truth = (_zeros_like(part, self.size) for part in (begun.seen, begun.truth))
         if self._given_away:
             self.seen, self._given_away = self.seen | self.episodes.look(), False
-        for whole, part in ((self.seen, begun.seen), (self.truth, begun.truth)):
-            jax.tree.map(lambda old, new: _set_rows(old, rows, new), whole, part)
+        kept, new = (jax.tree.leaves(each) for each in ((self.seen, self.truth), (begun.seen, begun.truth)))
+        for old, part in zip(kept, new, strict=True):
+            old[rows] = part
 
     def give_away(self) -> object:
         """Return all agents' observations (B, n, ...) as arrays that the caller may change.
@@ -210,12 +214,11 @@ class Batch:
         self._given_away = False
         self._keep_last_seen(before)
         self._steps += 1
-        wrong = ~np.isfinite(step.reward) & ~self._ended[:, None]
-        if wrong.any():
-            row, agent = np.argwhere(wrong)[0]
-            raise RunError(f"{self._place(row, agent)}: the reward is {step.reward[row, agent]:g}")
-        self._ended |= step.terminated | step.truncated
-        return step.reward, step.terminated, step.truncated  # type: ignore[return-value]
+        reward, terminated, truncated = (np.asarray(each) for each in (step.reward, step.terminated, step.truncated))
+        if not np.isfinite(reward).all():
+            self._refuse_reward(reward)
+        self._ended |= terminated | truncated
+        return reward, terminated, truncated
 
     def _keep_last_seen(self, before: Any) -> None:
         """Replace the observations of stopped agents by their last ones in flight, from ``before``."""
@@ -233,6 +236,11 @@ class Batch:
             if late:
                 last, now = ({name: part for name, part in seen.items() if name not in late} for seen in (last, now))
             jax.tree.map(lambda new, old, which=which: _set_rows(new, which, old[which]), now, last)
+
+    def _refuse_reward(self, reward: Floats) -> None:
+        """Raise RunError for rewards (B, n) that are not finite in an episode that has not ended."""
+        for row, agent in np.argwhere(~np.isfinite(reward) & ~self._ended[:, None]):
+            raise RunError(f"{self._place(row, agent)}: the reward is {reward[row, agent]:g}")
 
     def _place(self, row: int, agent: int) -> str:
         """Return in words which agent, episode and step a wrong reward of a task belongs to."""
@@ -255,9 +263,10 @@ class Batch:
                 ", ".join(axis.name for axis in self.axes[0]) if len(self.sides) == 1 else "the largest of any agent"
             )
             raise UsageError(f"{who}: expected shape {shape} (environments, agents; {names}), found {array.shape}")
-        wrong = ~(np.abs(array) <= 1.0 + ROUNDING)
-        if wrong.any():
-            row, agent, axis = np.argwhere(wrong)[0]
+        most = self.dtype.type(1.0 + ROUNDING)
+        # Extremes are NaN if a number is.
+        if not (array.max(initial=0.0) <= most and array.min(initial=0.0) >= -most):
+            row, agent, axis = np.argwhere(~(np.abs(array) <= most))[0]
             what = f"{self._named(agent, axis)} of '{agents[agent]}' in environment {row}"
             raise UsageError(f"{who}: {what} is {array[row, agent, axis]:g}; allowed: -1 to 1")
         return array

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import numpy as np
 
@@ -22,7 +24,8 @@ class KeysAhead:
 
     def __init__(self, size: int):
         self._each = min(MOST_EACH, MOST // size)
-        self._keys: EpisodeKeys | None = None
+        # Leaves of the keys, and their structure.
+        self._keys: tuple[list[NumpyArray], Any] | None = None
         # Of each environment, the seed of what is kept and the number of its first episode.
         self._seeds, self._first = np.zeros(size, np.int64), np.zeros(size, np.int64)
 
@@ -46,8 +49,9 @@ class KeysAhead:
             self._seeds[:], self._first[:] = seeds, numbers + 1
             self._first[rows] = numbers[rows]
             ahead = self._first[:, None] + np.arange(self._each)
-            self._keys = functional.keys(np.repeat(seeds, self._each), ahead.ravel())
+            self._keys = jax.tree.flatten(functional.keys(np.repeat(seeds, self._each), ahead.ravel()))
             place = np.zeros(len(rows), np.int64)
         chosen = np.asarray(rows) * self._each + place
-        found: EpisodeKeys = jax.tree.map(lambda leaf: leaf[chosen], self._keys)
+        leaves, structure = self._keys
+        found: EpisodeKeys = structure.unflatten([leaf[chosen] for leaf in leaves])
         return found

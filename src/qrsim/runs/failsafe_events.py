@@ -17,6 +17,11 @@ FAILSAFE, ENDS = "failsafe", "failsafe_ends"
 Found = tuple[int, int, str, str, float, str]
 
 
+def still_acting(value: float | None) -> str:
+    """Return the action that goes on after an event ``ENDS`` with this value; "" for none."""
+    return next((name for number, name in enumerate(ACTIONS) if number and number == value), "")
+
+
 class FailsafeWatch:
     """Watches the failsafes of a run."""
 
@@ -68,5 +73,5 @@ class FailsafeWatch:
                 yield int(row), first + int(vehicle), FAILSAFE, name, float(action), done
         for row, vehicle in np.argwhere((now["action"] < old["action"]) & ~noticed & flies):
             action = int(now["action"][row, vehicle])
-            what = f"failsafe: {ACTIONS[action]}," if action else "failsafe ends"
+            what = f"failsafe continues: {ACTIONS[action]}," if action else "failsafe ends"
             yield int(row), first + int(vehicle), ENDS, "action", float(action), what

@@ -70,7 +70,7 @@ class VehicleSummary:
         waypoints: how many it reached.
         stopped: why it stopped flying, "" if it did not.
         height_error_rms_m: true height minus that of the waypoint, or of the point of a path; NaN without one.
-        charge_least: lowest charge of the battery, 1 full and 0 empty; NaN without one that drains.
+        charge_least: lowest charge of the battery before a stop, 1 full and 0 empty; NaN without one that drains.
         endurance_s: how long the battery would last, from its charge at the start, at the mean consumption in the air;
             NaN without one that drains, or without a flight.
         failsafes: how many times a failsafe took over.
@@ -323,7 +323,8 @@ def _battery(run: Run, position: Floats, flying: Rows) -> tuple[Floats, Floats]:
     time = np.sum(np.diff(truth.time)[:, None] * airborne, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         endurance = np.where(used > 0.0, charge[0] * time / used, math.nan)
-    return np.fmin.reduce(charge, axis=0, initial=math.nan), endurance
+    # The charge of a vehicle that has stopped goes on falling.
+    return np.fmin.reduce(np.where(flying, charge, math.nan), axis=0, initial=math.nan), endurance
 
 
 def _airborne(run: Run, position: Floats) -> Rows:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
+import jax
 from jax import Array
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.engine.backend import Extent, Function, Program, Specialised
 from qrsim.engine.layout import Buffers, Packer, Shared, aligned_copy
 from qrsim.engine.settings import chosen_compiler
@@ -14,6 +16,9 @@ from qrsim.interface.slots import Slot, slot_of
 from qrsim.simulation.placing import place
 from qrsim.world import tick as ticks_of
 from qrsim.world.state import Action, State, World, WorldKeys
+
+# How a command relates to that of the last call, see ``Simulation.advance``.
+Again = Literal["", "same", "renewed"]
 
 
 def _reset(world: World, own: tuple[object, WorldKeys]) -> State:
@@ -57,6 +62,10 @@ class OneWorld:
         )
         self._flown_by: Program | None = None
         self._bound: dict[type, tuple[Program, Slot | None]] = {}
+        # The command that is in the inputs of the program that flew last, and what it became; None: it is not known.
+        self._held: object = None
+        self._given: object = None
+        self._leaves: list[NumpyArray] = []
 
     @property
     def flown_by(self) -> Program:
@@ -64,19 +73,34 @@ class OneWorld:
         assert self._flown_by is not None
         return self._flown_by
 
-    def taken(self, command: object) -> bool:
+    def taken(self, command: object, again: Again = "") -> bool:
         """Write a command into the inputs of the program bound to its type, for ``advance_bound``; return False if none
-        is bound or the command needs the full check."""
+        is bound or the command needs the full check; ``again``: see ``Simulation.advance``."""
+        if again and command is not None and command is self._held:
+            return again == "same" or self._renewed(command)
         program, slot = self._bound.get(type(command), (None, None))
         if program is None or not (slot is None or slot.take(command)):
             return False
-        self._flown_by = program
+        self._flown_by, self._held = program, None
+        return True
+
+    def _renewed(self, command: object) -> bool:
+        """Copy the arrays of the held command into the program's inputs; return False if they are not what it reads."""
+        if not self._leaves:
+            self._leaves = jax.tree.leaves(self._given)
+            own = {id(leaf) for leaf in jax.tree.leaves(command)}
+            if not all(id(leaf) in own for leaf in self._leaves):
+                self._held, self._leaves = None, []
+                return False
+        self.flown_by.give(self._leaves)
         return True
 
     def bind(self, command: object, actions: tuple[Action, ...], checker: ActionChecker) -> None:
         """Bind the type of the last flown command to the program that flew it, so that ``taken`` accepts such
-        commands."""
+        commands; the command itself is held."""
         program = self.flown_by
+        # XLA computes in the precision of its context, which ``advance_bound`` does not have.
+        self._held = command if program.compiler == "llvm" else None
         if program.slot is None or type(command) in self._bound:
             return
         slot = None if command is None else slot_of(command, actions, program.slot, checker)
@@ -106,7 +130,8 @@ class OneWorld:
             count: ticks.
             given: actions and estimates of each fleet.
         """
-        self._flown_by = self._tick.program(given, layout)
+        self._flown_by, self._held = self._tick.program(given, layout), None
+        self._given, self._leaves = given, []
         after: Buffers = self._flown_by.run(state, tick, count)
         return after
 
@@ -121,7 +146,7 @@ class OneWorld:
     ) -> tuple[Buffers, Buffers]:
         """Run ``count`` <= ``capacity`` ticks; return the final state's buffers, and all ticks' states, each buffer
         (count, ...)."""
-        self._flown_by = self._tick.program(given, layout)
+        self._flown_by, self._held = self._tick.program(given, layout), None
         return self._flown_by.record(state, tick, count, capacity)
 
     def place(self, layout: Packer, state: Buffers, tick: int, given: object) -> Buffers:

@@ -28,7 +28,7 @@ from qrsim.simulation.alone import alone
 from qrsim.simulation.arguments import checked_number, checked_seed, checked_ticks
 from qrsim.simulation.history import History
 from qrsim.simulation.injecting import Injecting
-from qrsim.simulation.one_world import OneWorld
+from qrsim.simulation.one_world import Again, OneWorld
 from qrsim.simulation.pickling import with_files
 from qrsim.simulation.placing import checked_rows, refuse_misplaced
 from qrsim.simulation.radios import Radios, no_seen_state
@@ -177,20 +177,22 @@ class Simulation(Radios, Injecting, Tabled):
             self._changes = False
             self._lock.release()
 
-    def advance(self, command: object = None, ticks: int = 1, estimate: Estimate | None = None) -> None:
-        """Advance as ``step`` does, without computing a reading."""
+    def advance(
+        self, command: object = None, ticks: int = 1, estimate: Estimate | None = None, again: Again = ""
+    ) -> None:
+        """Advance without a reading; ``again``: the last command, "same", or "renewed" in place (not checked again)."""
         if not self._lock.acquire(False):
             self._wait_or_refuse("advance")
         self._changes = True
         try:
-            self._advance(command, ticks, estimate)
+            self._advance(command, ticks, estimate, again)
         finally:
             self._changes = False
             self._lock.release()
 
-    def _advance(self, command: object, ticks: int, estimate: Estimate | None) -> None:
+    def _advance(self, command: object, ticks: int, estimate: Estimate | None, again: Again = "") -> None:
         """Fly ``ticks`` ticks with a command and, for controllers that take one, a user's estimate."""
-        if estimate is None and self._state is not None and self._ticks.taken(command):
+        if estimate is None and self._state is not None and self._ticks.taken(command, again):
             count = checked_ticks(ticks, self.tick)
             self._detach_seen()
             self._state = self._ticks.advance_bound(self._state, self.tick, count)
@@ -381,8 +383,7 @@ class Simulation(Radios, Injecting, Tabled):
         """Why each of the n vehicles has stopped, as text (kind, field and value); "" while it flies."""
         with self._lock:
             found = [fleet.violation for fleet in cast(State, self._seen()).fleets]
-        pairs = (pair for one in found for pair in zip(one.code, one.value, strict=True))
-        return [reason_text(int(code), float(value)) for code, value in pairs]
+        return [reason_text(int(code), float(x)) for one in found for code, x in zip(one.code, one.value, strict=True)]
 
     def waypoint(self, position_ned: Any, yaw_rad: Any = 0.0) -> WaypointSetpoint:
         """Return a set-point for ``step``: positions (n, 3) or (3,) [m] and headings (n,) or one [rad]."""

@@ -68,6 +68,11 @@ def _begun_of(progress: Progress) -> Begun:
     return Begun(progress.episode.state.placed, progress.last.observation, progress.truth)
 
 
+def _results_of(progress: Progress) -> tuple[Step, dict[str, NumpyArray]]:
+    """Return the results of an episode's last step, and the true values after it."""
+    return progress.last, progress.truth
+
+
 class Episodes:
     """B episodes of a task.
 
@@ -119,9 +124,9 @@ class Episodes:
 
     def _all(self, select: Any) -> Any:
         """Return a copy of the part of all episodes' states that ``select`` picks, leaves (B, ...)."""
-        # What LLVM's states return is a copy already.
         found = self._worlds.get(select)
-        return jax.tree.map(lambda leaf: leaf if isinstance(leaf, np.ndarray) else np.array(leaf), found)
+        # What LLVM's states return is a copy already.
+        return found if self.compiler == "llvm" else jax.tree.map(np.array, found)
 
     @property
     def compiler(self) -> str:
@@ -161,7 +166,7 @@ class Episodes:
     def step(self, action: NumpyArray) -> tuple[Step, dict[str, NumpyArray]]:
         """Advance all episodes by one step; ``action`` (B, n, A), with radio (B, n, A + D). Return step, truth."""
         self._worlds.advance(0, self._play.ticks, action)
-        found: tuple[Step, dict[str, NumpyArray]] = self._all(lambda progress: (progress.last, progress.truth))
+        found: tuple[Step, dict[str, NumpyArray]] = self._all(_results_of)
         if not self._worlds.looks:
             return found
         (step, truth), late = found, self.look()

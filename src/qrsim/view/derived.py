@@ -12,6 +12,8 @@ from qrsim.core.tree import record_of
 from qrsim.core.vectors import Vec3
 from qrsim.models.scene.contracts import Area
 
+# Names of quantities that events of stops have values for.
+FENCE, NEAREST, CHARGE = "derived.fence_distance", "derived.nearest_vehicle", "truth.battery.charge"
 # Differences between vehicles that are computed at once; of more, fewer ticks are used.
 MOST_PAIRS = 60_000_000
 PAIRS_AT_ONCE = 4_000_000
@@ -84,7 +86,7 @@ ALWAYS = (
     Derived(
         "estimate_error_sigmas",
         "1",
-        "error of the estimated position on its worst axis, in standard deviations: above 1.96 outside the 95 % band",
+        "error of the estimated position on its worst axis in sigma (standard deviations); the 95 % band ends at 1.96",
         (*ESTIMATE, *STD, *TRUE),
         _beyond,
     ),
@@ -105,7 +107,7 @@ ALWAYS = (
     Derived(
         "nearest_vehicle",
         "m",
-        "distance to the nearest vehicle of the same run",
+        "separation: distance to the nearest vehicle of the same run, while both fly",
         TRUE,
         lambda read: nearest(vector(read, TRUE)),
     ),
@@ -131,6 +133,25 @@ def nearest(places: Floats) -> Floats:
         apart[first : first + part] = np.sqrt(squared.min(axis=2))
     apart[~np.isfinite(apart)] = np.nan
     return np.repeat(apart, stride, axis=0)[:ticks]
+
+
+def distance_to(vehicle: str, number: int) -> Derived:
+    """Return the quantity "distance to this vehicle" [m] of all others; ``number``: of it among the run's vehicles."""
+
+    def compute(read: Read) -> Floats:
+        """Compute the distances (T, n) [m] to the vehicle; NaN to itself."""
+        places = vector(read, TRUE)
+        found = _length(places - places[:, number, None])
+        found[:, number] = np.nan
+        return found
+
+    return Derived(
+        f"distance_to.{vehicle}",
+        "m",
+        f"separation: distance to {vehicle} of the same run, while both fly",
+        TRUE,
+        compute,
+    )
 
 
 def to_fence(area: Area) -> Derived:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
@@ -14,8 +16,8 @@ from qrsim.core.host import on_host
 from qrsim.errors import QrsimError, warn_user
 from qrsim.models.vehicles.contracts import Charged
 from qrsim.runs import Run
-from qrsim.runs.failsafe_events import ENDS, FAILSAFE
-from qrsim.runs.layout import EVENTS
+from qrsim.runs.failsafe_events import ENDS, FAILSAFE, still_acting
+from qrsim.runs.layout import EVENTS, Event
 from qrsim.view.columns import Columns, vector
 from qrsim.view.truth import ANGLES, AXES, turned_to_ned
 from qrsim.world.state import FleetState, State, World
@@ -88,10 +90,11 @@ class RecordedDetails:
 
     Args:
         run: what was recorded.
+        stops: events of vehicles that stopped, and the number of the vehicle.
     """
 
-    def __init__(self, run: Run):
-        self._run = run
+    def __init__(self, run: Run, stops: Sequence[tuple[Event, int]] = ()):
+        self._run, self._stops = run, stops
 
     @cached_property
     def _truth(self) -> Columns:
@@ -100,6 +103,12 @@ class RecordedDetails:
         ones = {name: (column,) if column in truth else None for name, column in _OF_TRUTH.items()}
         parts = {"velocity": ("velocity_body", AXES), "attitude": ("attitude", ANGLES)}
         return Columns(self._run, "truth", ones | {name: vector(self._run, "truth", *of) for name, of in parts.items()})
+
+    @cached_property
+    def _left(self) -> list[tuple[float, int, Floats]]:
+        """Return (time [s], vehicle number, charge) of each stop: logs drain the battery on, at the last thrust."""
+        # The last tick before the stop.
+        return [(stop.time, i, self._truth.at("charge", stop.time - 2e-6)[i, 0]) for stop, i in self._stops]
 
     @cached_property
     def _commands(self) -> Columns:
@@ -123,13 +132,17 @@ class RecordedDetails:
         except QrsimError:  # a damaged stream of events hides no vehicle
             events = []
         return [
-            (event.time, numbers[event.vehicle], (event.message or event.kind) if event.kind == FAILSAFE else "")
+            (event.time, numbers[event.vehicle], mode_of(event))
             for event in events
             if event.kind in (FAILSAFE, ENDS) and event.vehicle in numbers
         ]
 
     def at(self, time: float) -> Details:
         """Return what the page shows about each vehicle at a time [s] of a recorded run."""
+        charge = self._truth.at("charge", time)[..., 0].copy()
+        for since, vehicle, left in self._left:
+            if since <= time + 1e-6:
+                charge[vehicle] = left
         modes: dict[int, str] = {}
         for since, vehicle, words in self.modes:
             if since <= time + 1e-6:
@@ -144,10 +157,21 @@ class RecordedDetails:
             one(self._truth, "thrust"),
             self._commands.at("believed", time),
             self._commands.at("std", time),
-            one(self._truth, "charge"),
+            charge,
             one(self._commands, "waypoint"),
             {vehicle: words for vehicle, words in modes.items() if words},
         )
+
+
+def mode_of(event: Event) -> str:
+    """Return the failsafe that acts from an event on, such as "failsafe: fix lost, land"; "" if none does.
+
+    A warning is no action, and the end of one failsafe leaves the milder action of another.
+    """
+    if event.kind == ENDS or not event.value:
+        action = still_acting(event.value)
+        return f"failsafe: {action}" if action else ""
+    return re.sub(r",? at [\d.]+ s$", "", event.message or event.kind).removeprefix(f"{event.vehicle}: ")
 
 
 _OF_TRUTH = {"thrust": "thrust", "charge": "battery.charge"}

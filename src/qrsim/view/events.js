@@ -1,6 +1,7 @@
 // The list next to the plots: highlights of the runs, then events. `host` is the panel of the plots (plots.js).
 const eventsIn = ({ parent, make, go, highlights }) => {
   // Kinds that come too often to be marked in plots, or listed at first.
+  const LETTERS = data.runs.map((_, run) => "abcdef"[run]);
   const COMMON = ["waypoint_reached", "command_clipped", "satellite_lost"];
   const rare = data.events.filter(([, kind]) => !COMMON.includes(kind)), rows = [];
   const filter = make("input", parent);
@@ -10,7 +11,10 @@ const eventsIn = ({ parent, make, go, highlights }) => {
   make("h4", extremes, "Highlights");
   if (data.events.length) make("h4", rest, `Events (${data.events.length})`);
   const row = (to, time, kind, text) => {
-    const button = make("button", to, `${time === null ? "" : time.toFixed(2) + " s  "}${text.replace(/,? at [\d.]+ s$/, "")}`);
+    // The time is in front, and not at the end again; the last time of a list is another one.
+    const when = time === null ? "" : time.toFixed(2) + " s", again = kind === "highlight" ? ` at ${when}` : text.match(/,? at [\d.]+ s$/)?.[0];
+    const words = again && text.endsWith(again) ? text.slice(0, -again.length) : text;
+    const button = make("button", to, `${when && when + "  "}${words}`);
     button.onclick = () => { if (time !== null) go(time); button.blur(); };
     const found = { time, button, words: `${kind} ${text}`.toLowerCase(), often: COMMON.includes(kind), event: to === rest };
     rows.push(found);
@@ -21,14 +25,16 @@ const eventsIn = ({ parent, make, go, highlights }) => {
   // Without words, only those that are marked in the plots, if there are any.
   const pick = () => {
     const words = filter.value.toLowerCase().split(/\s+/).filter(Boolean);
-    const shown = (own) => words.length ? words.every((word) => own.words.includes(word)) : every || !own.often || !rare.length;
+    // A word is the begin of one; the letter of a run is that run, and not each "a".
+    const fits = words.map((word) => new RegExp("(?<![a-z0-9])" + word.replace(/[^\w]/g, "\\$&") + (LETTERS.includes(word) ? "(?![a-z0-9])" : "")));
+    const shown = (own) => words.length ? fits.every((fit) => fit.test(own.words)) : every || !own.often || !rare.length;
     for (const own of rows) own.button.style.display = shown(own) ? "" : "none";
     const hidden = rows.filter((own) => !words.length && !shown(own)), kinds = [...new Set(hidden.map((own) => own.words.split(" ")[0].replaceAll("_", " ")))];
     more.style.display = hidden.length ? "" : "none";
     more.textContent = `show ${hidden.length} more: ${kinds.join(", ")}`;
   };
   more.onclick = () => { every = true; pick(); };
-  filter.oninput = pick;
+  filter.oninput = () => { parent.scrollTop = 0; pick(); };
   pick();
   // They are computed from whole logs, so the server is asked for them once, when the list is first seen.
   let asked = false;

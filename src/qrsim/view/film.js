@@ -247,11 +247,21 @@
       for (let k = first; k < last; k++) { if (!(own[k] >= own[low])) low = k; if (!(own[k] <= own[high])) high = k; }
       return own[(i & 1) === (low < high ? 0 : 1) ? low : high];
     });
+    // Distances to one vehicle are too many to be stored, so they are computed here.
+    const PLACE = ["x", "y", "z"].map((axis) => "truth.position_ned." + axis), TO = "derived.distance_to.";
+    const distances = async (found, name, vehicle) => {
+      const wanted = name.slice(TO.length), names = [wanted, about.vehicles[vehicle].slice(0, 2) + wanted];
+      const other = about.vehicles.findIndex((each) => names.includes(each));
+      if (other < 0 || other === vehicle || !PLACE.every((each) => numbers.has(each))) return null;
+      const [mine, theirs] = [found, await valuesOf(other)].map((of) => PLACE.map((each) => row(of, each)));
+      return mine[0].map((_, k) => Math.hypot(...mine.map((axis, i) => axis[k] - theirs[i][k])));
+    };
     const heads = [];
     for (const [name, vehicle] of lines) {
       const found = await valuesOf(vehicle);
-      if (!numbers.has(name)) { heads.push(null); continue; }
-      const own = row(found, name), head = {low: null, high: null, lowAt: null, highAt: null, band: false};
+      const own = numbers.has(name) ? row(found, name) : name.startsWith(TO) ? await distances(found, name, vehicle) : null;
+      if (!own) { heads.push(null); continue; }
+      const head = {low: null, high: null, lowAt: null, highAt: null, band: false};
       for (let k = Math.max(0, Math.ceil(from / period - 1e-6)); k < own.length && k * period <= to + 1e-6; k++) {
         if (!Number.isFinite(own[k])) continue;
         if (head.low === null || own[k] < head.low) Object.assign(head, {low: own[k], lowAt: k * period});

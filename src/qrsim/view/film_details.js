@@ -25,7 +25,7 @@ const detailsIn = (host) => {
     if (Number.isFinite(charge)) parts.push(`battery ${(100 * charge).toFixed(0)} %`);
     if (parts.length) found.push(parts.join(", "));
     const std = Math.hypot(...STD.map(at)), short = (value) => String(+value.toPrecision(2));
-    if (Number.isFinite(error)) found.push(`estimate ${short(error)} m off` + (Number.isFinite(std) ? ` (\u03c3 ${short(std)} m)` : ""));
+    if (Number.isFinite(error)) found.push(`estimate ${short(error)} m off` + (Number.isFinite(std) ? ` (sigma ${short(std)} m)` : ""));
     return found;
   };
   const stopped = (vehicle, time) => about.stops.some((stop) => stop[1] === vehicle && stop[0] <= time + 1e-6);
@@ -62,10 +62,12 @@ const detailsIn = (host) => {
     const stops = new Map(about.stops.filter((stop) => stop[0] <= time + 1e-6).map(([when, vehicle, why]) => [vehicle, [when, why]]));
     const every = await Promise.all(about.vehicles.map((_, vehicle) => valuesOf(vehicle)));
     every.forEach((own, vehicle) => {
-      const of = (name) => now(own, name, time), place = at.subarray(3 * vehicle, 3 * vehicle + 3), stop = stops.get(vehicle);
+      // Values end at the stop; after it the last ones hold.
+      const stop = stops.get(vehicle), last = stop ? Math.min(time, stop[0] - 1e-3) : time;
+      const of = (name) => now(own, name, last), place = at.subarray(3 * vehicle, 3 * vehicle + 3);
       const text = stop ? `stopped at ${stop[0].toFixed(2)} s: ${stop[1]}` : doing(vehicle, time, of("commands.waypoint")).join();
       if (!texts.has(text)) texts.set(text, texts.size);
-      [place[0], place[1], -place[2], of("derived.speed"), of("truth.battery.charge"), of("derived.estimate_error"),
+      [place[0], place[1], -place[2], stop ? 0 : of("derived.speed"), of("truth.battery.charge"), of("derived.estimate_error"),
         Math.hypot(...STD.map(of)), texts.get(text), stop ? stop[0] : NaN].forEach((value, row) => { floats[row * count + vehicle] = value; });
     });
     return { time, texts: [...texts.keys()], floats };

@@ -4,59 +4,62 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from functools import partial
 
 import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.errors import QrsimError
+from qrsim.runs.layout import Event
 from qrsim.runs.radio_columns import links_logged
 from qrsim.runs.radio_links import packets_of
-from qrsim.view.satellite_events import first_lost
-from qrsim.view.series import BETWEEN, Series
+from qrsim.view.derived import CHARGE, FENCE, NEAREST
+from qrsim.view.reasons import LEFT, outside_by
+from qrsim.view.satellite_events import satellite_of, satellites_lost
+from qrsim.view.series import BETWEEN, SAME, Series
 
 # Time [s], None if it is none of a moment, and text.
 Highlight = tuple[float | None, str]
+# Yields highlights of one run.
+Find = Callable[[Series], Iterator[Highlight]]
 # Distance [m] from which two runs count as apart, and the half width of the 95 % band in standard deviations.
 APART, BAND = 1.0, 1.96
 SIGMAS, SPEED = "derived.estimate_error_sigmas", "derived.speed"
-# Vehicles that one highlight names after the first.
-MOST_NAMED = 8
+# Vehicles that one highlight names, and lines for vehicles that stopped.
+MOST_NAMED, MOST_STOPS = 5, 9
 # Links with fewer packets than this are not compared.
 FEWEST_PACKETS = 10
-# Quantity, whether its largest value counts, and text with places for the vehicle and the value.
-FENCE = "derived.fence_distance"
-# Kind of the event of a vehicle that stopped because it left its area; its log ends at the last place inside.
-LEFT = "out_of_area"
-EXTREMES: tuple[tuple[str, bool, str], ...] = (
-    (FENCE, False, "closest to the fence: {}, {:.2f} m"),
-    ("derived.nearest_vehicle", False, "closest to another vehicle: {}, {:.2f} m"),
-    ("derived.wind_speed", True, "strongest wind: {}, {:.1f} m/s"),
-    ("derived.estimate_error", True, "largest error of the estimate: {}, {:.2f} m"),
-    ("derived.setpoint_distance", True, "farthest from the set-point: {}, {:.2f} m"),
-    ("truth.battery.charge", False, "lowest battery: {}, {:.1%}"),
+# Quantities of which the largest value counts, and text with places for the vehicle and the value.
+LARGEST: tuple[tuple[str, str], ...] = (
+    ("derived.wind_speed", "strongest wind: {}, {:.1f} m/s"),
+    ("derived.estimate_error", "largest error of the estimate: {}, {:.2f} m"),
+    ("derived.setpoint_distance", "farthest from the set-point: {}, {:.2f} m"),
 )
 
 
 def highlights_of(runs: Sequence[Series]) -> list[Highlight]:
     """Return (time [s] or None, text) of notable moments of runs, such as extremes; unlogged quantities are skipped."""
-    found = [
-        line for name, most, words in EXTREMES for own in runs for line in _guarded(_extreme, own, name, most, words)
-    ]
-    for find in (_outside, _stopped, _lost_satellite, _apart, _worst_link):
-        found += [line for own in runs for line in _guarded(find, own)]
-    return found
+    largest: list[Find] = [partial(_largest, name=name, words=words) for name, words in LARGEST]
+    others = (_battery, _outside, _stopped, _lost_satellites, _apart, _worst_link)
+    finders: tuple[Find, ...] = (_fence, _closest, *largest, *others)
+    return [line for find in finders for own in runs for line in _guarded(find, own)]
 
 
-def _guarded(find: Callable[..., Iterator[Highlight]], *given: object) -> list[Highlight]:
-    """Return the highlights that ``find(*given)`` yields; none if a part of the log is damaged."""
+def _guarded(find: Find, own: Series) -> list[Highlight]:
+    """Return the highlights of a run that ``find`` yields; none if a part of the log is damaged."""
     with suppress(QrsimError):
-        return list(find(*given))
+        return list(find(own))
     return []
+
+
+def _letter(own: Series) -> str:
+    """Return the letter of a run and a space if there are several runs, else ""."""
+    return f"{own.member.letter} " if own.member.letter else ""
 
 
 def _named(own: Series, vehicle: int) -> str:
     """Return a vehicle's name, preceded by the letter of its run if there are several runs."""
-    return f"{own.member.letter} {own.member.recording.run.vehicles[vehicle]}".strip()
+    return _letter(own) + own.member.recording.run.vehicles[vehicle]
 
 
 def _of_run(own: Series) -> str:
@@ -64,112 +67,167 @@ def _of_run(own: Series) -> str:
     return f": {own.member.letter}" if own.member.letter else ""
 
 
-def _extreme(own: Series, name: str, most: bool, words: str) -> Iterator[Highlight]:
-    """Yield the first time [s] at which a quantity was largest (``most``) or smallest; ``words``: text template."""
-    if name not in own.quantities:
-        return
-    time, values = own.values(name)
-    values = np.where(np.isfinite(values) & _counts(own, time), values, -np.inf if most else np.inf)
-    if not values.size:
-        return
-    row, vehicle = np.unravel_index(np.argmax(values) if most else np.argmin(values), values.shape)
-    value = float(values[row, vehicle])
-    beyond = list(_beyond_fence(own, time, values)) if name == FENCE else []
-    if beyond:
-        yield from beyond
-    elif np.isfinite(value):
-        yield float(time[row]), words.format(_named(own, int(vehicle)), value)
+def _listed(own: Series, parts: Sequence[tuple[int, str]], between: str = ", ") -> str:
+    """Return texts of vehicles (number, text), each after the vehicle's name, in one line; few vehicles are named."""
+    names = own.member.recording.run.vehicles
+    told = [f"{names[vehicle]} {text}" for vehicle, text in parts[:MOST_NAMED]]
+    more = [f"and {len(parts) - MOST_NAMED} more"] if len(parts) > MOST_NAMED else []
+    return between.join([*told, *more])
 
 
-def _beyond_fence(own: Series, time: Floats, values: Floats) -> Iterator[Highlight]:
-    """Yield which vehicles were outside the fence (distances ``values`` < 0), with times [s], the earliest first.
-
-    Args:
-        own: the run.
-        time: (T,) [s].
-        values: distances (T, n) [m], infinite where they do not count.
-    """
-    first = {i: float(time[np.argmax(rows)]) for i, rows in enumerate((values < 0.0).T) if rows.any()}
-    for event, vehicle in own.member.recording.stops:
-        if event.kind == LEFT:
-            at = event.time + own.member.shift
-            first[vehicle] = min(at, first.get(vehicle, at))
-    reached = sorted((at, vehicle) for vehicle, at in first.items() if at >= 0.0)
-    if not reached:
-        return
-    (at, vehicle), *others = reached
-    later = time > at + 1e-6
-    back = np.flatnonzero(np.isfinite(values[later, vehicle]) & (values[later, vehicle] >= 0.0))
-    until = f"to {time[later][back[0]]:.2f} s" if len(back) else "on"
-    then = _then(others, own.member.recording.run.vehicles)
-    yield at, f"outside the fence: {_named(own, vehicle)} from {at:.2f} s {until}{then}"
-
-
-def _then(others: Sequence[tuple[float, int]], names: Sequence[str]) -> str:
-    """Return the end of a highlight's text: further vehicles with their times [s], such as "; then b 3.10 s"."""
-    also = [f"{names[i]} {at:.2f} s" for at, i in others[:MOST_NAMED]]
-    more = [f"{len(others) - MOST_NAMED} more"] if len(others) > MOST_NAMED else []
-    return f"; then {', '.join([*also, *more])}" if also else ""
-
-
-def _counts(own: Series, time: Floats) -> Floats:
-    """Return whether each vehicle was in flight (T, n) at times (T,) [s]."""
-    ends = np.full(len(own.member.recording.run.vehicles), np.inf)
-    for event, vehicle in own.member.recording.stops:
-        ends[vehicle] = event.time + own.member.shift
-    return np.asarray((time[:, None] >= 0.0) & (time[:, None] <= ends + 1e-6))
-
-
-def _first_above(own: Series, name: str, level: float) -> tuple[float, int] | None:
-    """Return (time [s], vehicle) when a quantity first exceeded ``level``; None if never or not logged."""
+def _shown(own: Series, name: str) -> tuple[Floats, Floats] | None:
+    """Return the times (T,) [s] of a quantity from 0 on and its values (T, n), NaN after stops; None if not logged."""
     if name not in own.quantities:
         return None
     time, values = own.values(name)
+    first = int(np.searchsorted(time, 0.0))
+    return time[first:], values[first:]
+
+
+def _extreme(own: Series, name: str, sign: float) -> tuple[float, int, float] | None:
+    """Return (time [s], vehicle, value) where ``sign`` times a quantity is first largest; None without a value."""
+    found = _shown(own, name)
+    if found is None or not np.isfinite(found[1]).any():
+        return None
+    time, values = found
+    row, vehicle = np.unravel_index(np.argmax(np.where(np.isfinite(values), sign * values, -np.inf)), values.shape)
+    return float(time[row]), int(vehicle), float(values[row, vehicle])
+
+
+def _largest(own: Series, name: str, words: str) -> Iterator[Highlight]:
+    """Yield when a quantity was largest; ``words``: text with places for the vehicle and the value."""
+    found = _extreme(own, name, 1.0)
+    if found is not None:
+        yield found[0], words.format(_named(own, found[1]), found[2])
+
+
+def _fence(own: Series) -> Iterator[Highlight]:
+    """Yield which vehicles were outside the fence, by how much and when, or the closest approach to it."""
+    shown, found = _shown(own, FENCE), _extreme(own, FENCE, -1.0)
+    if shown is None:
+        return
+    time, values = shown
+    out: list[tuple[float, int, str]] = []
+    stops = {vehicle: event for event, vehicle in own.member.recording.stops if event.kind == LEFT}
+    for vehicle, distances in enumerate(values.T):
+        end = own.ends[vehicle] if vehicle in stops else np.inf
+        rows = np.flatnonzero((distances < 0.0) & (time < end - SAME))
+        if len(rows):
+            back = np.flatnonzero((distances >= 0.0) & (time > time[rows[0]]))
+            until = f"to {time[back[0]]:.2f} s" if len(back) else "on"
+            deepest = -np.nanmin(distances)
+            out.append((time[rows[0]], vehicle, f"by up to {deepest:.2f} m from {time[rows[0]]:.2f} s {until}"))
+        elif vehicle in stops and end >= 0.0:
+            out.append((end, vehicle, f"{_by(own, stops[vehicle])}at {end:.2f} s"))
+    if out:
+        out.sort()
+        yield float(out[0][0]), f"outside the fence: {_letter(own)}{_listed(own, [line[1:] for line in out], '; ')}"
+    elif found is not None:
+        yield found[0], f"closest to the fence: {_named(own, found[1])}, {found[2]:.2f} m"
+
+
+def _by(own: Series, event: Event) -> str:
+    """Return how far outside the area a vehicle stopped, such as "by 0.13 m to the north "; "" if that is unknown."""
+    world = own.member.recording.world
+    far = outside_by(event.field, event.value, None if world is None else world.area)
+    return "" if far is None else f"by {far[0]:.2f} m {far[1]}".strip() + " "
+
+
+def _closest(own: Series) -> Iterator[Highlight]:
+    """Yield which two vehicles came closest to each other while both flew, and when."""
+    found = _extreme(own, NEAREST, -1.0)
+    if found is None:
+        return
+    at, vehicle, distance = found
+    # Vehicles also collide with those that have stopped.
+    other = own.nearest_at(vehicle, at, flying=at < own.ends[vehicle] - SAME)
+    if other is None:
+        return
+    name = own.member.recording.run.vehicles[other]
+    stopped = f" ({name} had stopped)" if own.ends[other] < at - SAME else ""
+    yield at, f"closest to another vehicle: {_named(own, vehicle)} and {name}, {distance:.2f} m at {at:.2f} s{stopped}"
+
+
+def _battery(own: Series) -> Iterator[Highlight]:
+    """Yield the lowest charge in flight, and the charges at which other vehicles stopped."""
+    shown, found = _shown(own, CHARGE), _extreme(own, CHARGE, -1.0)
+    if shown is None or found is None:
+        return
+    at, lowest, charge = found
+    stopped = []
+    for vehicle in np.argsort(own.ends, kind="stable").tolist():
+        last = _last(shown, vehicle)
+        if vehicle != lowest and np.isfinite(own.ends[vehicle]) and last is not None:
+            stopped.append((vehicle, f"{100.0 * last[1]:.1f} % at {own.ends[vehicle]:.2f} s"))
+    also = f"; at their stops: {_listed(own, stopped)}" if stopped else ""
+    yield at, f"lowest battery in flight: {_named(own, lowest)}, {100.0 * charge:.1f} %{also}"
+
+
+def _firsts_above(own: Series, name: str, level: float) -> list[tuple[float, int]] | None:
+    """Return (time [s], vehicle) of each first time that a quantity exceeded ``level``, sorted; None: not logged."""
+    shown = _shown(own, name)
+    if shown is None:
+        return None
+    time, values = shown
     with np.errstate(invalid="ignore"):
-        above = (values > level) & _counts(own, time)
-    rows = np.flatnonzero(above.any(axis=1))
-    return (float(time[rows[0]]), int(np.argmax(above[rows[0]]))) if len(rows) else None
+        above = values > level
+    return sorted((float(time[np.argmax(rows)]), vehicle) for vehicle, rows in enumerate(above.T) if rows.any())
+
+
+def _with_times(own: Series, firsts: Sequence[tuple[float, int]]) -> str:
+    """Return vehicles with their times (time [s], vehicle) as text."""
+    return _letter(own) + _listed(own, [(vehicle, f"{at:.2f} s") for at, vehicle in firsts])
 
 
 def _outside(own: Series) -> Iterator[Highlight]:
     """Yield the estimates that left their 95 % band, each with its first time [s], the earliest first."""
-    if SIGMAS not in own.quantities:
-        return
-    time, values = own.values(SIGMAS)
-    with np.errstate(invalid="ignore"):
-        above = (values > BAND) & _counts(own, time)
-    outside = [(float(time[np.argmax(rows)]), i) for i, rows in enumerate(above.T) if rows.any()]
-    if not outside:
-        yield None, f"estimate never outside its 95 % band{_of_run(own)}"
-        return
-    (first, vehicle), *others = sorted(outside)
-    then = _then(others, own.member.recording.run.vehicles)
-    yield first, f"estimate first outside its 95 % band: {_named(own, vehicle)}{then}"
+    firsts = _firsts_above(own, SIGMAS, BAND)
+    if firsts:
+        yield firsts[0][0], f"estimate first outside its 95 % band ({BAND} sigma): {_with_times(own, firsts)}"
+    elif firsts is not None:
+        yield None, f"estimate never outside its 95 % band ({BAND} sigma){_of_run(own)}"
 
 
 def _stopped(own: Series) -> Iterator[Highlight]:
-    """Yield for each vehicle that stopped, as after a collision, its last speed [m/s] before."""
-    if SPEED not in own.quantities:
-        return
-    time, values = own.values(SPEED)
-    for event, vehicle in sorted(own.member.recording.stops, key=lambda stop: stop[0].time)[:MOST_NAMED]:
-        rows = np.flatnonzero(time < event.time + own.member.shift - 1e-6)
-        if len(rows) and np.isfinite(speed := float(values[rows[-1], vehicle])):
-            yield float(time[rows[-1]]), f"speed before it stopped: {_named(own, vehicle)}, {speed:.1f} m/s"
+    """Yield for each vehicle that stopped its last speed [m/s] before, and whether its estimate was in its band."""
+    speeds, sigmas = _shown(own, SPEED), _shown(own, SIGMAS)
+    for vehicle in np.argsort(own.ends, kind="stable").tolist()[:MOST_STOPS]:
+        last = _last(speeds, vehicle)
+        if last is None or not np.isfinite(own.ends[vehicle]):
+            continue
+        off = _last(sigmas, vehicle)
+        side = "" if off is None else "outside" if off[1] > BAND else "inside"
+        estimate = "" if off is None else f"; estimate {off[1]:.2f} sigma: {side} its 95 % band"
+        yield last[0], f"speed before it stopped: {_named(own, vehicle)}, {last[1]:.1f} m/s{estimate}"
 
 
-def _lost_satellite(own: Series) -> Iterator[Highlight]:
-    """Yield the time [s] and name of the first satellite that a receiver lost."""
-    for event in first_lost([own.member], 1):
-        yield event.time, f"first satellite lost: {event.message}"
+def _last(shown: tuple[Floats, Floats] | None, vehicle: int) -> tuple[float, float] | None:
+    """Return the last time [s] of a quantity at which a vehicle has a value, and the value; None without one."""
+    if shown is None or not np.isfinite(shown[1][:, vehicle]).any():
+        return None
+    row = int(np.flatnonzero(np.isfinite(shown[1][:, vehicle]))[-1])
+    return float(shown[0][row]), float(shown[1][row, vehicle])
+
+
+def _lost_satellites(own: Series) -> Iterator[Highlight]:
+    """Yield the first satellite that each vehicle's receiver lost, with its time [s]."""
+    firsts: dict[int, Event] = {}
+    names = own.member.recording.run.vehicles
+    for event in satellites_lost(own.member):
+        if event.time >= 0.0 and event.vehicle is not None:
+            firsts.setdefault(names.index(event.vehicle), event)
+    found = sorted(firsts.items(), key=lambda item: item[1].time)
+    if found:
+        parts = [(vehicle, f"{satellite_of(event)} {event.time:.2f} s") for vehicle, event in found]
+        yield found[0][1].time, f"first satellite lost: {_letter(own)}{_listed(own, parts)}"
 
 
 def _apart(own: Series) -> Iterator[Highlight]:
-    """Yield when a vehicle was first 1 m from its position in the first run, and when it was farthest."""
-    first = _first_above(own, BETWEEN, APART)
-    if first is not None:
-        yield first[0], f"first {APART:g} m from run A: {_named(own, first[1])}"
-    yield from _extreme(own, BETWEEN, True, "farthest from run A: {}, {:.2f} m")
+    """Yield when each vehicle was first 1 m from its position in the first run, and when one was farthest."""
+    firsts = _firsts_above(own, BETWEEN, APART)
+    if firsts:
+        yield firsts[0][0], f"first {APART:g} m from run A: {_with_times(own, firsts)}"
+    yield from _largest(own, BETWEEN, "farthest from run A: {}, {:.2f} m")
 
 
 def _worst_link(own: Series) -> Iterator[Highlight]:
@@ -183,6 +241,6 @@ def _worst_link(own: Series) -> Iterator[Highlight]:
     share = float(lost[sender, receiver])
     if share > 0.0:
         link = f"{_named(own, int(sender))} to {run.vehicles[receiver]}"
-        yield None, f"worst radio link: {link}, {share:.1%} of {int(sent[sender, receiver])} packets lost"
+        yield None, f"worst radio link: {link}, {100.0 * share:.1f} % of {int(sent[sender, receiver])} packets lost"
     elif share == 0.0:
         yield None, f"radio: no packet lost of {int(sent.sum())} within reach{_of_run(own)}"

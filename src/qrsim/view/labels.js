@@ -1,3 +1,5 @@
+// Changes a text only where it differs: each change costs a layout.
+const put = (element, words) => { if (element.textContent !== words) element.textContent = words; };
 // Where labels may be, and whether two boxes [left, top, right, bottom] overlap.
 const hits = (a, b) => a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
 // Where a label of a size may be, about a vehicle: above, beside, below, and farther off.

@@ -56,7 +56,7 @@ def lines_of(frame: Frame, found: Details, vehicle: int, waypoints: int) -> list
     error = float(np.linalg.norm(found.believed_ned[vehicle] - frame.position_ned[vehicle]))
     std = float(np.linalg.norm(found.std_ned[vehicle]))
     if np.isfinite(error):
-        reported = f" (\u03c3 {std:.2g} m)" if np.isfinite(std) else ""
+        reported = f" (sigma {std:.2g} m)" if np.isfinite(std) else ""
         lines.append(f"estimate {error:.2g} m off{reported}")
     return lines
 

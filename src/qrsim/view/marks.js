@@ -34,3 +34,27 @@ const marksIn = ({ state, ink, unitsOf, units, rare }) => (plot) => {
   }
   pen.restore();
 };
+// The line next to the pointer in words: whose it is, its value, and the time there. `words` names a line of a plot.
+const tipIn = ({ make, dock, words, number4 }) => {
+  const box = make("div", dock, "", "tip");
+  box.hidden = true;
+  return (plot, panel) => {
+    const { left, top, idx } = plot.cursor, lines = panel.lines ?? [];
+    const inside = left >= 0 && top >= 0 && idx !== null && idx !== undefined && plot.over.matches(":hover");
+    // Nearest in pixels; of few lines also far from the pointer.
+    let best = null;
+    if (inside) lines.forEach((line, row) => {
+      const value = plot.data[row + 1]?.[idx];
+      if (value === null || value === undefined) return;
+      const off = Math.abs(plot.valToPos(value, plot.series[row + 1].scale) - top);
+      if (!best || off < best.off) best = { line, value, off };
+    });
+    box.hidden = !best;
+    if (!best) return;
+    box.textContent = `${words(panel, best.line)} ${number4(best.value)}, ${plot.data[0][idx].toFixed(2)} s`;
+    box.style.borderColor = best.line.hue ?? "currentColor";
+    const at = plot.over.getBoundingClientRect(), room = dock.getBoundingClientRect();
+    box.style.left = Math.min(at.left - room.left + left + 12, room.width - box.offsetWidth - 8) + "px";
+    box.style.top = Math.max(0, at.top - room.top + top - 26) + "px";
+  };
+};

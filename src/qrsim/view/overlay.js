@@ -10,7 +10,7 @@
   const saved = () => { try { return localStorage.getItem("qrsim-theme"); } catch { return null; } };
   state.theme ??= saved() ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
   document.title = data.title ? "qrsim - " + data.title : "qrsim";
-  let m = null, ended = false, reasons = {}, states = {}, place = null, seen = "", touched = false, framedIn = "";
+  let m = null, ended = false, reasons = {}, states = {}, place = null, seen = "", laid = "", touched = false, framedIn = "";
   let legendOpen = null, lastFollowed = null, slots = {}, toned = 0, wish;
 
   const make = (tag, name, parent, text) => {
@@ -41,7 +41,7 @@
     button.onclick = () => { act(); button.blur(); };
     return button;
   };
-  tool("Show all", "look at all vehicles and routes (F)", () => frame(true));
+  tool("Show all", "look at all vehicles and routes (F)", () => extra.go("Overview"));
   const themeTool = tool("", "dark or light", () => theme(state.theme === "dark" ? "light" : "dark"));
   const { theme, exact } = themeIn({ data, state, button: themeTool, nodes: () => nodes(), m: () => m });
   tool("Legend", "what is what", () => { legendOpen = !legendOpen; touched = true; seen = ""; });
@@ -64,20 +64,24 @@
   };
   const floats = (array) =>
     array instanceof Float32Array ? array : new Float32Array(array.buffer, array.byteOffset, array.byteLength / 4);
-  // Places of all vehicles [m], NED, and how large they are drawn [m]; null before they are there.
+  // Places of all vehicles [m], NED, and how large they are drawn [m]; null before they are there. The same object until viser has new ones.
+  let sources = [];
   const places = (tree) => {
+    const bodies = data.bodies.map(([name]) => tree[name]?.message?.props);
+    if (!bodies.every((props) => props?.batched_positions)) return null;
+    const now = bodies.flatMap((props) => [props.batched_positions, props.batched_scales, props.batched_wxyzs]);
+    if (place && now.every((array, number) => array === sources[number])) return place;
     const found = new Float32Array(3 * data.names.length), turn = new Float32Array(4 * data.names.length);
     let span = 0;
-    for (const [name, members] of data.bodies) {
-      const props = tree[name]?.message?.props;
-      if (!props?.batched_positions) return null;
-      const at = floats(props.batched_positions), sizes = floats(props.batched_scales), turns = floats(props.batched_wxyzs);
+    data.bodies.forEach(([, members], body) => {
+      const [at, sizes, turns] = now.slice(3 * body, 3 * body + 3).map(floats);
       members.forEach((vehicle, row) => {
         found.set(at.subarray(3 * row, 3 * row + 3), 3 * vehicle);
         turn.set(turns.subarray(4 * row, 4 * row + 4), 4 * vehicle);
       });
       span = Math.max(span, sizes[0]);
-    }
+    });
+    sources = now;
     return span > 0 ? { at: found, turn, span } : null;
   };
   const at3 = (...ned) => new m.camera.position.constructor(...ned).applyMatrix4(matrix());
@@ -211,6 +215,9 @@
     return found;
   };
   const differences = differencesIn(svg, data.differences);
+  // Vehicles whose labels are seen, with their boxes in pixels of the canvas; the vehicle under a pixel, or null.
+  let named = [];
+  const labelAt = (x, y) => named.find(([, own]) => hits(own, [x, y, x, y]))?.[0] ?? null;
   const layLabels = (tree, box) => {
     const room = free(box), few = data.names.length <= data.mostLabels;
     const wanted = few ? data.names.map((_, i) => i) : Object.keys(reasons).map(Number).slice(-data.mostLabels);
@@ -219,7 +226,7 @@
     const spots = (visible ? wanted : []).map((vehicle) => ({ vehicle, ...pixel(vehicle, box) })).filter((s) => "x" in s);
     const rank = (s) => (s.vehicle === state.chosen ? 0 : s.vehicle in reasons ? 1 : 2);
     spots.sort((a, b) => rank(a) - rank(b) || a.depth - b.depth);
-    const taken = [tools, extra.scale, bar, legend, table.box, ...extra.boxes()].filter((e) => e.offsetWidth).map((e) => {
+    const taken = [tools, extra.scale, bar, legend, table.box, root.querySelector(".qrsim-sky"), ...extra.boxes()].filter((e) => e.offsetWidth).map((e) => {
       const r = e.getBoundingClientRect();
       return [r.left - box.left, r.top - box.top, r.right - box.left, r.bottom - box.top];
     });
@@ -229,6 +236,7 @@
     if (tip) taken.push([tip.x - 8, tip.y - 10, tip.x + 8, tip.y + 10]);
     const left = new Set(Object.keys(made).map(Number));
     let lines = "";
+    named = [];
     for (const spot of spots) {
       if (spot.x < 0 || spot.y < 0 || spot.x > box.width || spot.y > room.bottom) continue;
       const found = label(spot.vehicle), [w, h] = found.size, may = around(spot, found.size);
@@ -243,6 +251,7 @@
       if (slot === undefined) { found.style.display = "none"; left.delete(spot.vehicle); continue; }
       const [x, y] = may[slot];
       taken.push([x, y, x + w, y + h]);
+      named.push([spot.vehicle, [x, y, x + w, y + h]]);
       found.style.transform = `translate(${Math.round(x)}px,${Math.round(y)}px)`;
       if (slot >= 8) lines += `M${spot.x},${spot.y}L${Math.min(Math.max(spot.x, x), x + w)},${y < spot.y ? y + h : y}`;
       left.delete(spot.vehicle);
@@ -279,7 +288,7 @@
     }
     const times = place.span / data.trueSpan;
     const size = rows.find((row) => row.kind === "size");
-    if (size) size.words.textContent = times > 1.05 ? `vehicles are drawn ${sized(times)} x their size` : "vehicles in true size";
+    if (size) put(size.words, times > 1.05 ? `vehicles are drawn ${sized(times)} x their size` : "vehicles in true size");
   };
 
   // ---- the loop ----
@@ -307,12 +316,12 @@
     const tree = nodes(), now = places(tree);
     if (!now) return;
     if (!place) document.getElementById("qrsim-loading")?.remove();
-    place = now;
+    if (now !== place) { place = now; seen = ""; }
     const box = canvasBox(), eye = m.camera.matrixWorld.elements.join();
     if (performance.now() - toned > 400) { toned = performance.now(); exact(); }
     legendOpen ??= box.width > 700;
     // Again while panels and sizes settle, until somebody moves the camera.
-    const { right, bottom } = free(box), room = [right, bottom, box.width, box.height].join();
+    const { top, right, bottom } = free(box), room = [right, bottom, box.width, box.height].join();
     if (data.frame && !touched && room !== framedIn && state.followed === null) {
       if (!state.framed || framedIn) frame(false);
       framedIn = room;
@@ -323,11 +332,13 @@
     extra.ride();
     extra.keepLens();
     const marks = data.layers.map((name) => shown(tree, name)).join();
-    const mark = [now.at.join(), now.turn.join(), now.span, eye, box.left, box.top, box.width, box.height, free(box).top, free(box).bottom, marks,
-      state.chosen, JSON.stringify([reasons, states]), legendOpen].join("|");
+    // What changes it without a word: all else resets `seen`.
+    const mark = [eye, box.left, box.top, box.width, box.height, top, bottom, marks, state.chosen, legendOpen].join("|");
     if (mark === seen) return;
     seen = mark;
-    root.style.cssText = `left:${box.left}px;top:${box.top}px;width:${box.width}px;height:${box.height}px`;
+    // The same words again would cost a layout.
+    const at = `left:${box.left}px;top:${box.top}px;width:${box.width}px;height:${box.height}px`;
+    if (at !== laid) root.style.cssText = laid = at;
     table.fit(free(box, true));
     layLegend(tree, box);
     extra.lay(box);
@@ -336,7 +347,7 @@
     layLabels(tree, box);
   };
   const extra = toolsIn({
-    data, state, make, tools, root, draw, tool, nodes, floats, shown, at3, pixel, pixelOf, canvasBox, free, tangent, frame, look, follow, touch,
+    data, state, make, tools, root, draw, tool, nodes, floats, shown, at3, pixel, pixelOf, canvasBox, free, labelAt, tangent, frame, look, follow, touch,
     m: () => m, world: matrix, place: () => place, again: () => { seen = ""; },
   });
   const table = tableIn({ data, state, make, root, tool, css, again: () => { seen = ""; }, choose: (vehicle) => { state.chosen = vehicle; seen = ""; } });

@@ -35,7 +35,8 @@ STATUS_FRAMES, PLOT_FRAMES = 6, 15
 MOST_STOPPED = 5
 BY_VEHICLE = "(vehicle)"
 # Places in the panel.
-STATUS, STOPPED, TIME, WIND, LAYERS = 1.0, 2.0, 3.0, 5.0, 6.0
+# The list of stopped vehicles grows and shrinks, so it is under the time, which users type.
+STATUS, TIME, STOPPED, WIND, LAYERS = 1.0, 3.0, 3.5, 5.0, 6.0
 
 
 class Page:
@@ -368,7 +369,7 @@ class Page:
         paused = "" if self.clock is None or self.clock.playing else " (paused)"
         frames = f"{self.drawn} frames drawn, {self.dropped() + self._delivery.missed} dropped"
         if (lag := self._delivery.lag_s) > NOTABLE_S:
-            frames += f"  \n**slow link: {lag:.1f} s behind**"
+            frames = f"**slow link: {lag:.1f} s behind**"
         note = f"{plain(self.note)}  \n" if self.note else ""
         heading, time = f"**{plain(self.heading)}**", f"**t = {frame.time:.2f} s**{paused}"
         self._status.content = f"{heading}  \n{note}{time}  \n{flying}  \n{frames}"

@@ -33,15 +33,21 @@
   const own = (i) => (data.runs.length ? data.vehicles[i].slice(2) : data.vehicles[i]);
   const groups = [...new Set(data.vehicles.map((_, i) => own(i)))].map((name) => [name, data.vehicles.flatMap((_, i) => own(i) === name ? [i] : [])]);
   if (groups.length > 1 && data.vehicles.length <= 100) groups.unshift(["all vehicles", data.vehicles.map((_, i) => i)]);
-  state.group = groups.length > 1 && groups[0][0] === "all vehicles" ? 1 : 0;
+  // Of very many, one vehicle at first: a hundred lines take a while, and nobody reads them.
+  state.group = groups[0][0] === "all vehicles" && data.vehicles.length > 20 ? 1 : 0;
   const members = () => groups[state.group][1];
   const several = () => members().length > 1;
   const DASHES = [[], [7, 4], [2, 3], [9, 3, 2, 3]];
   const HUES = ["#3772f7", "#e78b01", "#0c9261", "#b5669f", "#883739", "#5aa8f2", "#5b38b2", "#7fbd7f"];
   const ink = () => getComputedStyle(dock).color;
+  // Vehicles of one colour, such as those of a run, in shades of it.
+  const shade = (vehicle) => {
+    const hue = window.qrsim?.colour(vehicle) ?? HUES[vehicle % 8], alike = members().filter((other) => window.qrsim?.colour(other) === hue);
+    return alike.length < 2 ? hue : `color-mix(in oklab, ${hue}, ${ink()} ${Math.round((70 * alike.indexOf(vehicle)) / alike.length)}%)`;
+  };
   const linesOf = (panel) => panel.names.flatMap((name, row) => members().map((vehicle) => ({
     name, vehicle, dash: several() ? DASHES[row % 4] : [],
-    hue: several() ? window.qrsim?.colour(vehicle) ?? HUES[vehicle % 8] : name.startsWith("truth.") && panel.names.length > 1 ? null : HUES[row % 8],
+    hue: several() ? shade(vehicle) : name.startsWith("truth.") && panel.names.length > 1 ? null : HUES[row % 8],
   })));
 
   // ---- the panel ----
@@ -141,6 +147,8 @@
 
   // ---- the plots ----
   const number4 = (value) => value === null || value === undefined || !Number.isFinite(value) ? "\u2013" : Math.abs(value) >= 1e5 || (value !== 0 && Math.abs(value) < 1e-3) ? value.toExponential(2) : String(+value.toPrecision(4)).replace("-", "\u2212");
+  const whose = (vehicle) => (several() ? (data.runs.length && groups[state.group][0] !== "all vehicles" ? data.vehicles[vehicle][0] : data.vehicles[vehicle]) + " " : "");
+  const tip = tipIn({ make, dock, words: (panel, line) => whose(line.vehicle) + short(panel, line.name), number4 });
   const marks = marksIn({ state, ink, unitsOf, units, rare: list.rare });
   const options = (panel, lines, width, height) => {
     const axes = unitsOf(panel.names), grid = { stroke: "rgba(128,128,128,.22)", width: 1 };
@@ -164,7 +172,7 @@
         ...axes.map((unit, i) => ({ scale: "y" + i, side: i ? 1 : 3, stroke: ink, grid: i ? { show: false } : grid, ticks: grid, size: 56, values,
           label: unit && unit !== "1" ? unit : "", labelSize: 16, labelGap: 0 }))],
       hooks: {
-        draw: [marks], setSelect: [],
+        draw: [marks], setSelect: [], setCursor: [(plot) => tip(plot, panel)],
         setScale: [(plot, key) => { if (key === "x" && !setting) zoom(plot.scales.x.min, plot.scales.x.max); }],
       },
     };
@@ -244,52 +252,7 @@
     const [, part] = name.match(/^(?:commands|measurements)?\.?([a-z_0-9]+)/);
     return `${set[0].split(":")[0]}, ${{ setpoint: "set-point", derived: "truth" }[part] ?? part}`;
   };
-  // The lines of a plot in words: value at the time shown, lowest and highest with a way to their times.
-  const tell = (panel) => {
-    panel.words.replaceChildren();
-    const pick = (lines, side, sign) => lines.reduce((best, line) => (line[side] === null || (best && sign * line[side] <= sign * best[side]) ? best : line), null);
-    const ends = (lines) => ({ low: pick(lines, "low", -1), high: pick(lines, "high", 1) });
-    const most = Object.fromEntries(panel.names.map((name) => [name, ends(panel.lines.filter((line) => line.name === name))]));
-    const few = panel.lines.length <= 10 ? panel.lines : [];
-    const title = (row, words, name) => {
-      const button = make("button", row, words, "name");
-      button.title = `${data.quantities.find(([own]) => own === name)[2]}; click to put another quantity in its place`;
-      button.onclick = () => replace(panel, name);
-    };
-    const range = (row, line, side, words, when, whose) => {
-      const button = make("button", row, `${words} ${number4(line[side])}`), at = `${line[side + "At"].toFixed(2)} s`;
-      button.title = `at ${at}; click to go there`;
-      button.onclick = () => go(line[side + "At"]);
-      if (when) make("small", row, `${whose}at ${at}`);
-    };
-    const sides = [["min", "low"], ["max", "high"]];
-    // Of many lines, a row for each quantity and run: who has the lowest value, and who the highest.
-    if (!few.length) for (const name of panel.names) for (const run of data.runs.length ? data.runs.keys() : [0]) {
-      const found = ends(panel.lines.filter((line) => line.name === name && data.runOf[line.vehicle] === run));
-      if (!found.low) continue;
-      const row = make("span", panel.words, "", "line");
-      title(row, `${data.runs.length ? data.vehicles[found.low.vehicle][0] + " " : ""}${short(panel, name)}`, name);
-      for (const [words, side] of sides) range(row, found[side], side, words, true, data.vehicles[found[side].vehicle] + " ");
-      const close = make("button", row, "\u2715");
-      close.title = "remove";
-      close.onclick = () => drop(panel, name);
-    }
-    for (const line of few) {
-      const row = make("span", panel.words, "", "line"), sign = make("i", row);
-      sign.style.borderColor = line.hue ?? "currentColor";
-      if (line.dash.length) sign.style.borderTopStyle = "dashed";
-      const whose = several() ? (data.runs.length && groups[state.group][0] !== "all vehicles" ? data.vehicles[line.vehicle][0] : data.vehicles[line.vehicle]) + " " : "";
-      title(row, whose + short(panel, line.name), line.name);
-      line.value = make("b", row, "");
-      // Of several lines, the times of the lowest and the highest of each quantity.
-      for (const [words, side] of sides) if (line[side] !== null) range(row, line, side, words, few.length <= 4 || most[line.name][side] === line, "");
-      const close = make("button", row, "\u2715");
-      close.title = "remove";
-      close.onclick = () => drop(panel, line.name);
-    }
-    if (!panel.lines.length) make("span", panel.words, `${panel.names.join(", ")}: not logged for this vehicle`);
-    panel.told = few;
-  };
+  const tell = wordsIn({ make, go, short, whose, replace, drop, number4 });
   // Where the list of plots was scrolled to, before they were made again.
   let scrolled = null;
   const build = () => {
@@ -356,9 +319,8 @@
     handle.onpointerup = () => { handle.onpointermove = null; };
   };
   const begin = () => {
-    const first = data.together[0]?.[1] ?? ["derived.height"];
-    state.panels = [{ names: first.filter((name) => units.has(name)) }].filter(({ names }) => names.length);
-    if (!state.panels.length && data.quantities.length) state.panels = [{ names: [data.quantities[0][0]] }];
+    const first = units.has("derived.height") ? "derived.height" : data.quantities[0]?.[0];
+    state.panels = first ? [{ names: [first] }] : [];
     state.example = true;
   };
   const toggle = (open = !state.open) => {

@@ -60,14 +60,17 @@ class Plots:
         # Number of the run, and of the vehicle in it.
         self._places = [(number, i) for number, member in enumerate(members) for i in range(member.recording.cast.size)]
         self.quantities: dict[str, Quantity] = {}
+        on_demand: dict[str, Quantity] = {}
         for series in reversed(self._series):
             self.quantities = {**series.quantities, **self.quantities}
+            on_demand = {**series.on_demand, **on_demand}
+        self._offered = [*self.quantities.values(), *on_demand.values()]
 
     def about(self) -> dict[str, object]:
         """Return what the page's plots need, for JSON: quantities, vehicles, runs, events, end [s], groups."""
         recording = self._recording
         return {
-            "quantities": [[own.name, own.unit, own.doc] for own in self.quantities.values()],
+            "quantities": [[own.name, own.unit, own.doc] for own in self._offered],
             "together": self._together(),
             "vehicles": list(recording.cast.names),
             "runs": list(recording.cast.runs),
@@ -142,7 +145,7 @@ class Plots:
             return None
         run, i = self._places[vehicle]
         series = self._series[run]
-        if name not in series.quantities:
+        if name not in series.quantities and name not in series.on_demand:
             return None
         time, every = series.values(name)
         values = every[:, i]

@@ -22,17 +22,22 @@ AHEAD_S, MOST_KEPT = 120.0, 8
 class Skies:
     """What receivers said of their satellites, for pages without a server.
 
+    Args:
+        run: that is read.
+        end: last time [s].
+        rate: most values a second of each satellite [Hz].
+
     Attributes:
         time: (K,) [s]; none where no receiver says anything of them.
     """
 
-    def __init__(self, run: Run, end: float):
+    def __init__(self, run: Run, end: float, rate: float = SKY_HZ):
         slots = columns_of(run["measurements"].columns()) if "measurements" in run else []
         self.time, self._names = np.zeros(0), slots
         if not slots:
             return
         values = len(slots) * len(OF_SATELLITES) * len(run.vehicles)
-        self.time = np.linspace(0.0, end, max(2, min(MOST_OF_SKIES // values, int(end * SKY_HZ) + 1)))
+        self.time = np.linspace(0.0, end, max(2, min(MOST_OF_SKIES // values, int(end * rate) + 1)))
         columns = [name for slot in slots for name in slot.values()]
         self._sampled = sampled(run, "measurements", columns, self.time)
 

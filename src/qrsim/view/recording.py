@@ -24,7 +24,7 @@ from qrsim.view.frame import Cast, Frame, Links, cast_of
 from qrsim.view.imagery import Imagery
 from qrsim.view.paint import Paints
 from qrsim.view.readings import Excerpts
-from qrsim.view.reasons import in_words
+from qrsim.view.reasons import as_shown, event_in_words
 from qrsim.view.rebuilt import rebuilt
 from qrsim.view.sky import Satellite, columns_of, satellites
 from qrsim.view.truth import ANGLES, AXES
@@ -106,7 +106,7 @@ class Recording:
         self._excerpts = Excerpts(run)
         self.paints = Paints(run)
         self.imagery: Imagery | None = None
-        self._details = RecordedDetails(run)
+        self._details = RecordedDetails(run, self.stops)
         self._slots = columns_of(run["measurements"].columns()) if "measurements" in run else []
 
     @property
@@ -132,8 +132,13 @@ class Recording:
 
     @property
     def events(self) -> list[Event]:
-        """Events of the run; [] if they were not recorded."""
-        return self.run.events if EVENTS in self.run else []
+        """Events of the run, with stops in words; [] if they were not recorded."""
+        return [as_shown(event, self._area) for event in self.run.events] if EVENTS in self.run else []
+
+    @property
+    def _area(self) -> object:
+        """The flight area of the run; None if it is not known."""
+        return None if self.world is None else self.world.area
 
     @property
     def heading(self) -> str:
@@ -219,7 +224,7 @@ class Recording:
 
     def why(self, event: Event) -> str:
         """Return in words why a vehicle has stopped, from the event that recorded it."""
-        return in_words(event.kind, event.field, event.value, None if self.world is None else self.world.area)
+        return event_in_words(event, self._area)
 
     def positions(self, times: Floats) -> Floats:
         """Return the true positions (K, n, 3) NED [m] at times (K,) [s]."""

@@ -87,7 +87,9 @@ class Replay:
         remember_paths(self.page.scene, self.recording, frame.time)
         self.page.draw(frame, everything)
         if everything or self.page.drawn % SLIDER_FRAMES == 0:
-            self._slider.value = self.time
+            # What a user types there is not written again, over the next digit.
+            if self._slider.value != self.time:
+                self._slider.value = self.time
             self._timeline.show(self.time)
 
     def run(self, stop: threading.Event) -> None:

@@ -10,6 +10,8 @@ from qrsim.view.readings import Skies
 from qrsim.view.recording import Member
 
 LOST = "satellite_lost"
+# How often satellites are compared, of long runs and many vehicles less often [Hz].
+RATE_HZ = 10.0
 # States of a satellite that a receiver uses, and words for the others (models/gnss).
 USED, WORDS = (1, 2), {0: "not tracked", 3: "hidden", 4: "jammed"}
 
@@ -17,7 +19,7 @@ USED, WORDS = (1, 2), {0: "not tracked", 3: "hidden", 4: "jammed"}
 def satellites_lost(member: Member) -> Iterator[Event]:
     """Yield an event for each satellite that a vehicle's receiver stopped using in a run, vehicle by vehicle."""
     run, letter = member.recording.run, f"{member.letter} " if member.letter else ""
-    skies = Skies(run, member.recording.end)
+    skies = Skies(run, member.recording.end, RATE_HZ)
     for name, said in zip(run.vehicles, skies.of_vehicles() if len(skies.time) else (), strict=False):
         before: dict[int, int] = {}
         for k, time in enumerate(skies.time.tolist()):
@@ -34,6 +36,11 @@ def satellites_lost(member: Member) -> Iterator[Event]:
                     tick = round(time / run.info.time_step)
                     yield Event(time + member.shift, tick, name, LOST, None, float(number), words)
             before = now
+
+
+def satellite_of(event: Event) -> str:
+    """Return the satellite that an event is about and why it was lost, such as "G-C3 (hidden)"."""
+    return f"{satellite_name(int(event.value or 0))} ({event.message.rpartition(': ')[2]})"
 
 
 def first_lost(members: list[Member], most: int) -> list[Event]:

@@ -76,11 +76,13 @@ class Several:
         own = self._first.time
         step = float(np.median(np.diff(own))) if len(own) > 1 else self.run.info.time_step
         self.time = np.append(own, np.arange(own[-1] + step, self.end + 0.5 * step, step))
-        self.stops = [
-            (replace(event, time=event.time + member.shift), number + member.first)
-            for member in self.members
-            for event, number in member.recording.stops
-        ]
+        self.stops: list[tuple[Event, int]] = []
+        self._whys: dict[Event, str] = {}
+        for member in self.members:
+            for event, number in member.recording.stops:
+                shown = replace(event, time=event.time + member.shift)
+                self.stops.append((shown, number + member.first))
+                self._whys[shown] = member.recording.why(event)
         self.notes = [
             line
             for member, (_, far) in zip(self.members, offsets, strict=True)
@@ -140,8 +142,8 @@ class Several:
         )
 
     def why(self, event: Event) -> str:
-        """Return in words why a vehicle has stopped, from the event that recorded it."""
-        return self._first.why(event)
+        """Return in words why a vehicle has stopped, from its event in ``stops``."""
+        return self._whys[event]
 
     def positions(self, times: Floats) -> Floats:
         """Return the true positions (K, n, 3) [m] in the first run's frame at times (K,) [s]."""
@@ -224,9 +226,9 @@ def _joined_details(members: list[Member], each: list[Details]) -> Details:
 
 
 def _name(member: Member) -> str:
-    """Return a run's letter, folder name and seed as text."""
+    """Return a run's letter, folder name and seed as text, such as "run A (first, seed 1)"."""
     run = member.recording.run
-    return f"{member.letter} {run.folder.resolve().name}, seed {run.info.seed}"
+    return f"run {member.letter} ({run.folder.resolve().name}, seed {run.info.seed})"
 
 
 def _cast(members: list[Member]) -> Cast:

@@ -10,7 +10,7 @@ const tableIn = (host) => {
     ["height m", 70, "height over the origin", fixed(1)], ["speed m/s", 58, "speed over ground", fixed(1)],
     ["battery %", 62, "charge of the battery", fixed(0, 100)],
     ["estimate error m", 78, "distance between the estimated and the true position", fixed(2)],
-    ["estimate \u03c3 m", 78, "standard deviation that the estimator reports, of all three axes", fixed(2)],
+    ["estimate sigma m", 78, "standard deviation that the estimator reports, of all three axes", fixed(2)],
     ["state", 520, "waypoint, failsafe, or when and why it stopped; sorted by the time of the stop", null],
   ];
   const box = make("div", "qrsim-table", host.root), bar = make("div", "qrsim-table-bar", box);
@@ -73,7 +73,6 @@ const tableIn = (host) => {
     body.insertBefore(row, below.row);
     return { row, dot, called, cells };
   };
-  const put = (element, words) => { if (element.textContent !== words) element.textContent = words; };
   const lay = () => {
     const seen = Math.ceil(rows.clientHeight / ROW) + 2;
     const first = Math.max(0, Math.min(Math.floor(rows.scrollTop / ROW), order.length - seen));

@@ -61,7 +61,8 @@
     now = time; playing = plays;
     window.qrsimPlots?.time(time);
     done.style.width = 100 * time / Math.max(data.end, 1e-9) + "%";
-    button.textContent = plays ? "||" : "\u25B6";
+    const sign = plays ? "||" : "\u25B6";
+    if (button.textContent !== sign) button.textContent = sign;
     label.textContent = clock(time) + " / " + clock(data.end) + "  " + speed + " x";
   };
   // Seconds, or parts with colons; NaN for anything else.
@@ -114,8 +115,16 @@
     event.preventDefault();
     event.stopImmediatePropagation();
   };
+  // A number that is clicked in viser's panel is typed in place of the old one.
+  const focus = ({ target }) => {
+    if (!target.matches?.(".mantine-NumberInput-input")) return;
+    target.select();
+    target.addEventListener("mouseup", () => target.select(), { once: true });
+    target.onkeyup = (event) => { if (event.key === "Enter") target.blur(); };
+  };
+  window.addEventListener("focusin", focus);
   window.addEventListener("keydown", key, true);
   window.qrsimTimelineEnds = () => {
-    ended = true; socket?.close(); bar.remove(); window.removeEventListener("keydown", key, true);
+    ended = true; socket?.close(); bar.remove(); window.removeEventListener("keydown", key, true); window.removeEventListener("focusin", focus);
   };
 })();

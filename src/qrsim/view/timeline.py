@@ -83,7 +83,7 @@ class Timeline:
 def plots_script(plots: Plots, **more: object) -> str:
     """Return the JavaScript that draws plots, with its library and data; ``more``: further data."""
     folder = files("qrsim.view")
-    scripts = ("uplot/uPlot.iife.min.js", "asking.js", "events.js", "marks.js", "plots.js")
+    scripts = ("uplot/uPlot.iife.min.js", "asking.js", "events.js", "marks.js", "words.js", "plots.js")
     library, *parts = (folder.joinpath(name).read_text("utf-8") for name in scripts)
     styles = "".join(folder.joinpath(name).read_text("utf-8") for name in ("uplot/uPlot.min.css", "plots.css"))
     data = json.dumps({**plots.about(), "css": styles, **more}).replace("<", "\\u003c")

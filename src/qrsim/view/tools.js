@@ -126,7 +126,7 @@ const toolsIn = (host) => {
     const metres = (2 * far * host.tangent()) / box.height, most = Math.min(160, 0.3 * box.width) * metres;
     const decade = 10 ** Math.floor(Math.log10(most));
     const length = [5, 2, 1].map((part) => part * decade).find((value) => value <= most);
-    scaleText.textContent = length >= 1000 ? `${length / 1000} km` : `${+length.toPrecision(1)} m`;
+    put(scaleText, length >= 1000 ? `${length / 1000} km` : `${+length.toPrecision(1)} m`);
     scaleBar.style.width = length / metres + "px";
     compass.firstChild.style.transform = `rotate(${(-heading() * 180) / Math.PI}deg)`;
   };
@@ -170,8 +170,10 @@ const toolsIn = (host) => {
     host.again();
   };
   const placeOf = (end) => ("vehicle" in end ? [...host.place().at.subarray(3 * end.vehicle, 3 * end.vehicle + 3)] : end.ned);
-  // A vehicle that is seen, or else the place; vehicles of a hidden layer, or behind something, are not meant.
+  // A vehicle that is seen, also by its label, or else the place; vehicles of a hidden layer, or behind something, are not meant.
   const pick = (x, y, box) => {
+    const named = host.labelAt(x, y);
+    if (named !== null) return { vehicle: named };
     let best = null;
     if (host.shown(host.nodes(), "/world/vehicles")) data.names.forEach((_, vehicle) => {
       const spot = host.pixel(vehicle, box), off = spot && Math.hypot(spot.x - x, spot.y - y);

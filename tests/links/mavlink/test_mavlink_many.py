@@ -48,12 +48,17 @@ def look(system, random, time):
     numbers[s.SATELLITES : s.SPEED + 1] = np.abs(numbers[s.SATELLITES : s.SPEED + 1])
     numbers[s.RATES : s.RATES + 3] = random.choice([NAN, 0.0, -1.5])
     place = random.normal(size=9) * 100.0
+    # A stack sees the same numbers; rates that nobody knows are 0 to it.
+    velocity, attitude = place[3:6] * random.choice([1.0, 100.0]), random.uniform(-3.15, 3.15, 3)
+    numbers[s.POSITION : s.ATTITUDE + 3] = [*place[:3], *velocity, *attitude]
+    numbers[s.PLACE : s.PLACE + 2] = 51.7 + 1e-4 * place[6], -0.2 + 1e-4 * place[7]
+    rates = (0.0, 0.0, 0.0) if np.isnan(numbers[s.RATES]) else tuple(numbers[s.RATES : s.RATES + 3])
     view = system.view
     view.look(numbers)
     view.seen = Seen(
-        time=time, position_ned=tuple(place[:3]), velocity_ned=tuple(place[3:6] * random.choice([1.0, 100.0])),
-        attitude=tuple(random.uniform(-3.15, 3.15, 3)), rates=(0.1, -0.2, 0.3), valid=bool(random.random() < 0.8),
-        latitude=51.7 + 1e-4 * place[6], longitude=-0.2 + 1e-4 * place[7], altitude=40.0 + place[8],
+        time=time, position_ned=tuple(place[:3]), velocity_ned=tuple(velocity), attitude=tuple(attitude), rates=rates,
+        valid=bool(random.random() < 0.8), latitude=numbers[s.PLACE], longitude=numbers[s.PLACE + 1],
+        altitude=40.0 + place[8],
         fix_type=int(random.integers(0, 4)), charge=random.choice([NAN, 0.4]), present=int(random.choice([0, 0x3F])),
     )  # fmt: skip
     view.order = random.choice([None, Order("v", "velocity", (1.0, 0.0, 0.0, 0.0))])

@@ -210,6 +210,25 @@ def test_who_flies_by_velocities_is_waited_for_until_he_is_silent(simulation, mo
     assert (pilots.modes[0], said[0]) == ("hold", "t = 2.02 s, 'uav_0': nothing is heard for 0.5 s; it holds its place")
 
 
+def test_orders_that_stay_are_flown_like_those_that_are_handed_over(simulation):
+    found = []
+    for hands_over in (True, False):
+        simulation.reset()
+        pilots = Pilots(simulation, 0.5, 1.0, lambda line: None)
+        for tick in range(30):
+            if tick in (5, 6, 20):
+                pilots.ask(0, Place((float(tick), 2.0, -20.0), None))
+            if tick == 12:
+                # A tick of something else in between.
+                simulation.advance()
+            if hands_over:
+                simulation.advance(pilots.actions())
+            else:
+                pilots.advance()
+        found.append(simulation.truth.state.tobytes())
+    assert found[0] == found[1]
+
+
 def test_nonsense_holds_the_vehicle_and_is_said_once(simulation):
     air = Air(simulation)
     air.fly(1.0, 0, Motion((2.0, 0.0, 0.0), 0.0, True))
@@ -253,6 +272,9 @@ class Wire:
 
     def announce(self):
         pass
+
+    def has_news(self):
+        return True
 
     def remarks(self):
         return []

@@ -74,12 +74,17 @@ class TestScenarios:
         assert load_scenario(scenario({"preset": "f9p_rtk"}, {"base_station": BASE})).world().sky.base is not None
 
 
+def beside_a_base(wrong_fixes: float | None = None, **base: Any) -> receivers.Flown:
+    """Return receivers 1 m and 10 km from their base for four minutes, in 150 worlds; the base is silent for 15 s."""
+    sensor = receivers.receiver("f9p_rtk", **({} if wrong_fixes is None else {"wrong_fixes": wrong_fixes}))
+    places = ((1.0, 0.0, 0.0), (3.0, 0.0, 0.0), TEN_KM)
+    there = receivers.base_at(silent=[[100.0, 115.0]], **base)
+    return receivers.fly(sensor, 240.0, 150, offsets=places, base=there, seed=3)
+
+
 @pytest.fixture(scope="module")
 def at_the_base() -> receivers.Flown:
-    """Return receivers 1 m and 10 km from their base for four minutes, in 150 worlds; the base is silent for 15 s."""
-    base = receivers.base_at(silent=[[100.0, 115.0]])
-    places = ((1.0, 0.0, 0.0), (3.0, 0.0, 0.0), TEN_KM)
-    return receivers.fly(receivers.receiver("f9p_rtk"), 240.0, 150, offsets=places, base=base, seed=3)
+    return beside_a_base()
 
 
 @pytest.mark.long
@@ -130,6 +135,13 @@ class TestCarrierPhase:
                 said = np.mean(at_the_base.accuracy[5::5, :, place][chosen] ** 2, axis=0)
                 assert 0.8 < np.sqrt(said[0] / (squares[0] + squares[1])) < 1.25
                 assert 0.8 < np.sqrt(said[1] / squares[2]) < 1.25
+
+    def test_the_error_of_the_bases_position_moves_all_its_rovers(self):
+        """After 90 s, when all are fixed."""
+        error = beside_a_base(wrong_fixes=0.0, survey_error=0.5).error[449]
+        # 5 sigma of 450 numbers.
+        assert error[:, 0].std() == pytest.approx(0.5, rel=0.17)
+        assert np.abs(error[:, 1] - error[:, 0]).max() < 0.1
 
 
 @pytest.mark.long

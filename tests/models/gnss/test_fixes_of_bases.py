@@ -1,12 +1,10 @@
-"""Lost fixes, corrections of a base, and errors of the base's own position."""
+"""Lost fixes and corrections of a base, which take minutes; tests/models/gnss/test_fixes.py has what is quicker."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from tests.models.gnss import flown_receivers as receivers
-
-pytestmark = pytest.mark.long
 
 
 @pytest.mark.nightly
@@ -47,12 +45,3 @@ def test_a_base_takes_away_what_is_common() -> None:
         error = found[name].error[:, :, 0].reshape(-1, 3)
         assert 0.8 < said[0] / np.sqrt(np.mean(error[:, 0] ** 2 + error[:, 1] ** 2)) < 1.25
         assert 0.8 < said[1] / error[:, 2].std() < 1.25
-
-
-def test_the_error_of_the_bases_position_moves_all_its_rovers() -> None:
-    base = receivers.base_at(survey_error=0.5)
-    sensor = receivers.receiver("f9p_rtk", first_fix="fixed", wrong_fixes=0.0)
-    error = receivers.fly(sensor, 2.0, 200, offsets=((1.0, 0.0, 0.0), (50.0, 0.0, 0.0)), base=base).error[-1]
-    # 5 sigma of 600 numbers.
-    assert error[:, 0].std() == pytest.approx(0.5, rel=0.15)
-    assert np.abs(error[:, 1] - error[:, 0]).max() < 0.1

@@ -18,6 +18,8 @@ Array = np.ndarray[Any, Any]
 FEW_TICKS = 8
 # Ticks of a vector of worlds in a call, some hundredths of a second, because nobody can interrupt one.
 AT_ONCE = 4096
+# A few numbers of each world are copied by their places, which is then twice as fast, if there are no more in all.
+FEW_NUMBERS, MOST_PLACES = range(2, 8), 1 << 13
 _LINE = 64
 
 
@@ -53,6 +55,11 @@ class Lanes:
         # Views of leaves that were read or set before, and of those of an only world, its numbers in a row.
         self._parts: dict[int, Array] = {}
         self._rows: list[Array] = []
+        self._reads: dict[int, tuple[Any, ...]] = {}
+        # Views of all floats and of all integers, worlds first (tiles, lanes, numbers of a world).
+        self._blocks: list[Any] = [None, None]
+        # What was selected last: the function, how each leaf is read, and their structure.
+        self._selected: tuple[Callable[[Any], Any], list[tuple[Any, ...]], Any] | None = None
         self.tiles = -(-count // self._lanes)
 
     def addresses(self, tile: int) -> list[int]:
@@ -66,23 +73,22 @@ class Lanes:
         return np.stack(columns, axis=1).astype(np.uint64)
 
     def fill(self, tree: object) -> None:
-        """Set the states of all worlds from a tree, each leaf (B, ...)."""
-        whole = self.tiles * self._lanes
-        leaves = jax.tree.leaves(tree)
-        if whole == 1:
-            # One world is given its inputs at every step, where a copy leaf by leaf would count.
-            for buffer, size, kind in zip(self._buffers, self.layout.sizes, (True, False), strict=True):
-                of_kind = zip(leaves, self.layout.is_float, strict=True)
-                parts = [self._stored(leaf)[0] for leaf, is_float in of_kind if is_float is kind]
-                if parts:
-                    np.concatenate(parts, out=buffer[0, :size])
-            return
-        for number, leaf in enumerate(leaves):
-            rows = self._stored(leaf)
-            if whole != self.count:
+        """Set the states of all worlds from a tree, each leaf (B, ...); of fewer worlds the last one is repeated."""
+        leaves, whole = jax.tree.leaves(tree), self.tiles * self._lanes
+        for kind, (buffer, size) in enumerate(zip(self._buffers, self.layout.sizes, strict=True)):
+            of_kind = zip(leaves, self.layout.is_float, strict=True)
+            parts = [self._stored(leaf) for leaf, is_float in of_kind if is_float is (kind == 0)]
+            if not parts:
+                continue
+            # All leaves at once: leaf by leaf the same would take as long as the start of a few worlds.
+            rows = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+            if whole != len(rows):
                 # Lanes without a world of their own repeat the last one.
-                rows = rows[np.minimum(np.arange(whole), self.count - 1)]
-            self._part(number)[...] = rows.reshape(self.tiles, self._lanes, -1).swapaxes(1, 2)
+                rows = rows[np.minimum(np.arange(whole), len(rows) - 1)]
+            if self._blocks[kind] is None:
+                block = buffer[:, : size * self._lanes].reshape(self.tiles, size, self._lanes)
+                self._blocks[kind] = block.swapaxes(1, 2)
+            self._blocks[kind][...] = rows.reshape(self.tiles, self._lanes, size)
 
     def fill_only(self, leaves: Sequence[Array]) -> None:
         """Set the only world, whose numbers lie one after the other, from its leaves."""
@@ -119,9 +125,21 @@ class Lanes:
             numbers = source.reshape(other.tiles, size, other._lanes)[there[0], :, there[1]]
             target.reshape(self.tiles, size, self._lanes)[here[0], :, here[1]] = numbers
 
-    def get(self, select: Callable[[Any], Any]) -> Any:
-        """Return a copy of the part of the states that ``select`` picks, each leaf (B, ...)."""
-        return jax.tree.map(self._leaf, select(self.layout.numbers))
+    def get(self, select: Callable[[Any], Any], first: int | None = None) -> Any:
+        """Return a copy of the part of the states that ``select`` picks, each leaf (B, ...), or (first, ...)."""
+        if self._selected is None or self._selected[0] is not select:
+            numbers, structure = jax.tree.flatten(select(self.layout.numbers))
+            self._selected = select, [self._reads.get(number) or self._read(number) for number in numbers], structure
+        _, reads, structure = self._selected
+        count, leaves = self.count if first is None else first, []
+        # Always copies, because a view of the buffers would change under whoever holds it.
+        for part, stored, dtype, shape, places in reads:
+            copy = (
+                part.astype(stored, order="C").reshape(shape)[:count] if places is None else part.take(places[:count])
+            )
+            # The bits of a key, not its value, which int32 may not hold.
+            leaves.append(copy.view(dtype))
+        return structure.unflatten(leaves)
 
     def _part(self, number: int) -> Array:
         """Return a view of the memory of leaf ``number``: (tiles, numbers of a world, lanes)."""
@@ -146,15 +164,21 @@ class Lanes:
         # The bits of a key, not its value, which int32 may not hold.
         return rows.view(np.int32) if rows.dtype == np.uint32 else rows.astype(np.int32)
 
-    def _leaf(self, number: int) -> Array:
-        """Return a copy of leaf ``number`` of all worlds in its shape and dtype (B, ...)."""
-        part, dtype = self._part(number), self.layout.dtypes[number]
-        shape = (self.tiles * self._lanes, *self.layout.shapes[number])
-        rows = np.ascontiguousarray(part.swapaxes(1, 2)).reshape(shape)[: self.count]
-        if dtype == np.uint32:
-            return rows.view(np.uint32)
-        # A view of the buffers would change under whoever holds it.
-        return rows.astype(dtype, copy=np.may_share_memory(rows, part))
+    def _read(self, number: int) -> tuple[Any, ...]:
+        """Return how leaf ``number`` is read: memory, dtype there, dtype and shape (B, ...), and places or None.
+
+        Without places the memory is that of the leaf, worlds first; with places (B, ...) that of all leaves.
+        """
+        layout, dtype = self.layout, self.layout.dtypes[number]
+        shape, part = (self.tiles * self._lanes, *layout.shapes[number]), self._part(number).swapaxes(1, 2)
+        stored, places = np.dtype(np.int32) if dtype == np.uint32 else dtype, None
+        if stored == part.dtype and part.shape[2] in FEW_NUMBERS and part.size <= MOST_PLACES:
+            buffer, size = self._buffers[0 if layout.is_float[number] else 1], layout.slices[number]
+            first = buffer.shape[1] * np.arange(self.tiles)[:, None, None] + np.arange(self._lanes)[:, None]
+            places = (first + np.arange(size.start, size.stop) * self._lanes).reshape(shape)
+            part = buffer.reshape(-1)
+        self._reads[number] = part, stored, dtype, shape, places
+        return self._reads[number]
 
 
 class LaneProgram:

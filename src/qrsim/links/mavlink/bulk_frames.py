@@ -28,7 +28,7 @@ def frames(
     # Zeros at the end of a payload are not sent; one byte is sent, whatever it is.
     filled = payloads[:, ::-1] != 0
     filled[:, -1] = True
-    lengths = wide - np.argmax(filled, axis=1)
+    lengths = wide - filled.argmax(axis=1)
     found = np.empty((count, _HEAD + wide + 1), np.uint8)
     found[:, 0], found[:, 1], found[:, 2:4], found[:, 4], found[:, 5] = VERSION_2, lengths, 0, sequences, systems
     found[:, 6], found[:, 7:_HEAD] = component, numbers.astype("<u4").view(np.uint8).reshape(count, 4)[:, :3]

@@ -12,7 +12,7 @@ from qrsim.links.mavlink.dialect import BY_NUMBER, NUMBERS
 from qrsim.links.mavlink.link import COMPONENT, Link
 from qrsim.links.mavlink.streams import STREAMED, Schedule
 from qrsim.links.mavlink.system import System
-from qrsim.links.mavlink.telemetry_rows import BY_ROWS, Rows
+from qrsim.links.mavlink.telemetry_rows import BY_ROWS, Blanks, Rows
 
 # Fewest vehicles that are encoded together; fewer take less time one by one.
 MANY = 4
@@ -35,6 +35,7 @@ class Publisher:
         self._links: list[Link] = []
         self._owners = self._numbers = np.zeros(0, np.intp)
         self._schedule: Schedule | None = None
+        self._blanks: Blanks = {}
 
     def publish(self, tick: int, wall: float) -> None:
         """Send the messages due at a tick on all links; ``wall`` [s] is the time of ``time.monotonic``."""
@@ -100,9 +101,9 @@ class Publisher:
             end += count
             systems = owners[where]
             if number in BY_ROWS and len(where) >= MANY:
-                rows = rows or Rows.of(self._views)
-                payloads, known = BY_ROWS[number](rows)
-                found[where, :size] = payloads.view(np.uint8).reshape(-1, size)[systems]
+                rows = rows or Rows.of(self._views, self._blanks)
+                _, known = BY_ROWS[number](rows)
+                found[where, :size] = self._blanks[BY_NUMBER[number].name][1][systems]
                 sent[where] = known[systems]
                 continue
             for i, system in zip(where.tolist(), systems.tolist(), strict=True):

@@ -24,6 +24,7 @@ from qrsim.links.shared.sight import (
     VERTICAL,
     VOLTAGE,
     Sight,
+    locate,
 )
 from qrsim.models.geoid import GeoidPlane
 from qrsim.models.vehicles.contracts import Vehicle
@@ -44,7 +45,7 @@ _BITS = (
 _COLUMNS = [column for _, column in _BITS]
 _WEIGHTS = np.array([int(bit) for bit, _ in _BITS])
 # What a stack sees, in the order of ``look``.
-_SEEN = [*range(12), PLACE, PLACE + 1, PLACE + 2, FIX_TYPE, HORIZONTAL, VERTICAL, CHARGE, VOLTAGE]
+_SEEN = [*range(12), PLACE, PLACE + 1, FIX_TYPE, HORIZONTAL, VERTICAL, CHARGE, VOLTAGE]
 
 
 def _feet(fleet: Fleet, state: FleetState) -> dict[str, Any] | None:
@@ -95,6 +96,12 @@ class StackSight(Sight):
             found += [False] * fleet.size if now is None else np.asarray(now).tolist()
         return found
 
+    def look(self) -> None:
+        """Read the present estimates and readings of all vehicles into ``values`` (n, WIDTH), with their places on the
+        Earth."""
+        super().look()
+        locate(self.values, self._simulation.site, POSITION, PLACE)
+
     def see(self) -> list[Seen]:
         """Read the present state and return each vehicle's estimates and sensor status for its flight stack, valid
         until the next call."""
@@ -107,18 +114,19 @@ class StackSight(Sight):
         standing = self._standing()
         sound = np.asarray(np.isfinite(values[:, POSITION : ATTITUDE + 3]).all(axis=1)).tolist()
         healthy = (np.isfinite(values[:, _COLUMNS]) @ _WEIGHTS).tolist()
+        altitude = values[:, PLACE + 2] - self._geoid.undulation(values[:, 0], values[:, 1])
+        altitudes, time = altitude.tolist(), simulation.time
         for number, seen in enumerate(self._seen):
             row = rows[number]
-            seen.time = simulation.time
+            seen.time = time
             seen.valid = sound[number]
             seen.position_ned, seen.velocity_ned = (row[0], row[1], row[2]), (row[3], row[4], row[5])
             seen.attitude = (row[6], row[7], row[8])
             seen.rates = (row[9], row[10], row[11]) if row[9] == row[9] else (0.0, 0.0, 0.0)
             seen.latitude, seen.longitude = row[12], row[13]
-            seen.altitude = row[14] - self._geoid.undulation(row[0], row[1])
-            seen.fix_type = int(row[15]) if row[15] == row[15] else 0
-            seen.horizontal_accuracy, seen.vertical_accuracy = row[16], row[17]
-            seen.charge, seen.voltage = row[18], row[19]
+            seen.altitude = altitudes[number]
+            seen.fix_type = int(row[14]) if row[14] == row[14] else 0
+            seen.horizontal_accuracy, seen.vertical_accuracy, seen.charge, seen.voltage = row[15:]
             seen.on_ground, seen.stopped = standing[number], reasons[number]
             seen.present, seen.healthy = self._present[number], healthy[number]
         return self._seen

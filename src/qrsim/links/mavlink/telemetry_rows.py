@@ -40,6 +40,8 @@ _IMU_TEMPERATURE, _ZERO_CELSIUS = 12, 273.15
 _STD_SPEED = [s.STD_VELOCITY, s.STD_VELOCITY + 1, s.STD_VELOCITY + 2]
 _STD_POSE = [*range(s.STD_POSITION, s.STD_POSITION + 3), *range(s.STD_ATTITUDE, s.STD_ATTITUDE + 3)]
 
+Blanks = dict[str, tuple[NumpyArray, NumpyArray]]
+
 
 @dataclass(frozen=True)
 class Rows:
@@ -47,6 +49,7 @@ class Rows:
 
     Attributes:
         views: of the vehicles.
+        blanks: by name of a message its payloads (n,) and the same as bytes (n, size), used again at each tick.
         values: (n, WIDTH) numbers of each (``shared.sight``).
         valid: (n,) whether there is an estimate.
         ms, us: time since the reset, of all.
@@ -56,6 +59,7 @@ class Rows:
     """
 
     views: Sequence[View]
+    blanks: Blanks
     values: NumpyArray
     valid: NumpyArray
     ms: int
@@ -68,34 +72,33 @@ class Rows:
     relative: NumpyArray
 
     @staticmethod
-    def of(views: Sequence[View]) -> Rows:
-        """Return the rows of vehicles at one tick."""
-        numbers = np.array(
-            [
-                (
-                    *v.seen.position_ned, *v.seen.velocity_ned, *v.seen.attitude, *v.seen.rates, v.seen.latitude,
-                    v.seen.longitude, v.seen.altitude, *v.stack.origin, v.home_altitude,
-                )
-                for v in views
-            ]
-        )  # fmt: skip
+    def of(views: Sequence[View], blanks: Blanks | None = None) -> Rows:
+        """Return the rows of vehicles at one tick; ``blanks``: of the tick before."""
+        values = np.concatenate([v.numbers for v in views]).reshape(len(views), -1)
+        own = np.array([(v.seen.altitude, *v.stack.origin, v.home_altitude) for v in views])
+        place, rates = values[:, s.PLACE : s.PLACE + 3].copy(), values[:, s.RATES : s.RATES + 3]
+        place[:, 2] = own[:, 0]
         return Rows(
             views,
-            np.array([v.numbers for v in views]),
+            {} if blanks is None else blanks,
+            values,
             np.array([v.seen.valid for v in views]),
             views[0].boot_ms,
             views[0].boot_us,
-            numbers[:, 0:3] - numbers[:, 15:18],
-            numbers[:, 3:6],
-            numbers[:, 6:9],
-            numbers[:, 9:12],
-            numbers[:, 12:15],
-            numbers[:, 14] - numbers[:, 18],
+            values[:, s.POSITION : s.POSITION + 3] - own[:, 1:4],
+            values[:, s.VELOCITY : s.VELOCITY + 3],
+            values[:, s.ATTITUDE : s.ATTITUDE + 3],
+            np.where(np.isnan(rates[:, :1]), 0.0, rates),
+            place,
+            own[:, 0] - own[:, 4],
         )
 
     def blank(self, name: str) -> NumpyArray:
-        """Return payloads (n,) of a message, all zero."""
-        return np.zeros(len(self.views), _FORMS[name])
+        """Return payloads (n,) of a message, zero where no message of this name has a number."""
+        if name not in self.blanks:
+            raw = np.zeros((len(self.views), _FORMS[name].itemsize), np.uint8)
+            self.blanks[name] = raw.view(_FORMS[name])[:, 0], raw
+        return self.blanks[name][0]
 
 
 # Payloads (n,) by the fields of a message, and which of them are sent (n,).

@@ -150,7 +150,7 @@ class FlownWorld:
         begin = time.perf_counter()
         self._restarts.look()
         self._air.tick()
-        self.simulation.advance(self._latches.actions())
+        self._latches.advance(self.simulation)
         if self.recording is not None:
             self.recording.keep()
         self._command()

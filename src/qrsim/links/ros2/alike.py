@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,20 +14,44 @@ from qrsim.links.ros2.vehicle import Publication
 # Fewest messages that are filled together; fewer take less time one by one.
 MANY = 4
 
-
 Slot = tuple[int, str, int]
 
 
-def _runs(puts: Sequence[tuple[Slot, Sequence[int]]]) -> list[tuple[Slot, list[int]]]:
-    """Join slots whose numbers and columns follow each other; return (slot, columns) of each run."""
-    found: list[tuple[Slot, list[int]]] = []
-    for (offset, code, count), columns in puts:
-        if found:
-            (begin, kind, size), known = found[-1]
-            if kind == code and offset == begin + size * np.dtype(code).itemsize:
-                found[-1] = (begin, kind, size + count), [*known, *columns]
-                continue
-        found.append(((offset, code, count), list(columns)))
+@dataclass
+class _Run:
+    """Numbers of one type at equal distances, of columns that follow each other.
+
+    Attributes:
+        offset: of the first byte.
+        code: their type, as ``struct`` has it.
+        column: of the first number.
+        count: how many there are.
+        stride: bytes from one to the next; 0: there is only one.
+    """
+
+    offset: int
+    code: str
+    column: int
+    count: int = 1
+    stride: int = 0
+
+    def takes(self, offset: int, code: str, column: int) -> bool:
+        """Add a number, and return True; return False if it does not continue this run."""
+        stride = self.stride or offset - self.offset
+        if code != self.code or column != self.column + self.count or offset != self.offset + stride * self.count:
+            return False
+        self.count, self.stride = self.count + 1, stride
+        return True
+
+
+def _runs(puts: Sequence[tuple[Slot, Sequence[int]]]) -> list[_Run]:
+    """Return the numbers of slots as few runs; the columns of each slot are as many as its numbers."""
+    found: list[_Run] = []
+    for (offset, code, _), columns in puts:
+        for place, column in enumerate(columns):
+            at = offset + place * np.dtype(code).itemsize
+            if not (found and found[-1].takes(at, code, column)):
+                found.append(_Run(at, code, column))
     return found
 
 
@@ -41,34 +66,42 @@ class Alike:
     def __init__(self, publications: Sequence[Publication], rows: Sequence[int]):
         first = publications[0]
         self.rows, self._needs = np.array(rows), list(first.needs)
+        # A part of the vehicles one after the other needs no copy of their numbers.
+        follow = self.rows.tolist() == list(range(rows[0], rows[0] + len(rows)))
+        self._taken: slice | NumpyArray = slice(rows[0], rows[0] + len(rows)) if follow else self.rows
         self._bytes = np.array([np.frombuffer(bytes(each.cdr), np.uint8) for each in publications])
-        self._stamps = [self._view(*slot) for slot in first.stamp]
-        self._puts = [(self._view(*slot), columns) for slot, columns in _runs(first.puts)]
-        self._status = None if first.status is None else self._view(*first.status)
+        size = self._bytes.shape[1]
+        self._ends = [(i * size, (i + 1) * size) for i in range(len(rows))]
+        self._stamps = [self._view(_Run(offset, code, 0))[:, 0] for offset, code, _ in first.stamp]
+        self._puts = [(self._view(run), slice(run.column, run.column + run.count)) for run in _runs(first.puts)]
+        self._status = None if first.status is None else self._view(_Run(*first.status[:2], 0))[:, 0]
 
-    def _view(self, offset: int, code: str, count: int) -> NumpyArray:
-        """Return a writable array (k, count) on the numbers at a byte offset of all k messages; ``code``: their struct
-        code."""
-        kind, (length, size) = np.dtype(f"<{code}"), self._bytes.shape
-        return np.ndarray((length, count), kind, self._bytes, offset, (size, kind.itemsize))
+    def _view(self, run: _Run) -> NumpyArray:
+        """Return a writable array (k, count) on the numbers of a run in all k messages."""
+        kind, (length, size) = np.dtype(f"<{run.code}"), self._bytes.shape
+        return np.ndarray((length, run.count), kind, self._bytes, run.offset, (size, run.stride or kind.itemsize))
 
-    def messages(self, numbers: NumpyArray, stamps: Sequence[tuple[int, int]]) -> list[bytes | None]:
+    def messages(self, numbers: NumpyArray, stamps: NumpyArray | Sequence[tuple[int, int]]) -> Sequence[bytes | None]:
         """Return the serialised messages of k publications from a row of numbers each, and their stamps (s, ns); None
         for no message.
 
         Args:
             numbers: (n, WIDTH) of all vehicles.
-            stamps: of all vehicles.
+            stamps: (n, 2) of all vehicles.
         """
-        own = numbers[self.rows]
+        own = numbers[self._taken]
         if self._stamps:
-            times = np.array(stamps)[self.rows]
+            times = np.asarray(stamps)[self._taken]
             for i, view in enumerate(self._stamps):
-                view[:, 0] = times[:, i]
+                view[...] = times[:, i]
         for view, columns in self._puts:
             view[...] = own[:, columns]
         if self._status is not None:
-            self._status[:, 0] = own[:, n.FIX_STATUS]
-        data, size = self._bytes.tobytes(), self._bytes.shape[1]
-        sent = ~np.isnan(own[:, self._needs]).any(axis=1)
-        return [data[i * size : (i + 1) * size] if sends else None for i, sends in enumerate(sent.tolist())]
+            self._status[...] = own[:, n.FIX_STATUS]
+        data = self._bytes.tobytes()
+        found = [data[begin:end] for begin, end in self._ends]
+        unknown = np.isnan(own[:, self._needs])
+        if not np.logical_or.reduce(unknown, axis=None):
+            return found
+        lacking = np.logical_or.reduce(unknown, axis=1).tolist()
+        return [None if lacks else each for each, lacks in zip(found, lacking, strict=True)]

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from rosbags.interfaces import Nodetype
 
+from qrsim.core.arrays import NumpyArray
 from qrsim.links.ros2 import Message
 from qrsim.links.ros2.typestore import Types
 
@@ -37,6 +38,14 @@ def _default(types: Types, description: Any) -> Any:
     if element != Nodetype.BASE or base[0] == "string":
         return [_default(types, (element, base)) for _ in range(count)]
     return np.zeros(count, {"char": "uint8", "byte": "uint8"}.get(base[0], base[0]))
+
+
+def stamps_of(times: list[float]) -> NumpyArray:
+    """Return ``stamp_of`` of simulated times (n,) [s], as an array (n, 2) int64."""
+    found = np.empty((len(times), 2), np.int64)
+    # Mostly they are those of one sensor.
+    found[...] = stamp_of(times[0]) if times.count(times[0]) == len(times) else list(map(stamp_of, times))
+    return found
 
 
 def stamp_of(time: float) -> tuple[int, int]:

@@ -16,20 +16,29 @@ _HALF_ROOT = math.sqrt(0.5)
 
 def enu_of(ned: NumpyArray) -> NumpyArray:
     """Convert vectors (..., 3) from NED to ENU axes, or back, by the same swap of axes."""
-    x, y, z = np.moveaxis(np.asarray(ned), -1, 0)
-    return np.stack([y, x, -z], axis=-1)
+    found: NumpyArray = np.asarray(ned)[..., [1, 0, 2]]
+    np.negative(found[..., 2], out=found[..., 2])
+    return found
 
 
 def flu_of(frd: NumpyArray) -> NumpyArray:
     """Convert body vectors (..., 3) from FRD to FLU axes, or back, by the same change of signs."""
-    x, y, z = np.moveaxis(np.asarray(frd), -1, 0)
-    return np.stack([x, -y, -z], axis=-1)
+    found = np.array(frd)
+    np.negative(found[..., 1:], out=found[..., 1:])
+    return found
 
 
 def quaternion_enu_flu(quaternion: NumpyArray) -> NumpyArray:
     """Convert attitude quaternions (..., 4) from FRD to NED (w, x, y, z) to FLU to ENU (x, y, z, w)."""
-    w, x, y, z = np.moveaxis(np.asarray(quaternion), -1, 0)
-    return _HALF_ROOT * np.stack([x + y, x - y, w - z, w + z], axis=-1)
+    whole = np.asarray(quaternion, np.float64)
+    w, x, y, z = (whole[..., i] for i in range(4))
+    found = np.empty_like(whole)
+    np.add(x, y, out=found[..., 0])
+    np.subtract(x, y, out=found[..., 1])
+    np.subtract(w, z, out=found[..., 2])
+    np.add(w, z, out=found[..., 3])
+    found *= _HALF_ROOT
+    return found
 
 
 def angles_ned_frd(quaternion: NumpyArray) -> NumpyArray:

@@ -53,6 +53,8 @@ class Messages:
         self._inboxes = None if world.radio is None else Inboxes(types, simulation, self.namespaces)
         self._heard = [] if self._inboxes is None else [own.add(heard_topic(name)) for name in self.namespaces]
         self._sent_states: list[tuple[object, float]] = [(None, -math.inf)] * simulation.size
+        # What the states were made of last, and from when on one of them is sent again though nothing changes.
+        self._same_states: tuple[object, float, float] = (None, math.inf, -math.inf)
         clock = types["rosgraph_msgs/msg/Clock"](types["builtin_interfaces/msg/Time"](0, 0))
         self._clock = Template(types, clock)
         self._put_clock = self._clock.putter("clock.sec", "clock.nanosec")
@@ -87,16 +89,23 @@ class Messages:
         ago."""
         simulation = self._simulation
         # The whole numbers of the packed state contain the reason of each vehicle that has stopped, else 0.
-        stopped = np.asarray(simulation.packed[1][1])[self._sight.codes] != 0
+        codes = np.asarray(simulation.packed[1][1])[self._sight.codes]
+        stopped, key, time = codes != 0, (list(modes), codes.tobytes()), simulation.time
+        last, first, again = self._same_states
+        if last == key and first <= time < again:
+            return
         reasons = simulation.reasons if stopped.any() else [""] * simulation.size
+        # Half a tick, because times are multiples of the time step; the time is negative after a reset.
+        period = STATE_EVERY_S - 0.5 * simulation.world.time_step
         for row, topic in enumerate(self._states):
             now = not stopped[row].item(), reasons[row], modes[row]
             before, at = self._sent_states[row]
-            # Half a tick, because times are multiples of the time step; the time is negative after a reset.
-            if now != before or not 0.0 <= simulation.time - at < STATE_EVERY_S - 0.5 * simulation.world.time_step:
-                self._sent_states[row] = now, simulation.time
+            if now != before or not 0.0 <= time - at < period:
+                self._sent_states[row] = now, time
                 text = json.dumps(dict(zip(("valid", "reason", "mode"), now, strict=True)))
                 yield topic, text_message(self._types, text)
+        times = [at for _, at in self._sent_states]
+        self._same_states = key, max(times), min(times) + period
 
 
 def text_message(types: Types, text: str) -> bytes:

@@ -52,5 +52,8 @@ class Node(Protocol):
     def announce(self) -> None:
         """Announce this node's topics to other nodes; call it once all are created."""
 
+    def has_news(self) -> bool:
+        """Return False if no reader has a message and there is no remark; requests of services do not count."""
+
     def remarks(self) -> list[str]:
         """Return a warning for each topic that another node has begun to use with an incompatible type or QoS."""

@@ -33,6 +33,38 @@ _MICRO = 1e-6
 _TOO_NEAR, _TOO_FAR = 1.0, 2.0
 # From this type of fix on, it is corrected from the ground (GPS_FIX_TYPE_DGPS).
 _CORRECTED = 4.0
+_LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+def _columns_of_sight() -> tuple[NumpyArray, NumpyArray]:
+    """Return, for each column (WIDTH,), the column of ``shared.sight`` that it is, else 0, and the bits that its sign
+    takes: all 0, or that of the sign alone."""
+    source, sign = np.zeros(WIDTH, np.intp), np.zeros(WIDTH, np.int64)
+    for column, *known in (
+        # East, north and up, or forward, left and up; with ~ a number changes its sign.
+        (POSITION, s.POSITION + 1, s.POSITION, ~(s.POSITION + 2)),
+        (VELOCITY, s.VELOCITY + 1, s.VELOCITY, ~(s.VELOCITY + 2)),
+        (RATES, s.RATES, ~(s.RATES + 1), ~(s.RATES + 2)),
+        (FORCE, s.FORCE, ~(s.FORCE + 1), ~(s.FORCE + 2)),
+        (FIELD, s.FIELD, ~(s.FIELD + 1), ~(s.FIELD + 2)),
+        (PLACE, s.FIX_PLACE, s.FIX_PLACE + 1, s.FIX_PLACE + 2),
+        (PLACE_VARIANCE, s.HORIZONTAL, s.HORIZONTAL, s.VERTICAL),
+        (FIX_STATUS, s.FIX_TYPE, s.PRESSURE, s.HEIGHT, s.RANGE),
+        (CHARGE, s.CHARGE, s.VOLTAGE, s.WIND_EAST, s.WIND_NORTH),
+        (POSITION_VARIANCE, s.STD_POSITION + 1, s.STD_POSITION, s.STD_POSITION + 2),
+        (TURN_VARIANCE, s.STD_ATTITUDE, s.STD_ATTITUDE + 1, s.STD_ATTITUDE + 2),
+        # In the axes of the body; horizontally the estimators know both axes alike.
+        (VELOCITY_VARIANCE, s.STD_VELOCITY, s.STD_VELOCITY + 1, s.STD_VELOCITY + 2),
+        (DIFFERENTIAL, s.DIFFERENTIAL, s.AIRSPEED, s.FLOW, ~(s.FLOW + 1)),
+        (FLOW_TURN, s.FLOW_TURN, ~(s.FLOW_TURN + 1), ~(s.FLOW_TURN + 2)),
+    ):
+        for i, each in enumerate(known, column):
+            source[i], sign[i] = (each, 0) if each >= 0 else (~each, np.iinfo(np.int64).min)
+    return source, sign
+
+
+_SOURCE, _SIGN = _columns_of_sight()
+_LARGEST = np.finfo(np.float64).max
 
 
 def seen(values: NumpyArray) -> NumpyArray:
@@ -41,49 +73,26 @@ def seen(values: NumpyArray) -> NumpyArray:
     Args:
         values: (n, sight.WIDTH), of ``shared.sight``; NaN where nobody knows them.
     """
-    found = np.full((len(values), WIDTH), np.nan)
-    _put_motion(
-        found,
-        values[:, s.POSITION : s.POSITION + 3],
-        values[:, s.QUATERNION : s.QUATERNION + 4],
-        values[:, s.VELOCITY : s.VELOCITY + 3],
-        values[:, s.RATES : s.RATES + 3],
-    )
-    found[:, FORCE : FORCE + 3] = flu_of(values[:, s.FORCE : s.FORCE + 3])
-    found[:, FIELD : FIELD + 3] = _MICRO * flu_of(values[:, s.FIELD : s.FIELD + 3])
-    found[:, PLACE : PLACE + 3] = values[:, s.FIX_PLACE : s.FIX_PLACE + 3]
+    # All columns at once, because for a few vehicles each call of NumPy counts, and not the numbers.
+    found = values.take(_SOURCE, axis=1)
+    found.view(np.int64)[...] ^= _SIGN
+    found[:, RANGE_VARIANCE] = found[:, ASKED_ORIENTATION:DIFFERENTIAL] = np.nan
+    found[:, FIELD : FIELD + 3] *= _MICRO
+    found[:, WIND + 2] = found[:, FLOW + 2] = 0.0
+    _put_motion(found, values[:, s.QUATERNION : s.QUATERNION + 4])
+    places, spreads = found[:, PLACE_VARIANCE : PLACE_VARIANCE + 3], found[:, POSITION_VARIANCE:ODOM_RATES]
+    for variances in (places, spreads):
+        variances *= variances
+        variances[np.isnan(variances)] = 0.0
     # The horizontal accuracy is of both axes together.
-    horizontal = 0.5 * values[:, s.HORIZONTAL] ** 2
-    variances = (horizontal, horizontal, values[:, s.VERTICAL] ** 2)
-    found[:, PLACE_VARIANCE : PLACE_VARIANCE + 3] = np.nan_to_num(np.stack(variances, axis=1))
-    found[:, FIX_STATUS] = np.where(values[:, s.FIX_TYPE] >= _CORRECTED, 2.0, 0.0)
-    for column, source in (
-        (PRESSURE, s.PRESSURE),
-        (HEIGHT, s.HEIGHT),
-        (RANGE, s.RANGE),
-        (CHARGE, s.CHARGE),
-        (VOLTAGE, s.VOLTAGE),
-        (DIFFERENTIAL, s.DIFFERENTIAL),
-        (AIRSPEED, s.AIRSPEED),
-        (FLOW, s.FLOW),
-    ):
-        found[:, column] = values[:, source]
-    found[:, FLOW + 1], found[:, FLOW + 2] = -values[:, s.FLOW + 1], 0.0
-    found[:, FLOW_TURN : FLOW_TURN + 3] = flu_of(values[:, s.FLOW_TURN : s.FLOW_TURN + 3])
+    places[:, :2] *= 0.5
+    np.minimum(places, _LARGEST, out=places)
+    found[:, FIX_STATUS] = np.where(found[:, FIX_STATUS] >= _CORRECTED, 2.0, 0.0)
     # By REP-117.
     status = values[:, s.RANGE_STATUS]
     found[status == _TOO_NEAR, RANGE], found[status == _TOO_FAR, RANGE] = -np.inf, np.inf
-    found[:, WIND], found[:, WIND + 1], found[:, WIND + 2] = values[:, s.WIND_EAST], values[:, s.WIND_NORTH], 0.0
-    spreads = enu_of(values[:, s.STD_POSITION : s.STD_POSITION + 3])
-    found[:, POSITION_VARIANCE : POSITION_VARIANCE + 3] = np.nan_to_num(spreads) ** 2
-    turns = np.nan_to_num(values[:, s.STD_ATTITUDE : s.STD_ATTITUDE + 3]) ** 2
-    found[:, TURN_VARIANCE : TURN_VARIANCE + 3] = turns
-    speeds = values[:, s.STD_VELOCITY : s.STD_VELOCITY + 3]
-    # In the axes of the body; horizontally the estimators know both axes alike.
-    found[:, VELOCITY_VARIANCE : VELOCITY_VARIANCE + 3] = np.nan_to_num(speeds) ** 2
-    unknown = np.isnan(found[:, ORIENTATION])
-    found[:, IMU_VARIANCE : IMU_VARIANCE + 3] = turns
-    found[unknown, IMU_VARIANCE] = -1.0
+    found[:, IMU_VARIANCE : IMU_VARIANCE + 3] = found[:, TURN_VARIANCE : TURN_VARIANCE + 3]
+    found[np.isnan(found[:, ORIENTATION]), IMU_VARIANCE] = -1.0
     return found
 
 
@@ -125,31 +134,23 @@ def of_motion(
 ) -> NumpyArray:
     """Convert motion and wind, each (R, 3) [m], [rad], [m/s], [rad/s], to numbers of ROS messages (R, WIDTH)."""
     found = np.full((len(position_ned), WIDTH), np.nan)
-    _put_motion(found, position_ned, quaternion_of(attitude), velocity_ned, rates_body)
+    found[:, POSITION : POSITION + 3], found[:, VELOCITY : VELOCITY + 3] = enu_of(position_ned), enu_of(velocity_ned)
+    found[:, RATES : RATES + 3] = flu_of(rates_body)
+    _put_motion(found, quaternion_of(attitude))
     found[:, WIND : WIND + 3] = enu_of(wind_ned)
     found[:, POSITION_VARIANCE : VELOCITY_VARIANCE + 3] = 0.0
     return found
 
 
-def _put_motion(
-    found: NumpyArray,
-    position_ned: NumpyArray,
-    quaternion: NumpyArray,
-    velocity_ned: NumpyArray,
-    rates_body: NumpyArray,
-) -> None:
-    """Write position, attitude, velocity and body rates, converted to ENU and FLU, into the columns of ``found`` (n,
-    WIDTH)."""
-    orientation = quaternion_enu_flu(quaternion)
-    velocity, rates = enu_of(velocity_ned), flu_of(rates_body)
-    found[:, POSITION : POSITION + 3] = enu_of(position_ned)
-    found[:, ORIENTATION : ORIENTATION + 4] = orientation
-    found[:, VELOCITY : VELOCITY + 3] = velocity
+def _put_motion(found: NumpyArray, quaternion: NumpyArray) -> None:
+    """Fill the columns of ``found`` (n, WIDTH) that follow from its velocity and rates and from attitudes (n, 4), FRD
+    to NED."""
+    found[:, ORIENTATION : ORIENTATION + 4] = orientation = quaternion_enu_flu(quaternion)
+    velocity, rates = found[:, VELOCITY : VELOCITY + 3], found[:, RATES : RATES + 3]
     found[:, BODY_VELOCITY : BODY_VELOCITY + 3] = turned_back(orientation, velocity)
-    found[:, RATES : RATES + 3] = rates
     known = np.isfinite(rates).all(axis=1, keepdims=True)
-    found[:, ODOM_RATES : ODOM_RATES + 3] = np.where(known, rates, 0.0)
+    still = np.where(known, rates, 0.0)
+    found[:, ODOM_RATES : ODOM_RATES + 3] = still
     found[:, ODOM_RATES_VARIANCE : ODOM_RATES_VARIANCE + 3] = np.where(known, 0.0, -1.0)
-    found[:, MAP_RATES : MAP_RATES + 3] = turned(orientation, np.where(known, rates, 0.0))
-    level = np.array([0.0, 0.0, 0.0, 1.0])
-    found[:, IMU_ORIENTATION : IMU_ORIENTATION + 4] = np.where(np.isfinite(orientation), orientation, level)
+    found[:, MAP_RATES : MAP_RATES + 3] = turned(orientation, still)
+    found[:, IMU_ORIENTATION : IMU_ORIENTATION + 4] = np.where(np.isfinite(orientation), orientation, _LEVEL)

@@ -11,7 +11,7 @@ from cyclonedds.builtin import (
     BuiltinTopicDcpsSubscription,
     DcpsEndpoint,
 )
-from cyclonedds.core import DDSException
+from cyclonedds.core import DDSException, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.internal import InvalidSample
 from cyclonedds.pub import DataWriter
@@ -32,6 +32,7 @@ LAST_DOMAIN = 232
 _INFO = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 _DISCOVERY = "ros_discovery_info"
 _MOST_AT_ONCE = 32
+_ALL_SAMPLES = ViewState.Any | InstanceState.Any | SampleState.Any
 
 
 def checked_domain(domain: int) -> int:
@@ -75,6 +76,10 @@ class Participant:
         self._publishers = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
         self._subscribers = BuiltinDataReader(self._participant, BuiltinTopicDcpsSubscription)
         self._info: Writer | None = None
+        # Of all that is read, because to ask each reader takes longer than a tick of the world.
+        self._unread = WaitSet(self._participant)
+        for builtin in (self._publishers, self._subscribers):
+            self._unread.attach(ReadCondition(builtin, _ALL_SAMPLES))
 
     def writer(self, topic: Topic) -> Writer:
         """Return a new publisher of a topic, as a DDS data writer."""
@@ -95,6 +100,7 @@ class Participant:
             self._types, topic, DataReader(self._participant, found, qos=self._endpoint_qos(profile, topic.type))
         )
         self._readers.append(reader)
+        self._unread.attach(ReadCondition(reader.entity, _ALL_SAMPLES))
         self._read.setdefault(f"rt{topic.name}", {})[dds_name(topic.type)] = profile
         return reader
 
@@ -122,6 +128,10 @@ class Participant:
         )
         info = self._types[_INFO](self._gid_message(self._participant.guid.bytes), [node])
         self._info.write(self._types.encode(info))
+
+    def has_news(self) -> bool:
+        """Return whether a message for a reader or an announcement of another node has not been taken yet."""
+        return self._unread.wait(0) > 0
 
     def remarks(self) -> list[str]:
         """Return a warning for each topic that another node has begun to use with an incompatible type or QoS.

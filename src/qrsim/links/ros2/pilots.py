@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,10 +97,13 @@ class Pilots:
 
     def actions(self) -> object:
         """Return the action of each fleet in the next tick, for ``Simulation.advance``."""
-        flown = [row for row, pilot in enumerate(self._pilots) if pilot.wish is not None]
-        if flown:
-            self._update_orders(flown)
+        self._update_orders()
         return self.latches.actions()
+
+    def advance(self) -> None:
+        """Advance the simulation by one tick with what was asked of the vehicles."""
+        self._update_orders()
+        self.latches.advance(self._simulation)
 
     @property
     def waited_for(self) -> bool:
@@ -116,9 +119,11 @@ class Pilots:
             return time.monotonic() - pilot.at >= self._wall
         return self._simulation.tick - pilot.tick >= self._limit
 
-    def _update_orders(self, rows: Sequence[int]) -> None:
-        """Convert the last commands of the vehicles at ``rows`` to orders; vehicles without recent commands hold their
-        position."""
+    def _update_orders(self) -> None:
+        """Convert the last motions and attitudes to orders; vehicles without recent ones hold their position."""
+        rows = [row for row, pilot in enumerate(self._pilots) if pilot.wish is not None]
+        if not rows:
+            return
         believed = believed_of(self._simulation)
         for row in rows:
             pilot = self._pilots[row]

@@ -13,7 +13,7 @@ from qrsim.links.ros2 import numbers as n
 from qrsim.links.ros2 import topics as t
 from qrsim.links.ros2 import variances
 from qrsim.links.ros2.alike import MANY, Alike
-from qrsim.links.ros2.blank import stamp_of
+from qrsim.links.ros2.blank import stamp_of, stamps_of
 from qrsim.links.ros2.names import namespaces
 from qrsim.links.ros2.transforms import Transforms
 from qrsim.links.ros2.typestore import Types
@@ -22,7 +22,7 @@ from qrsim.links.shared import sight as s
 from qrsim.world.state import World
 
 # Of each vehicle whether a sensor has delivered, and when that was true [s].
-News = tuple[Sequence[bool], Sequence[float]]
+News = tuple[list[bool], list[float]]
 
 
 class Publications:
@@ -83,6 +83,14 @@ class Publications:
         groups = [tuple(zip(*group, strict=True)) for group in forms.values() if len(group) >= MANY]
         self._alike = [(owns[0], topics, Alike(owns, rows)) for topics, rows, owns in groups]
         self._together = {topic for _, topics, _ in self._alike for topic in topics}
+        self._single = [
+            (topic, row, own)
+            for row, each in enumerate(self._vehicles)
+            for topic, own in each
+            if topic not in self._together
+        ]
+        # The messages of a tick, by the numbers of their topics.
+        self._made: list[bytes | None] = [None] * len(self.topics)
         self.columns = sorted({own.sensor for each in self._vehicles for _, own in each if own.sensor is not None})
 
     def add(self, topic: t.Topic) -> int:
@@ -101,7 +109,7 @@ class Publications:
     def of_tick(
         self,
         tick: int,
-        believed: Sequence[float],
+        believed: list[float],
         values: NumpyArray,
         news: Mapping[int, News],
         true: NumpyArray | None,
@@ -119,26 +127,28 @@ class Publications:
         due = tick % self._each == 0
         if not due and not any(any(fresh) for fresh, _ in news.values()):
             return
-        numbers, stamps = self._filled_numbers(values), [stamp_of(time) for time in believed]
+        numbers, stamps = self._filled_numbers(values), stamps_of(believed)
         if due:
             yield 0, self._transforms.message(numbers, stamps)
-        made: dict[int, bytes | None] = {}
+        made = self._made[:]
         for publication, topics, alike in self._alike:
             column = publication.sensor
+            messages: Sequence[bytes | None] = ()
             if column is None and due and self._is_due(tick, publication.kind.every):
-                made.update(zip(topics, alike.messages(numbers, stamps), strict=True))
+                messages = alike.messages(numbers, stamps)
             elif column is not None and any(news[column][0]):
                 fresh, times = news[column]
-                messages = alike.messages(numbers, [stamp_of(time) for time in times])
-                rows = zip(topics, alike.rows.tolist(), messages, strict=True)
-                made.update((topic, message if fresh[row] else None) for topic, row, message in rows)
-        for row, (own, own_numbers) in enumerate(zip(self._vehicles, numbers.tolist(), strict=True)):
-            for topic, publication in own:
-                message = made.get(topic)
-                if message is None and topic not in self._together:
-                    message = self._alone(publication, row, own_numbers, (tick, due), stamps[row], news)
-                if message is not None:
-                    yield topic, message
+                messages = alike.messages(numbers, stamps_of(times))
+                if not all(fresh):
+                    rows = zip(alike.rows.tolist(), messages, strict=True)
+                    messages = [message if fresh[row] else None for row, message in rows]
+            for topic, message in zip(topics, messages, strict=False):
+                made[topic] = message
+        if self._single:
+            alone, each = numbers.tolist(), stamps.tolist()
+            for topic, row, publication in self._single:
+                made[topic] = self._alone(publication, row, alone[row], (tick, due), each[row], news)
+        yield from ((topic, message) for topic, message in enumerate(made) if message is not None)
         if due and true is not None:
             yield from self._true_messages(true, stamp_of(tick * self._dt))
 
@@ -148,7 +158,7 @@ class Publications:
         row: int,
         numbers: Sequence[float],
         now: tuple[int, bool],
-        stamp: tuple[int, int],
+        stamp: Sequence[int],
         news: Mapping[int, News],
     ) -> bytes | None:
         """Return the CDR message of one vehicle's topic, with its time ``stamp`` (s, ns); None if it is not due at this

@@ -155,7 +155,7 @@ class Server:
         """Advance the simulation by one tick, and publish its messages."""
         self._send_by_radio()
         if self._flown is None:
-            self.simulation.advance(self._pilots.actions())
+            self._pilots.advance()
             if self.recording is not None:
                 self.recording.keep()
         else:
@@ -189,6 +189,16 @@ class Server:
 
     def listen(self) -> None:
         """Execute the requests that other nodes have sent; those for a vehicle whose link is off are dropped."""
+        if self._participant.has_news():
+            self._take_messages()
+        for service, answer in self._services:
+            for request, message in service.take():
+                response = answer(message)
+                if response is not None:
+                    service.reply(request, response)
+
+    def _take_messages(self) -> None:
+        """Execute what the messages of all readers ask, and report the transport's remarks."""
         for message in self._control.take():
             self._obey_control(message.data)
         unlinked = self.simulation.unlinked
@@ -205,11 +215,6 @@ class Server:
         for api_reader, take in self._api_readers:
             for message in api_reader.take():
                 take(message)
-        for service, answer in self._services:
-            for request, message in service.take():
-                response = answer(message)
-                if response is not None:
-                    service.reply(request, response)
         for row, reader in self._said:
             for message in reader.take():
                 self._saying[row] = message

@@ -14,7 +14,7 @@ from qrsim.links.ros2 import numbers as n
 from qrsim.links.ros2.blank import empty
 from qrsim.links.ros2.frames import enu_of, flu_of
 from qrsim.links.ros2.names import EARTH, MAP, base_link, beacon, gnss_link, neighbours_link, range_link, scan_link
-from qrsim.links.ros2.template import Put, Template
+from qrsim.links.ros2.template import Template
 from qrsim.links.ros2.typestore import Types
 from qrsim.links.shared.around import NEIGHBOURS, RANGINGS, SCANS
 from qrsim.models.sensors.rangefinder import IdealRangefinder, Rangefinder
@@ -33,7 +33,6 @@ _LOOKS = {
     "down": (0.0, _H, 0.0, _H),
     "up": (0.0, -_H, 0.0, _H),
 }
-_COLUMNS = [*range(n.POSITION, n.POSITION + 3), *range(n.ORIENTATION, n.ORIENTATION + 4)]
 _PATHS = (
     "header.stamp.sec",
     "header.stamp.nanosec",
@@ -47,6 +46,30 @@ _PATHS = (
 )
 
 
+class _Known:
+    """The /tf message of vehicles whose poses are known.
+
+    Args:
+        types: of the distribution.
+        names: namespaces of these vehicles.
+    """
+
+    def __init__(self, types: Types, names: Sequence[str]):
+        template = Template(types, types[TYPE]([transform(types, MAP, base_link(name)) for name in names]))
+        self._cdr = np.frombuffer(template.cdr, np.uint8).copy()
+        begins = [[template.slot(f"transforms.{i}.{path}")[0] for path in _PATHS] for i in range(len(names))]
+        # Stamps are 4 bytes each, of a pose all numbers 8; where the bytes of each vehicle lie.
+        places = np.array(begins, np.intp).reshape(len(names), len(_PATHS), 1)
+        self._stamps = (places[:, :2] + np.arange(4)).reshape(len(names), 8)
+        self._poses = (places[:, 2:] + np.arange(8)).reshape(len(names), 56)
+
+    def message(self, poses: NumpyArray, stamps: NumpyArray) -> bytes:
+        """Return the encoded message of poses (k, 7), each position and quaternion, and stamps (k, 2): s, ns."""
+        self._cdr[self._stamps] = stamps.astype("<u4").view(np.uint8)
+        self._cdr[self._poses] = np.ascontiguousarray(poses, "<f8").view(np.uint8)
+        return self._cdr.tobytes()
+
+
 class Transforms:
     """Messages of /tf: from the map to each vehicle that knows where it is.
 
@@ -58,27 +81,17 @@ class Transforms:
     def __init__(self, types: Types, namespaces: Sequence[str]):
         self._types, self._namespaces = types, namespaces
         # By which vehicles know.
-        self._templates: dict[bytes, tuple[Template, list[Put]]] = {}
+        self._messages: dict[bytes, _Known] = {}
 
-    def message(self, numbers: NumpyArray, stamps: Sequence[tuple[int, int]]) -> bytes:
-        """Return the encoded /tf message from numbers (n, WIDTH), with the stamp (s, ns) of each vehicle."""
-        poses = numbers[:, _COLUMNS]
+    def message(self, numbers: NumpyArray, stamps: NumpyArray) -> bytes:
+        """Return the encoded /tf message from numbers (n, WIDTH), with the stamp (n, 2) of each vehicle (s, ns)."""
+        poses = numbers[:, n.POSITION : n.ORIENTATION + 4]
         known = np.isfinite(poses).all(axis=1)
         key = known.tobytes()
-        if key not in self._templates:
-            self._templates[key] = self._transforms_template(np.flatnonzero(known).tolist())
-        template, puts = self._templates[key]
-        rows = np.flatnonzero(known).tolist()
-        for put, row, pose in zip(puts, rows, poses[known].tolist(), strict=True):
-            put(*stamps[row], *pose)
-        return bytes(template.cdr)
-
-    def _transforms_template(self, rows: list[int]) -> tuple[Template, list[Put]]:
-        """Return an encoded /tf message of the vehicles at ``rows``, and for each a function that writes its transform
-        into it."""
-        parts = [transform(self._types, MAP, base_link(self._namespaces[row])) for row in rows]
-        template = Template(self._types, self._types[TYPE](parts))
-        return template, [template.putter(*(f"transforms.{i}.{path}" for path in _PATHS)) for i in range(len(rows))]
+        if key not in self._messages:
+            names = [self._namespaces[row] for row in np.flatnonzero(known).tolist()]
+            self._messages[key] = _Known(self._types, names)
+        return self._messages[key].message(poses[known], stamps[known])
 
 
 def transform(

@@ -128,6 +128,10 @@ class ZenohNode:
     def announce(self) -> None:
         """Do nothing, since zenoh's liveliness tokens have already announced every topic."""
 
+    def has_news(self) -> bool:
+        """Return True, since zenoh has no common place to ask for messages of all subscribers."""
+        return True
+
     def remarks(self) -> list[str]:
         """Return a warning for each subscribed topic that another node publishes with another type.
 

@@ -11,6 +11,7 @@ from qrsim.core.arrays import DType, NumpyArray
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.links.contracts import Order
 from qrsim.links.shared.kinds import NAMES, Field, checked, kinds_of, record_of
+from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import Fleet, Some
 
 # The number of each kind of order.
@@ -44,10 +45,13 @@ class Latches:
         self._none = (np.nan,) * width
         self._rows = {name: row for row, name in enumerate(self.names)}
         self._fleets, first = [], 0
+        # The orders of the last tick that ``advance`` flew.
+        self._flown = b""
         for fleet, own in zip(fleets, kinds, strict=True):
             if own:
                 self._fleets.append(_FleetParts(fleet, own, slice(first, first + fleet.size), dtype))
             first += fleet.size
+        self._actions = {fleet.name: fleet.action for fleet in self._fleets}
 
     def row(self, vehicle: str) -> int:
         """Return the index of a vehicle among all vehicles of the world; raises UsageError for an unknown name."""
@@ -79,7 +83,18 @@ class Latches:
     def actions(self) -> dict[str, Some]:
         """Return the action of each fleet, made of the stored orders, for ``Simulation.step``; the next call overwrites
         its arrays."""
-        return {fleet.name: fleet.filled(self.codes, self.numbers) for fleet in self._fleets}
+        self._flown = b""
+        for fleet in self._fleets:
+            fleet.fill(self.codes, self.numbers)
+        return self._actions
+
+    def advance(self, simulation: Simulation) -> None:
+        """Advance the simulation by a tick with the stored orders, which are handed over only if one has changed."""
+        orders = self.codes.tobytes() + self.numbers.tobytes()
+        same = orders == self._flown
+        # Numbers of orders are finite and in range (``checked``), so that they are not checked once more.
+        simulation.advance(self._actions if same else self.actions(), again="same" if same else "renewed")
+        self._flown = orders
 
 
 class _FleetParts:
@@ -96,14 +111,13 @@ class _FleetParts:
             (which, record_of(kind, columns, command))
             for kind, (_, which, columns) in zip(kinds, self._parts, strict=True)
         ]
-        self._some = Some(tuple(parts))
+        self.action = Some(tuple(parts))
 
-    def filled(self, codes: NumpyArray, numbers: NumpyArray) -> Some:
-        """Return the fleet's action from the kind codes (n,) and numbers (n, V) of the orders of all vehicles in the
+    def fill(self, codes: NumpyArray, numbers: NumpyArray) -> None:
+        """Set the fleet's action from the kind codes (n,) and numbers (n, V) of the orders of all vehicles in the
         world."""
         codes, numbers = codes[self._own], numbers[self._own]
         for code, which, columns in self._parts:
             np.equal(codes, code, out=which)
             # Nothing that is no number goes in, also where nobody looks.
             columns[...] = np.where(which, numbers[:, : len(columns)].T, 0.0)
-        return self._some

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+import jax
 import numpy as np
 
 from qrsim.control.kalman_state import KalmanState
@@ -22,8 +23,8 @@ HEIGHT, PRESSURE, TEMPERATURE, DIFFERENTIAL, AIRSPEED, RANGE = 24, 25, 26, 27, 2
 SATELLITES, FIX_TYPE, HORIZONTAL, VERTICAL, SPEED = 30, 31, 32, 33, 34
 CHARGE, WIND_NORTH, WIND_EAST, STD_POSITION, STD_VELOCITY, STD_ATTITUDE = 35, 36, 37, 38, 41, 44
 HDOP, VDOP, RANGE_STATUS = 47, 48, 60
-# What follows is computed: latitude, longitude [deg] and height [m] of the estimate, its quaternion, the same place of
-# the fix, and the voltage of the battery [V].
+# What follows is computed: latitude, longitude [deg] and height [m] of the estimate (only where flight stacks fly), its
+# quaternion, the same place of the fix, and the voltage of the battery [V].
 PLACE, QUATERNION, FIX_PLACE, VOLTAGE = 49, 52, 56, 59
 # Of an optical flow sensor: flow about its x and y axes and rotation about all [rad] since its last reading, quality.
 FLOW, FLOW_TURN, FLOW_QUALITY = 61, 63, 66
@@ -98,7 +99,7 @@ class Sight:
         self.codes = np.concatenate(codes)
         typed, placed = (self._available(column) for column in (FIX_TYPE, FIX_POSITION))
         self._plain = placed & ~typed
-        self._voltage_at = -math.inf
+        self._voltage_at, self._fixes = -math.inf, b""
         self.look()
 
     def has(self, column: int, row: int) -> bool:
@@ -116,7 +117,9 @@ class Sight:
         simulation, values = self._simulation, self.values
         floats, _ = (np.asarray(part) for part in simulation.packed[1])
         values.reshape(-1)[self._targets] = floats[self._sources]
-        complete(values, simulation.site, self._plain)
+        fixes = values[:, FIX_POSITION : FIX_POSITION + 3].tobytes()
+        complete(values, simulation.site, self._plain, fixes != self._fixes)
+        self._fixes = fixes
         self._update_fixes()
         if simulation.time - self._voltage_at >= _VOLTAGE_EVERY_S or simulation.time < self._voltage_at:
             self._voltage_at = simulation.time
@@ -150,28 +153,38 @@ class Sight:
     def _measure_voltage(self) -> None:
         """Write the present battery voltages [V] into their column, for fleets whose batteries drain."""
         first = 0
-        for fleet, state in zip(self._simulation.world.fleets, self._simulation.state.fleets, strict=True):
+        layout, buffers = self._simulation.packed
+        for fleet, numbers in zip(self._simulation.world.fleets, layout.numbers.fleets, strict=True):
             if fleet.battery.drains:
+                # The only parts of the state that are read, as opening all of it takes longer than a tick.
+                parts = jax.tree.map(lambda leaf: layout.leaf(buffers, leaf), (numbers.vehicle, numbers.battery))
                 with self._simulation.precision_context():
-                    load = fleet.vehicle.load(state.vehicle)
-                    voltage = fleet.voltage(state.battery, load, np.int32(self._simulation.tick))  # type: ignore[arg-type]
+                    load = fleet.vehicle.load(parts[0])
+                    voltage = fleet.voltage(parts[1], load, np.int32(self._simulation.tick))  # type: ignore[arg-type]
                 self.values[first : first + fleet.size, VOLTAGE] = np.asarray(voltage)
             first += fleet.size
 
 
-def complete(values: NumpyArray, site: Site, plain: NumpyArray) -> None:
-    """Fill the columns computed from others, in place: geodetic position, quaternion, fix type; ``plain``: rows whose
-    fix has no type.
+def locate(values: NumpyArray, site: Site, source: int, target: int) -> None:
+    """Fill three columns of rows (R, WIDTH) from ``target`` on, in place: latitude, longitude [deg] and height [m] of
+    the positions in the columns from ``source`` on."""
+    latitude, longitude, height = site.ned_to_geodetic(values[:, source : source + 3])
+    values[:, target], values[:, target + 1] = np.degrees(latitude), np.degrees(longitude)
+    values[:, target + 2] = height
+
+
+def complete(values: NumpyArray, site: Site, plain: NumpyArray, fixes: bool = True) -> None:
+    """Fill the columns computed from others, in place: quaternion, fix type, geodetic position of the fix; ``plain``:
+    rows whose fix has no type.
 
     Args:
         values: (R, WIDTH) rows.
         site: of the world.
         plain: (R,) bool, whose receivers give positions, but no type of fix.
+        fixes: whether there are other fixes than at the last call.
     """
-    both = values[:, [0, 1, 2, FIX_POSITION, FIX_POSITION + 1, FIX_POSITION + 2]].reshape(-1, 3)
-    latitude, longitude, height = site.ned_to_geodetic(both)
-    places = np.stack([np.degrees(latitude), np.degrees(longitude), height], axis=1).reshape(len(values), 6)
-    values[:, PLACE : PLACE + 3], values[:, FIX_PLACE : FIX_PLACE + 3] = places[:, :3], places[:, 3:]
+    if fixes:
+        locate(values, site, FIX_POSITION, FIX_PLACE)
     half = 0.5 * values[:, ATTITUDE : ATTITUDE + 3].T
     (sr, sp, sy), (cr, cp, cy) = np.sin(half), np.cos(half)
     quaternion = values[:, QUATERNION : QUATERNION + 4]

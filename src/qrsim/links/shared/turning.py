@@ -15,9 +15,14 @@ def turned(quaternion: NumpyArray, vector: NumpyArray) -> NumpyArray:
 
 
 def _cross(first: NumpyArray, second: NumpyArray) -> NumpyArray:
-    """Return cross products (..., 3); numpy.cross takes three times as long for a few vectors."""
-    (ax, ay, az), (bx, by, bz) = np.moveaxis(first, -1, 0), np.moveaxis(second, -1, 0)
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+    """Return cross products (..., 3); numpy.cross takes far longer for a few vectors."""
+    (ax, ay, az), (bx, by, bz) = ((each[..., 0], each[..., 1], each[..., 2]) for each in (first, second))
+    x = ay * bz - az * by
+    found: NumpyArray = np.empty((*x.shape, 3), x.dtype)
+    found[..., 0] = x
+    np.subtract(az * bx, ax * bz, out=found[..., 1])
+    np.subtract(ax * by, ay * bx, out=found[..., 2])
+    return found
 
 
 def turned_back(quaternion: NumpyArray, vector: NumpyArray) -> NumpyArray:
