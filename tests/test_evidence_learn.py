@@ -45,12 +45,14 @@ def test_velocities_and_landings_are_learned_better_than_the_baselines_fly() -> 
     assert worse == [seed for seed in range(10) if landed[seed]["flown_to_the_end"] < 1.0] == [2, 3]
 
 
-def test_cats_come_nearer_than_the_baseline_but_collide() -> None:
+def test_cats_come_nearer_than_the_baseline_and_seldom_collide() -> None:
     found = json.loads(REPORT.read_text("utf-8"))["results"]
-    baseline = json.loads(REPORT.with_name("tasks.json").read_text("utf-8"))["results"]["cats_and_mouse_1A"]["baseline"]
-    cats = [found[f"cats_and_mouse_1A_seed_{seed}"] for seed in range(3)]
-    assert [each["median"] > baseline["median"] for each in cats] == [True, True, True]
-    assert all(0.95 <= each["flown_to_the_end"] < 1.0 for each in cats)
+    baseline = found["cats_and_mouse_1A"]["baseline"]
+    cats = [found[f"cats_and_mouse_1A_seed_{seed}"] for seed in range(8)]
+    assert all(each["mean"] > baseline["mean"] and each["median"] > baseline["median"] + 5.0 for each in cats)
+    assert all(each["flown_to_the_end"] >= 0.99 for each in cats)
+    # The asked time is at most 20 minutes.
+    assert all(each["wall_s"] < 1200.0 for each in cats)
 
 
 def test_formations_are_kept_as_well_as_by_the_baseline() -> None:
