@@ -41,7 +41,7 @@ STEPS = {
     "goto_waypoint": 2_000_000,
     "keep_velocity": 1_200_000,
     "land_on_pad": 2_000_000,
-    PURSUIT: 2_000_000,
+    PURSUIT: 2_400_000,
     "keep_formation": 3_000_000,
     SEARCH: 1_000_000,
 }
@@ -165,8 +165,12 @@ def draw(found: dict[str, Any]) -> Any:
     for axes, task in zip(figure.subplots(1, len(DRAWN)), DRAWN, strict=True):
         trainings = [found.get(f"{key(task)}_seed_{seed}", {}) for seed in range(SEEDS)]
         curves = [each["curve"] for each in trainings if "curve" in each]
-        steps = np.array([int(name.removeprefix("steps_")) for name in curves[0]]) / 1e6
-        values = np.array([list(curve.values()) for curve in curves])
+        rows = [[int(name.removeprefix("steps_")) / 1e6 for name in curve] for curve in curves]
+        # Crashes in an imitation leave fewer decisions, so that seeds of a pursuit have other rows.
+        steps = np.array(rows[0])
+        values = np.array(
+            [np.interp(steps, row, list(curve.values())) for row, curve in zip(rows, curves, strict=True)]
+        )
         axes.fill_between(steps, values.min(axis=0), values.max(axis=0), alpha=0.25, lw=0.0, label="all seeds")
         axes.plot(steps, np.median(values, axis=0), lw=1.6, label="median")
         if key(task) in found:

@@ -45,24 +45,25 @@ def test_velocities_and_landings_are_learned_better_than_the_baselines_fly() -> 
     assert worse == [seed for seed in range(10) if landed[seed]["flown_to_the_end"] < 1.0] == [2, 3]
 
 
-def test_cats_come_nearer_than_the_baseline_but_collide() -> None:
+def test_cats_come_nearer_than_the_baseline_and_seldom_collide() -> None:
     found = json.loads(REPORT.read_text("utf-8"))["results"]
-    baseline = json.loads(REPORT.with_name("tasks.json").read_text("utf-8"))["results"]["cats_and_mouse_1A"]["baseline"]
-    cats = [found[f"cats_and_mouse_1A_seed_{seed}"] for seed in range(3)]
-    assert [each["median"] > baseline["median"] for each in cats] == [True, True, True]
-    assert all(0.95 <= each["flown_to_the_end"] < 1.0 for each in cats)
+    baseline = found["cats_and_mouse_1A"]["baseline"]
+    cats = [found[f"cats_and_mouse_1A_seed_{seed}"] for seed in range(10)]
+    assert all(each["mean"] > baseline["mean"] and each["median"] > baseline["median"] + 5.0 for each in cats)
+    assert all(each["flown_to_the_end"] >= 0.99 for each in cats)
 
 
-def test_formations_are_kept_as_well_as_by_the_baseline() -> None:
+def test_formations_are_kept_by_four_of_ten_as_well_as_by_the_baseline() -> None:
     found = json.loads(REPORT.read_text("utf-8"))["results"]
-    kept = [found[f"keep_formation_seed_{seed}"] for seed in range(3)]
-    assert all((each["flown_to_the_end"], each["near"]) == (1.0, 1.0) for each in kept)
-    assert all(each["mean"] > found["keep_formation"]["baseline"]["mean"] for each in kept)
+    kept, baseline = [found[f"keep_formation_seed_{seed}"] for seed in range(10)], found["keep_formation"]["baseline"]
+    assert all(each["flown_to_the_end"] == 1.0 and each["near"] >= 0.995 for each in kept)
+    assert sum(each["mean"] > baseline["mean"] for each in kept) == 4
+    assert min(each["mean"] for each in kept) > 2.85 * baseline["mean"]
 
 
 def test_a_small_search_is_learned_but_the_baselines_win() -> None:
     found = json.loads(REPORT.read_text("utf-8"))["results"]
-    learned = [found[f"search_small_seed_{seed}"] for seed in range(2)]
+    learned = [found[f"search_small_seed_{seed}"] for seed in range(3)]
     compared = found["search_small"]
     assert all(compared["hover"]["mean"] + 1.0 < each["mean"] < compared["baseline"]["mean"] for each in learned)
     assert compared["baseline"]["mean"] < compared["pictures"]["mean"]

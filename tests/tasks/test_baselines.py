@@ -87,10 +87,11 @@ def test_cats_without_a_clock_are_near_while_the_mouse_is_led() -> None:
 
 
 def test_cats_without_a_clock_keep_clear_of_a_mouse_that_turns_round() -> None:
-    # In 1.5 s a cat that meets the mouse at 6 m/s is 1 m in front of it: 3 m are missing of 4, each of them 2 m/s.
-    meets, follows = np.array([6.0, 0.0]), np.array([0.0, 0.0])
-    found = Chasing._clear(np.stack([meets, follows]), np.array([[10.0, 0.0], [4.4, 0.0]]))
-    np.testing.assert_allclose(found, [[-6.0, 0.0], [0.0, 0.0]])
+    # The mouse runs south at 3 m/s, towards a cat that meets it at 3 m/s. In 1.5 s they are 1 m apart: 7 m are
+    # missing of 8 in front of it, 2 m/s for each. Of the 4 m behind it, nothing is missing to a cat that follows.
+    velocity, offset = np.array([[3.0, 0.0], [-3.0, 0.0]]), np.array([[10.0, 0.0], [-4.4, 0.0]])
+    found = Chasing._clear(velocity, np.array([[-1.0, 0.0]]), offset)
+    np.testing.assert_allclose(found, [[-14.0, 0.0], [0.0, 0.0]])
     # Behind a mouse that runs where it is to run they are at 4.4 m and 3.6 m apart. With the mouse between two of them
     # it is 0.75 / 0.8 of the way to 9 m and 6 m.
     for second, behind, room in ((5.0, 4.4, 3.6), (-5.0, 8.7125, 5.85)):

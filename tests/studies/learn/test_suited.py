@@ -28,7 +28,7 @@ def test_a_pursuit_has_its_own() -> None:
     # It starts with the baseline, changes it slowly, and sees a crash in a hundred episodes.
     assert (plan.start, plan.settings.rate, plan.settings.falling) == ("baseline", 3e-4, True)
     assert (plan.steps, plan_of("cats_and_mouse/1A", steps=7).steps, plan_of("keep_spot").steps) == (
-        2_000_000,
+        2_400_000,
         7,
         3_000_000,
     )

@@ -20,7 +20,7 @@ PURSUIT = Settings(discount=0.97, epochs=4, minibatches=8, spread=0.3, averaged=
 STARTED: dict[str, Any] = {"spread": 0.03, "rate": 1e-4, "falling": True}
 STARTED_PURSUIT: dict[str, Any] = {"width": 64, "rate": 3e-4}
 # Decisions after which a pursuit that was started with a policy does not become much better.
-STARTED_STEPS = 2_000_000
+STARTED_STEPS = 2_400_000
 # Episodes in which policies are tried: so many that a crash in a hundred is seen.
 STARTED_TRIES = 200
 # Cats come near each other and the mouse in this time [s], from which half of the episodes are learned.

@@ -29,9 +29,9 @@ SEPARATION, SEPARATION_AT_END = 6.0, 4.0
 # and on their way to the mouse by this part of their distance to it.
 NEAREST, LEAST_ROOM, SLOW_GAIN, FULL_SPEED = 4.4, 3.6, 0.5, 3.6
 ASTRAY, FARTHER_AHEAD_S, ROOM = 2.5, 1.0, 0.5
-# The mouse may turn towards a cat, so they keep this far [m] from where it will be after so long [s]; each metre that
-# lacks adds so much to their velocity [1/s].
-CLEAR, CLEAR_AHEAD_S, CLEAR_GAIN, SHORTEST = 4.0, 1.5, 2.0, 1e-3
+# The mouse may turn towards a cat, so they keep this far [m] from where it will be after so long [s], and farther in
+# front of it by so much [m]; each metre that lacks adds so much to their velocity [1/s].
+CLEAR, CLEAR_AHEAD_S, IN_FRONT, CLEAR_GAIN, SHORTEST = 4.0, 1.5, 4.0, 2.0, 1e-3
 # A mouse between cats turns round. The mean of the unit vectors from the cats to the mouse has this length or more if
 # all are behind it; if it is shorter by so much, they keep far.
 TOGETHER, SCATTERED = 0.75, 0.8
@@ -83,7 +83,7 @@ class Chasing:
         ahead = FARTHER_AHEAD_S * self._asked if self._timeless else AHEAD_S * velocity
         wanted = self._asked + self._drift + apart(place + ahead, distance)
         if self._timeless:
-            wanted = wanted + self._clear(self._asked - running * (MOUSE_SPEED / FULL_SPEED), offset)
+            wanted = wanted + self._clear(self._asked, running / FULL_SPEED, offset)
         return np.clip(wanted / self._limit, -1.0, 1.0)
 
     def begin(self, size: int, rows: NumpyArray | None = None) -> None:
@@ -117,16 +117,19 @@ class Chasing:
         return NEAREST + (FAR - NEAREST) * part, np.maximum(room, ROOM * length)
 
     @staticmethod
-    def _clear(velocity: NumpyArray, offset: NumpyArray) -> NumpyArray:
+    def _clear(velocity: NumpyArray, runs: NumpyArray, offset: NumpyArray) -> NumpyArray:
         """Return the velocities (..., n, 2) [m/s] that keep cats clear of the mouse.
 
         Args:
-            velocity: (..., n, 2) of each cat relative to the mouse [m/s].
+            velocity: (..., n, 2) of each cat [m/s].
+            runs: (..., 1, 2) unit vector of the way in which the mouse runs.
             offset: (..., n, 2) from each cat to the mouse [m].
         """
-        meeting = CLEAR_AHEAD_S * velocity - offset
+        meeting = CLEAR_AHEAD_S * (velocity - MOUSE_SPEED * runs) - offset
+        ahead = -np.sum(offset * runs, axis=-1, keepdims=True) / np.linalg.norm(offset, axis=-1, keepdims=True)
+        room = CLEAR + IN_FRONT * np.maximum(ahead, 0.0)
         length = np.maximum(np.linalg.norm(meeting, axis=-1, keepdims=True), SHORTEST)
-        found: NumpyArray = CLEAR_GAIN * np.maximum(CLEAR / length - 1.0, 0.0) * meeting
+        found: NumpyArray = CLEAR_GAIN * np.maximum(room / length - 1.0, 0.0) * meeting
         return found
 
     def _way(self, mouse: NumpyArray) -> NumpyArray:
