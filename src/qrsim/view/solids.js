@@ -1,4 +1,4 @@
-// The least distance [m] of two convex outlines in the plane: corners `ring` around which it lies `radius` [m] wide; 0: they meet.
+// The least distance [m] of two outlines in the plane, 0 if they overlap. An outline is a convex polygon `ring`, widened by `radius` [m].
 const betweenOutlines = (a, b) => {
   const edges = (ring) => ring.map((from, i) => [from, ring[(i + 1) % ring.length]]);
   const toEdge = ([x, y], [[x0, y0], [x1, y1]]) => {
@@ -6,7 +6,7 @@ const betweenOutlines = (a, b) => {
     const part = square ? Math.min(1, Math.max(0, ((x - x0) * dx + (y - y0) * dy) / square)) : 0;
     return Math.hypot(x - x0 - part * dx, y - y0 - part * dy);
   };
-  // They meet if the shadows of both overlap along the normal of each edge.
+  // Separating axes: convex polygons overlap if their projections on the normal of each edge do.
   const normals = [...edges(a.ring), ...edges(b.ring)].map(([[x0, y0], [x1, y1]]) => [y1 - y0, x0 - x1]).filter((way) => way.some(Boolean));
   const parted = ([nx, ny]) => {
     const [own, other] = [a, b].map(({ ring }) => ring.map(([x, y]) => nx * x + ny * y));
