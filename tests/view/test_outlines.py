@@ -1,10 +1,8 @@
-"""How far apart the walls of obstacles are, by the script of the page, without a browser."""
+"""How far apart the walls of obstacles are, by the script of the page in an empty one."""
 
 from __future__ import annotations
 
 import json
-import shutil
-import subprocess
 from importlib.resources import files
 from typing import Any
 
@@ -13,10 +11,9 @@ import pytest
 
 from qrsim.models.scene.prisms import PrismObstacle, prisms_of
 from qrsim.view import shapes
+from qrsim.view.browser import INSTALL, Browser, find_browser
 from qrsim.view.ground import solids
 
-NODE = shutil.which("node")
-pytestmark = pytest.mark.skipif(NODE is None, reason="node runs the script of the page")
 # Calls of a scene with nodes of triangles, as viser keeps them.
 HARNESS = """
 const nodes = {};
@@ -28,7 +25,7 @@ for (const [part, props] of Object.entries(meshes)) {
 const data = { obstacles: "/o", obstacleNumbers };
 const found = solidsIn({ data, nodes: () => nodes, floats: (array) => array, shown: () => true });
 const hit = found.cast([30, 0, -20], [-1, 0, 0]).solid;
-console.log(JSON.stringify([pairs.map(([a, b]) => found.apart(a, b)), [hit.number, hit.high[2] - hit.low[2]]]));
+return [pairs.map(([a, b]) => found.apart(a, b)), [hit.number, hit.high[2] - hit.low[2]]];
 """
 
 
@@ -38,6 +35,8 @@ def mesh(pair: shapes.Mesh, **more: Any) -> dict[str, list[float]]:
     return {name: np.asarray(own).ravel().tolist() for name, own in named.items()}
 
 
+@pytest.mark.long
+@pytest.mark.skipif(find_browser() is None, reason=f"no browser; {INSTALL}")
 def test_walls_of_boxes_cylinders_and_prisms():
     unit = shapes.box((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))
     # Boxes 0 to 10 m north and east, 20 to 30 m north and 25 to 35 m east, and over the first.
@@ -61,9 +60,9 @@ def test_walls_of_boxes_cylinders_and_prisms():
     given = {"meshes": meshes, "obstacleNumbers": numbers, "pairs": pairs}
     script = files("qrsim.view").joinpath("solids.js").read_text("utf-8")
     head = "".join(f"const {name} = {json.dumps(own)};\n" for name, own in given.items())
-    assert NODE is not None
-    done = subprocess.run([NODE, "-"], input=head + script + HARNESS, capture_output=True, text=True, check=True)
-    apart, hit = json.loads(done.stdout)
+    with Browser(200, 200) as browser:
+        browser.open("about:blank")
+        apart, hit = browser.evaluate("(() => {\n" + head + script + HARNESS + "})()")
     wanted = [
         # 10 m north and 15 m east.
         325.0**0.5,
