@@ -230,7 +230,7 @@ def exported(count: int, seconds: float) -> dict[str, float]:
 
 
 def browser(full: bool) -> dict[str, Any]:
-    """Return what a browser spends on opening two runs, scrubbing them, many vehicles, and a live flight of an hour."""
+    """Return the browser's costs of opening and scrubbing two runs, of many vehicles, and of an hour's live flight."""
     (count, seconds), opened, seeks, (many, short), (few, long, speed) = FULL_BROWSER if full else SMALL_BROWSER
 
     def flown(count: int, seconds: float, path: Path, seed: int = SEED, view: LiveView | None = None) -> Path:

@@ -49,7 +49,7 @@ class ProgramsMade:
 
     @staticmethod
     def key_of_xla(function: Hashable, shared: Any, own: Hashable, *further: Hashable) -> Hashable:
-        """Return what JAX knows a program by; ``further``: layout of its state, extent, and why LLVM refused it."""
+        """Return the key of a program in JAX; ``further``: layout of its state, extent, and why LLVM refused it."""
         return function, shared.layout, own, *further[:2]
 
     @pytest.hookimpl(tryfirst=True)

@@ -1,7 +1,7 @@
 """The small forms of two studies of range-only SLAM, and what the full form must have found.
 
-``make evidence slam`` and, of what it says of its own errors, ``make evidence slam_consistency``: in one process,
-because both solve the same problems by the same programs.
+``make evidence slam`` and ``make evidence slam_consistency``, which compares errors with their covariances. They share
+a process, because both solve the same problems by the same programs.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ def steady(folder: Path, north: float, east: float) -> dict[str, Any]:
     return {"type": "series", "file": str(path), "max_gap": 300.0}
 
 
-# Published for this law: rms beside a line, and beside a circle of 150 m, in 0, 8 and 12 m/s across.
+# Published for this law: rms distance from a line, and from a circle of 150 m, in 0, 8 and 12 m/s across.
 TRACKS = [(0.0, 0.07, 1.2), (8.0, 0.21, 1.7), (12.0, 0.32, 7.8)]
 
 
@@ -60,7 +60,7 @@ def in_steady_wind(folder: Path, north: float, east: float, vehicles: list[Any])
 def test_beside_lines_and_circles_in_wind(tmp_path: Path, wind: float, line: float, circle: float) -> None:
     """Rms from 25 s on within 20 %; 100 m, then 120 m at 30 s; 25 m/s, then 30 m/s at 70 s.
 
-    The first flies north along a line from 60 m beside it; the second begins on the circle, downwind.
+    The first flies north along a line from 60 m east of it; the second begins on the circle, downwind.
     """
     centre = np.array([-1000.0, -1000.0])
     vehicles = [{"position_ned": [0.0, 60.0, -100.0]}, {"position_ned": [-850.0, -1000.0, -100.0], "yaw_deg": 90.0}]
@@ -75,8 +75,8 @@ def test_beside_lines_and_circles_in_wind(tmp_path: Path, wind: float, line: flo
         airspeed = np.asarray(simulation.state.fleets[0].vehicle.airspeed)
         away = np.hypot(*(places[1, :2] - centre)) - 150.0
         rows.append([[places[0, 1], away], -places[:, 2], airspeed])
-    beside, height, fast = np.moveaxis(np.array(rows), 0, -1)
-    np.testing.assert_allclose(np.sqrt(np.mean(beside[:, 1250:] ** 2, axis=1)), [line, circle], rtol=0.2)
+    offset_m, height, fast = np.moveaxis(np.array(rows), 0, -1)
+    np.testing.assert_allclose(np.sqrt(np.mean(offset_m[:, 1250:] ** 2, axis=1)), [line, circle], rtol=0.2)
     # Settled before the speed changes: 0.05 m published, a little more while it banks in and out.
     np.testing.assert_allclose(np.mean(height[:, 2900:3500], axis=1), 120.0, atol=0.1)
     assert np.max(height[:, 1500:3500]) - 120.0 < 0.85

@@ -35,12 +35,16 @@ def both(cars: list[Any], tracks: list[Any] | None = None, **fleet: Any) -> dict
     own = {"controller": TRUTH, **fleet}
     fleets = {
         "cars": {**own, "vehicle": {"type": "rover"}, "vehicles": cars},
-        "tracks": {**own, "vehicle": {"type": "differential_rover"}, "vehicles": tracks or [beside(v) for v in cars]},
+        "tracks": {
+            **own,
+            "vehicle": {"type": "differential_rover"},
+            "vehicles": tracks or [farther_east(v) for v in cars],
+        },
     }
     return {"name": "x", "duration": 30.0, "world": {"area": wide, "collision_distance": 0.2}, "fleets": fleets}
 
 
-def beside(vehicle: dict[str, Any]) -> dict[str, Any]:
+def farther_east(vehicle: dict[str, Any]) -> dict[str, Any]:
     """Return the same vehicle with its route, 500 m further east."""
     return {name: (np.array(value) + EAST).tolist() for name, value in vehicle.items()}
 

@@ -132,7 +132,7 @@ class Lanes:
             self._selected = select, [self._reads.get(number) or self._read(number) for number in numbers], structure
         _, reads, structure = self._selected
         count, leaves = self.count if first is None else first, []
-        # Always copies, because a view of the buffers would change under whoever holds it.
+        # Always copies, because a view of the buffers would change at the next step.
         for part, stored, dtype, shape, places in reads:
             copy = (
                 part.astype(stored, order="C").reshape(shape)[:count] if places is None else part.take(places[:count])
