@@ -19,7 +19,7 @@ PURSUIT = Settings(discount=0.97, epochs=4, minibatches=8, spread=0.3, averaged=
 # From a policy that flies well: small changes of it; in a pursuit a network with room for what the baseline computes.
 STARTED: dict[str, Any] = {"spread": 0.03, "rate": 1e-4, "falling": True}
 STARTED_PURSUIT: dict[str, Any] = {"width": 64, "rate": 3e-4}
-# Decisions of a pursuit that is started with a policy; longer trainings were not tried.
+# Decisions of a pursuit that is started with a policy; longer trainings were not measured with these settings.
 STARTED_STEPS = 2_400_000
 # Episodes in which policies are tried: so many that a crash in a hundred is seen.
 STARTED_TRIES = 200
