@@ -28,6 +28,7 @@ from qrsim.tasks.agents import (
     Axis,
     action_period,
     believed,
+    duration_of,
     estimate_of,
     fleet_of,
     number_of,
@@ -67,7 +68,7 @@ class NoTask(Task):
         """Return one None (no command) per fleet."""
         return (None,) * len(world.fleets)
 
-    def judge(self, memory: None, world: World, state: State, step: Array, steps: int) -> tuple[None, Array]:
+    def judge(self, memory: None, world: World, state: State, step: Array, steps: Array) -> tuple[None, Array]:
         """Return no memory and an empty reward (0,), because there are no agents."""
         return None, jnp.zeros(0)
 
@@ -187,7 +188,7 @@ class Commanded(Task):
         return jnp.zeros_like(memory.owed)
 
     def judge(
-        self, memory: SimpleMemory, world: World, state: State, step: Array, steps: int
+        self, memory: SimpleMemory, world: World, state: State, step: Array, steps: Array
     ) -> tuple[SimpleMemory, Array]:
         """Return the memory and the reward (n,) of a step: minus the cost of all vehicles, the same for each."""
         distance = self.distance_squared(memory, world, state)
@@ -197,11 +198,11 @@ class Commanded(Task):
         after = replace(memory, cost=jnp.zeros_like(owed), owed=owed, total=memory.total + reward)
         return after, jnp.broadcast_to(reward, owed.shape)
 
-    def crashed(self, memory: SimpleMemory, world: World, state: State, steps: int) -> Array:
+    def crashed(self, memory: SimpleMemory, world: World, state: State, steps: Array) -> Array:
         """Return the reward () of the step of a crash, with which the episode's sum of rewards is ``crash_return``."""
         return self.crash_return(memory, world, state, steps) - memory.total
 
-    def crash_return(self, memory: SimpleMemory, world: World, state: State, steps: int) -> Array:
+    def crash_return(self, memory: SimpleMemory, world: World, state: State, steps: Array) -> Array:
         """Return the sum of rewards () that an episode with a crash has.
 
         Raises:
@@ -210,7 +211,8 @@ class Commanded(Task):
         penalty = jnp.asarray(self.penalty)
         if self.crash == "published":
             return penalty
-        cost = self.highest_cost(memory, world.with_drawn(state.drawn), steps * self.period)
+        duration = duration_of(steps, self.period, memory.total)
+        cost = self.highest_cost(memory, world.with_drawn(state.drawn), duration)
         return jnp.minimum(penalty, -jnp.sum(cost))
 
     def with_sensed(self, world: World, state: State, *parts: Array) -> Array:
@@ -218,7 +220,7 @@ class Commanded(Task):
         more = [sensed(world, state, self.fleet, self.senses)] if self.senses else []
         return jnp.concatenate([*parts, *more], axis=-1)
 
-    def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
+    def highest_cost(self, memory: SimpleMemory, world: World, duration: Array) -> Array:
         """Return an upper bound of each vehicle's cost (n,) in ``duration`` [s] without a crash."""
         return jnp.broadcast_to(self.effort.highest_rate(self.command_type(world)) * duration, memory.owed.shape)
 
@@ -253,7 +255,7 @@ class KeepSpot(Commanded):
         _, fleet = fleet_of(world, state, self.fleet)
         return square(fleet.vehicle.position_ned - self.goal(memory.start_ned, world))
 
-    def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
+    def highest_cost(self, memory: SimpleMemory, world: World, duration: Array) -> Array:
         """Return the largest cost (n,): of commands for ``duration`` [s], and of ending at the farthest corner."""
         effort: Array = Commanded.highest_cost(self, memory, world, duration)
         return effort + world.area.farthest_squared(self.goal(memory.start_ned, world))
@@ -297,7 +299,7 @@ class KeepVelocity(Commanded):
         error = velocity_of(model.vehicle.pose(fleet.vehicle)) - self._target_velocity()
         return self.effort.rate(fleet.command) + square(error)
 
-    def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
+    def highest_cost(self, memory: SimpleMemory, world: World, duration: Array) -> Array:
         """Return the largest cost (n,) in ``duration`` [s]: of commands, and of velocity errors within the limits."""
         fleet = world.fleets[number_of(world, self.fleet)]
         error = math.sqrt(3.0) * fleet.limits.velocity + jnp.sqrt(square(self._target_velocity()))
