@@ -57,7 +57,7 @@ def action_period(seconds: float) -> float:
 def duration_of(steps: Array, period: float, like: Array) -> Array:
     """Return the duration () [s] of ``steps`` () periods [s], of the type of ``like``, correctly rounded.
 
-    A period such as 0.02 s is 1/50 s, whose two integers, unlike its own digits, are exact in single precision.
+    A period such as 0.02 s is the ratio 1/50 s. Both integers are exact in single precision, and the period is not.
     """
     if like.dtype == jnp.float64:
         return steps * jnp.asarray(period, like.dtype)
