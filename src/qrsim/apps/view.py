@@ -268,8 +268,10 @@ class View:
             from qrsim.view.page import Page
             from qrsim.view.replay import Replay
 
-            page = Page(server, recording.cast, recording.world, recording.heading, clock, recording.imagery)
-            replay = Replay(recording, page, clock, self.at or 0.0, self.colour)
+            # At once: browsers would fetch the hundred parts one by one, and each time this thread would wait for them.
+            with server.atomic():
+                page = Page(server, recording.cast, recording.world, recording.heading, clock, recording.imagery)
+                replay = Replay(recording, page, clock, self.at or 0.0, self.colour)
             stop = threading.Event()
 
             def end() -> None:
