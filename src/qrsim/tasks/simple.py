@@ -47,10 +47,14 @@ FASTEST = 3.0
 SHORTEST_REACH = 1.0
 
 
-def axes_of(kind: type) -> tuple[Axis, ...]:
-    """Describe the fields of a command record as numbers of an action: name, unit and range."""
+def axes_of(kind: type, hover: Any = None) -> tuple[Axis, ...]:
+    """Describe the fields of a command record as numbers of an action; ``hover``: throttle () that an action of 0 means."""
     limits = limits_of(kind)
-    return tuple(Axis(field.name, field_info(field).unit, *limits[field.name]) for field in fields(kind))
+    return tuple(
+        Axis(name, field_info(field).unit, *limits[name], hover if name == "throttle" else None)
+        for field in fields(kind)
+        for name in (field.name,)
+    )
 
 
 @record
@@ -87,7 +91,9 @@ class Effort:
     tilt: Array = parameter(default=2.0 / math.pi, unit="1/rad", doc="weight of pitch and of roll", minimum=0.0)
     throttle: Array = parameter(default=0.5, unit="1", doc="weight of the throttle", minimum=0.0)
     yaw_rate: Array = parameter(default=1.0, unit="s/rad", doc="weight of the yaw rate", minimum=0.0)
-    hover_throttle: Array = parameter(default=0.59, unit="1", doc="throttle without cost", minimum=0.0, maximum=1.0)
+    hover_throttle: Array = parameter(
+        default=0.59, unit="1", doc="throttle without cost, and that of an action of 0", minimum=0.0, maximum=1.0
+    )
 
     def rate(self, command: Any) -> Array:
         """Return the cost per second (n,) of commands (n,): weighted squares of tilt, throttle and yaw rate."""
@@ -157,7 +163,7 @@ class Commanded(Task):
         """Describe an action, a command of the fleet's vehicles or a velocity, by name, unit and range."""
         if self.actions == "velocity":
             return velocity_axes(FASTEST, "ned")
-        return axes_of(self.command_type(world))
+        return axes_of(self.command_type(world), self.effort.hover_throttle)
 
     def command_type(self, world: World) -> type:
         """Return the record type of commands to the fleet's vehicles."""

@@ -55,8 +55,5 @@ class Holding:
         ahead, right = cos * lacking[:, 0] + sin * lacking[:, 1], cos * lacking[:, 1] - sin * lacking[:, 0]
         pitch, roll = (np.clip(TILT * part, -LARGEST_TILT, LARGEST_TILT) for part in (-ahead, right))
         command = (pitch, roll, self._hover - THROTTLE * lacking[:, 2], -TURN * yaw, np.full_like(yaw, np.inf))
-        parts = [
-            np.clip(2.0 * (value - axis.low) / (axis.high - axis.low) - 1.0, -1.0, 1.0)
-            for value, axis in zip(command, self._axes, strict=True)
-        ]
+        parts = [axis.action(value) for value, axis in zip(command, self._axes, strict=True)]
         return np.stack(parts, axis=1)
