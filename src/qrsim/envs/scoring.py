@@ -87,10 +87,10 @@ class _Function:
 def neutral(play: Play, axis: Axis) -> float:
     """Return the value in [-1, 1] of the neutral action on an axis: hover throttle, full battery, else 0."""
     value = 0.0
-    if axis.name == "throttle" and isinstance(play.task, Commanded):
-        value = float(np.asarray(play.task.effort.hover_throttle))
-    elif axis.name == "battery":
+    if axis.name == "battery":
         value = axis.high
+    elif isinstance(play.task, Commanded):
+        value = play.task.neutral(play.world, axis.name)
     return float(np.clip(2.0 * (value - axis.low) / (axis.high - axis.low) - 1.0, -1.0, 1.0))
 
 

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.arrays import Floats
+from qrsim.tasks.baselines.inner import Inner
+from qrsim.tasks.direct import DIRECT
 from qrsim.tasks.landing import Land
 from qrsim.tasks.play import Play
 from qrsim.tasks.simple import KeepVelocity
@@ -25,20 +27,24 @@ class Holding:
     """Flies a quadrotor to its goal, or along a line at the wanted velocity, heading north.
 
     Args:
-        play: a simple task, whose action is the command of a quadrotor (``FLOWN``).
+        play: a simple task, whose action is the command of a quadrotor (``FLOWN``), or rates or motors of a multirotor.
         seed: nothing is drawn.
     """
 
     def __init__(self, play: Play, seed: int = 0):
+        self._inner = Inner(play) if play.task.actions in DIRECT else None  # type: ignore[attr-defined]
         self._axes, self._period = play.axes, play.task.period
         self._by_velocity, self._lands = isinstance(play.task, KeepVelocity), isinstance(play.task, Land)
         task: Any = play.task
-        self._hover = float(np.asarray(task.effort.hover_throttle))
+        self._hover = task.neutral(play.world, "throttle")
         self._start: Floats | None = None
         self._steps = 0
 
     def act(self, seen: Floats) -> Floats:
-        """Return actions (n, 5) that fly to the goal, for observations (n, 12): estimated state, offset to the goal."""
+        """Return actions (n, A) that fly to the goal, for observations (n, 12): estimated state, offset to the goal.
+
+        For rates and motors observations are (n, 15), with the body rates.
+        """
         position, velocity, yaw, offset = seen[:, :3], seen[:, 3:6], seen[:, 8], seen[:, 9:12]
         wanted = np.zeros_like(velocity)
         if self._by_velocity:
@@ -55,6 +61,8 @@ class Holding:
         ahead, right = cos * lacking[:, 0] + sin * lacking[:, 1], cos * lacking[:, 1] - sin * lacking[:, 0]
         pitch, roll = (np.clip(TILT * part, -LARGEST_TILT, LARGEST_TILT) for part in (-ahead, right))
         command = (pitch, roll, self._hover - THROTTLE * lacking[:, 2], -TURN * yaw, np.full_like(yaw, np.inf))
+        if self._inner is not None:
+            command = self._inner.action(command, seen)
         parts = [
             np.clip(2.0 * (value - axis.low) / (axis.high - axis.low) - 1.0, -1.0, 1.0)
             for value, axis in zip(command, self._axes, strict=True)
