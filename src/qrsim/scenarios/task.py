@@ -80,8 +80,8 @@ def _action_problems(task: Any, fleet: FleetSpec) -> Iterator[str]:
     if not accepts(known.VEHICLES[vehicle]):
         allowed = ", ".join(sorted(name for name, cls in known.VEHICLES.items() if accepts(cls)))
         yield (
-            f"task.actions: {actions}; fleet '{task.fleet}' has vehicles of type '{vehicle}', which accept none; "
-            f"allowed: command, velocity, or vehicles of type {allowed}"
+            f"task.actions: {actions}; only vehicles of type {allowed} accept them, and fleet '{task.fleet}' has type "
+            f"'{vehicle}', which accepts command, velocity"
         )
     if not any(issubclass(known.SENSORS[sensor.type], GYROSCOPES) for sensor in fleet.sensors.values()):
         types = ", ".join(name for name, cls in known.SENSORS.items() if issubclass(cls, GYROSCOPES))

@@ -12,8 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from qrsim.core.arrays import Floats
-from qrsim.core.vectors import Vec3
 from qrsim.models.sensors.imu import IdealImu, Imu
 from qrsim.models.sensors.inertial import Gyroscope, IdealGyroscope
 from qrsim.models.vehicles.commands import clipped
@@ -81,7 +79,7 @@ def rotors_throttle(vehicle: Multirotor, speeds: Sequence[Array]) -> Array:
 
 def measured_rates(fleet: FleetState) -> Array:
     """Return the measured body rates (n, 3) p, q, r [rad/s]; 0 for a missing reading."""
-    rates: Any = measured_quantities(fleet.readings)["rates_body"]  # type: ignore[typeddict-item]
+    rates: Any = measured_quantities(fleet.readings)["rates_body"]
     found: Array = rates.stack()
     return jnp.where(jnp.isfinite(found), found, 0.0)
 
@@ -92,18 +90,19 @@ def hovering(vehicle: Multirotor, name: str) -> float:
     if name == "throttle":
         return float(np.ravel(np.asarray(vehicle.throttle_of(weight / vehicle.site_share)))[0])
     if name.startswith("rotor_"):
-        zero = np.zeros(1)
-        return float(
-            rotor_fractions(vehicle, zero + weight, Vec3(zero, zero, zero))[0, int(name.removeprefix("rotor_"))]
-        )
+        return float(rotor_fractions(vehicle, weight, (0.0, 0.0, 0.0))[int(name.removeprefix("rotor_"))])
     return 0.0
 
 
-def rotor_fractions(vehicle: Multirotor, thrust: Floats, torque: Vec3) -> Floats:
-    """Return rotor speeds (n, N) as parts of the largest, for thrust (n,) [N] and torque [N m] at the site; NumPy."""
-    each: Any = allocation(vehicle.rotors, np.asarray(vehicle.torque_ratio))  # type: ignore[arg-type]
+def rotor_fractions(vehicle: Multirotor, thrust: Any, torque: Sequence[Any]) -> list[Any]:
+    """Return the speed of each rotor as a part of the largest; NumPy.
+
+    Args:
+        vehicle: its parameters; the air is that of the site.
+        thrust: collective [N], a number or (n,).
+        torque: about the body axes [N m], three of the same shape.
+    """
+    rows: Any = allocation(vehicle.rotors, np.asarray(vehicle.torque_ratio))  # type: ignore[arg-type]
     most = np.asarray(vehicle.thrust_coefficient) * np.square(np.asarray(vehicle.speed_max)) * vehicle.site_share
-    parts = (thrust, *torque.axes)
-    wanted = [sum(factor * part for factor, part in zip(row, parts, strict=True)) for row in each]
-    found: Floats = np.stack([np.sqrt(np.clip(one / most, 0.0, 1.0)) for one in wanted], axis=-1)
-    return found
+    wanted = [sum(factor * part for factor, part in zip(row, (thrust, *torque), strict=True)) for row in rows]
+    return [np.sqrt(np.clip(one / most, 0.0, 1.0)) for one in wanted]

@@ -60,7 +60,7 @@ class Holding:
         cos, sin = np.cos(yaw), np.sin(yaw)
         ahead, right = cos * lacking[:, 0] + sin * lacking[:, 1], cos * lacking[:, 1] - sin * lacking[:, 0]
         pitch, roll = (np.clip(TILT * part, -LARGEST_TILT, LARGEST_TILT) for part in (-ahead, right))
-        command = (pitch, roll, self._hover - THROTTLE * lacking[:, 2], -TURN * yaw, np.full_like(yaw, np.inf))
+        command: Any = (pitch, roll, self._hover - THROTTLE * lacking[:, 2], -TURN * yaw, np.full_like(yaw, np.inf))
         if self._inner is not None:
             command = self._inner.action(command, seen)
         parts = [

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.arrays import Floats
-from qrsim.core.vectors import Vec3
 from qrsim.tasks.agents import number_of
 from qrsim.tasks.direct import FASTEST_RATES, RATES, rotor_fractions
 from qrsim.tasks.play import Play
@@ -52,4 +51,4 @@ class Inner:
             for i, (size, gain, rate) in enumerate(zip(inertia, gains, wanted, strict=True))
         ]
         thrust = np.asarray(vehicle.thrust_of(np.clip(throttle, 0.0, 1.0))) * vehicle.site_share
-        return tuple(rotor_fractions(vehicle, thrust, Vec3(*torque)).T)
+        return tuple(rotor_fractions(vehicle, thrust, torque))
