@@ -54,7 +54,7 @@ def narrowed(axes: Sequence[Axis]) -> tuple[Axis, ...]:
 def flown(actions: str, model: Fleet, fleet: FleetState) -> AttitudeCommand:
     """Return the vehicles' own tilt and yaw rate, and their throttle (n,), within the limits of a command.
 
-    The throttle of rates is the commanded one, and that of motors is the one whose thrust the rotors have together.
+    The throttle of rates is the commanded one. The throttle of motors gives the thrust that the rotors have together.
 
     Args:
         actions: rates or motors.

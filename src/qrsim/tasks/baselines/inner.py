@@ -1,4 +1,4 @@
-"""Inner loops of baselines whose actions are body rates or rotor speeds: from tilt, throttle and yaw rate to these."""
+"""Inner loops of baselines: from tilt, throttle and yaw rate to body rates or rotor speeds."""
 
 from __future__ import annotations
 
