@@ -18,6 +18,7 @@ from qrsim.envs.viewing import view_of
 from qrsim.errors import ScenarioError
 from qrsim.models.vehicles.multirotor import Multirotor
 from qrsim.scenarios.scenario import load_scenario
+from qrsim.studies.learn.suited import plan_of
 from qrsim.tasks.baselines import baseline
 from qrsim.tasks.baselines.inner import Inner
 from qrsim.tasks.baselines.many import Many
@@ -89,6 +90,13 @@ def test_a_learner_decides_at_every_step_and_turns_with_the_heading() -> None:
     assert [view.observed[i] for i in view.kept if view.observed[i].startswith(("position", "yaw"))] == []
     assert (view.yaw, view.pairs[1:], view.flown) == (8, ((3, 4), (9, 10)), (0, 1, 2, 3))
     assert view_of(Functional.of("keep_spot", X500)).seconds == 0.1
+
+
+def test_trainings_have_settings_for_short_decisions() -> None:
+    plan = plan_of("keep_spot", tuple(each for each in MOTORS if each != "duration=2"))
+    # Learned in episodes of 20 s, for 10 million decisions, of which 100 are a horizon of 2 s.
+    assert (plan.shorter, plan.steps, plan.settings.discount) == (("duration=20",), 10_000_000, 0.99)
+    assert plan_of("keep_spot", tuple(MOTORS)).shorter == ()
 
 
 def test_inner_loops_by_hand() -> None:
