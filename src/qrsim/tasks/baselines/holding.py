@@ -40,12 +40,18 @@ class Holding:
         self._start: Floats | None = None
         self._steps = 0
 
-    def act(self, seen: Floats) -> Floats:
-        """Return actions (n, A) that fly to the goal, for observations (n, 12): estimated state, offset to the goal.
+    def begin(self, size: int, rows: Floats | None = None) -> None:
+        """Begin ``size`` episodes, all together; ``act`` then takes and returns (size, n, ...)."""
+        self._start, self._steps = None, 0
 
-        For rates and motors observations are (n, 15), with the body rates.
+    def act(self, seen: Floats) -> Floats:
+        """Return actions (..., n, A) that fly to the goal.
+
+        Args:
+            seen: observations (..., n, 12), estimated state and offset to the goal; for rates and motors (..., n, 15),
+                with the body rates.
         """
-        position, velocity, yaw, offset = seen[:, :3], seen[:, 3:6], seen[:, 8], seen[:, 9:12]
+        position, velocity, yaw, offset = seen[..., :3], seen[..., 3:6], seen[..., 8], seen[..., 9:12]
         wanted = np.zeros_like(velocity)
         if self._by_velocity:
             # Who holds a velocity holds the line too: the error of a velocity alone lets a height drift.
@@ -54,17 +60,18 @@ class Holding:
             offset = self._start + wanted * (self._steps * self._period) - position
         elif self._lands:
             # The estimated height may be wrong: it sinks until it stands.
-            offset = np.concatenate([offset[:, :2], np.maximum(offset[:, 2:], SINKING)], axis=1)
+            offset = np.concatenate([offset[..., :2], np.maximum(offset[..., 2:], SINKING)], axis=-1)
         self._steps += 1
         lacking = np.clip(APPROACH * offset, -FASTEST, FASTEST) + wanted - velocity
         cos, sin = np.cos(yaw), np.sin(yaw)
-        ahead, right = cos * lacking[:, 0] + sin * lacking[:, 1], cos * lacking[:, 1] - sin * lacking[:, 0]
+        north, east, down = np.moveaxis(lacking, -1, 0)
+        ahead, right = cos * north + sin * east, cos * east - sin * north
         pitch, roll = (np.clip(TILT * part, -LARGEST_TILT, LARGEST_TILT) for part in (-ahead, right))
-        command: Any = (pitch, roll, self._hover - THROTTLE * lacking[:, 2], -TURN * yaw, np.full_like(yaw, np.inf))
+        command: Any = (pitch, roll, self._hover - THROTTLE * down, -TURN * yaw, np.full_like(yaw, np.inf))
         if self._inner is not None:
             command = self._inner.action(command, seen)
         parts = [
             np.clip(2.0 * (value - axis.low) / (axis.high - axis.low) - 1.0, -1.0, 1.0)
             for value, axis in zip(command, self._axes, strict=True)
         ]
-        return np.stack(parts, axis=1)
+        return np.stack(parts, axis=-1)

@@ -29,17 +29,19 @@ class Inner:
         self._vehicle: Any = play.world.fleets[number_of(play.world, task.fleet)].vehicle
 
     def action(self, command: tuple[Floats, ...], seen: Floats) -> tuple[Floats, ...]:
-        """Return the numbers (n,) of an action.
+        """Return the numbers (..., n) of an action.
 
         Args:
-            command: pitch and roll [rad], throttle and yaw rate [rad/s], each (n,); others are not read.
-            seen: observations (n, 15): estimated state, offset to the goal, body rates.
+            command: pitch and roll [rad], throttle and yaw rate [rad/s], each (..., n); others are not read.
+            seen: observations (..., n, 15): estimated state, offset to the goal, body rates.
         """
         pitch, roll, throttle, turn = command[:4]
         wanted = [
             np.clip(rate, -limit, limit)
             for rate, limit in zip(
-                (ANGLE * (roll - seen[:, 6]), ANGLE * (pitch - seen[:, 7]), turn), FASTEST_RATES.values(), strict=True
+                (ANGLE * (roll - seen[..., 6]), ANGLE * (pitch - seen[..., 7]), turn),
+                FASTEST_RATES.values(),
+                strict=True,
             )
         ]
         if self._by_rates:
@@ -47,7 +49,7 @@ class Inner:
         vehicle = self._vehicle
         gains, inertia = (RATE, RATE, YAW_RATE), vehicle.inertia.axes
         torque = [
-            np.asarray(size) * gain * (rate - seen[:, 12 + i])
+            np.asarray(size) * gain * (rate - seen[..., 12 + i])
             for i, (size, gain, rate) in enumerate(zip(inertia, gains, wanted, strict=True))
         ]
         thrust = np.asarray(vehicle.thrust_of(np.clip(throttle, 0.0, 1.0))) * vehicle.site_share
