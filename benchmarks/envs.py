@@ -21,7 +21,7 @@ ENVIRONMENTS = {
     "CartPole": "CartPole-v1",
 }
 # Pitch, roll, throttle, yaw rate and battery of a hover, in [-1, 1].
-HOVER = (0.0, 0.0, 0.18, 0.0, 1.0)
+HOVER = (0.0, 0.0, 0.0, 0.0, 1.0)
 HEADINGS = {
     "environment": "environment",
     "num_envs": "num_envs",

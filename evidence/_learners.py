@@ -63,7 +63,7 @@ class Study:
 
 # Where a crash costs tens of thousands, the value that a learner expects would grow to that too slowly.
 STUDIES = {
-    "keep_spot": Study("keep_spot"),
+    "keep_spot": Study("keep_spot", learners=5),
     "keep_spot_learner": Study("keep_spot", learner=True, between=50_000, learners=5),
     "goto_waypoint": Study("goto_waypoint", scale=0.01, most=600_000),
 }

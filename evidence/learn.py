@@ -47,7 +47,7 @@ STEPS = {
 }
 SEEDS = 10
 # A mouse that is an agent: decisions, and seeds.
-BOTH, MOUSE_STEPS, MOUSE_SEEDS = "task.mouse=agent", 320_000, 3
+BOTH, MOUSE_STEPS, MOUSE_SEEDS = "task.mouse=agent", 800_000, 3
 NEAR = 3.0
 # Those whose curves are drawn.
 DRAWN = ("keep_velocity", "land_on_pad", PURSUIT)

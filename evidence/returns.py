@@ -14,7 +14,7 @@ from qrsim.envs.batch import Batch
 
 DOC = "returns of the simple tasks with the throttle cut, hovering and by a controller; and with other periods"
 # Pitch, roll, throttle, yaw rate, battery in [-1, 1]; a throttle of 0.59 costs nothing and nearly hovers.
-HOVER, CUT = np.array([0.0, 0.0, 0.18, 0.0, 1.0]), np.array([0.0, 0.0, -1.0, 0.0, 1.0])
+HOVER, CUT = np.array([0.0, 0.0, 0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0, 0.0, 1.0])
 TASKS = ("keep_spot", "goto_waypoint", "keep_velocity", "keep_spot_10")
 SEEDS, SMALL_SEEDS = 100, 8
 # Steps [s], the commands' own length last; how long they are flown.
@@ -75,7 +75,8 @@ def controlled(name: str, seen: Values) -> Values:
     cos, sin = np.cos(yaw), np.sin(yaw)
     ahead, right = cos * lacking[..., 0] + sin * lacking[..., 1], cos * lacking[..., 1] - sin * lacking[..., 0]
     tilt = np.clip(0.12 * np.stack([-ahead, right], axis=-1), -0.3, 0.3) / 0.9
-    throttle = 2.0 * (0.59 - 0.1 * lacking[..., 2]) - 1.0
+    change = -0.1 * lacking[..., 2]
+    throttle = change / np.where(change >= 0.0, 0.41, 0.59)
     parts = [*np.moveaxis(tilt, -1, 0), throttle, -0.2 * yaw / 4.5, np.ones_like(yaw)]
     return np.clip(np.stack(parts, axis=-1), -1.0, 1.0)
 

@@ -37,7 +37,7 @@ NEW = 10**6
 # Rewards are learned from in units of this, of which a crash costs some eight.
 UNIT = 100.0
 # Pitch, roll, throttle, yaw rate and battery of a hover, and how far one unit of the policy goes from there; [-1, 1].
-HOVER = np.array([0.0, 0.0, 0.18, 0.0, 1.0], np.float32)
+HOVER = np.array([0.0, 0.0, 0.0, 0.0, 1.0], np.float32)
 REACH = np.array([0.3, 0.3, 0.2, 0.05], np.float32)
 ACTIONS, FEATURES, WIDTH = 4, 8, 64
 

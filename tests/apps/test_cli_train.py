@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from tests.interrupting import INTERRUPTIBLE
 
 from qrsim import cli
 from qrsim.errors import UsageError
+from qrsim.tasks.learned import read_policy
 
 TINY = ["--envs", "16", "--steps", "2048", "--set", "duration=2"]
 
@@ -122,6 +124,12 @@ def test_a_policy_is_trained_scored_and_flown(capsys: pytest.CaptureFixture[str]
     assert "scenario outdoor_patrol has no task" in capsys.readouterr().err
     assert cli.main(["run", "keep_spot", *policy, "--policy-ticks", "2"]) == 2
     assert "a learned policy is called once per step of its task" in capsys.readouterr().err
+    # So is one of an earlier version, in which 0.18 was the throttle of hover.
+    kept = read_policy("kept/policy.npz")
+    earlier = replace(kept, view=replace(kept.view, centre=(0.0, 0.0, 0.18, 0.0, 1.0)))
+    Path("earlier.npz").write_bytes(earlier.content())
+    assert cli.main(["score", "keep_spot", "--policy", "earlier.npz"]) == 2
+    assert "its throttle of hover is not 0, as the task's is; train it again" in capsys.readouterr().err
 
 
 @pytest.mark.long

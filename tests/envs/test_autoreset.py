@@ -18,7 +18,7 @@ from qrsim.errors import UsageError
 
 # Three steps of 0.02 s an episode.
 SHORT: dict[str, Any] = {"extends": "keep_spot", "name": "three_steps", "duration": 0.06}
-HOVER = np.tile(np.array([0.0, 0.0, 0.18, 0.0, 1.0], np.float32), (2, 1))
+HOVER = np.tile(np.array([0.0, 0.0, 0.0, 0.0, 1.0], np.float32), (2, 1))
 
 
 @pytest.fixture(autouse=True)

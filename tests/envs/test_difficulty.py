@@ -51,7 +51,7 @@ def test_both_ends_grow_from_the_scenarios_own_number(difficulty: float, low: fl
 
 def test_episodes_under_way_go_on_and_later_ones_are_others() -> None:
     env = many()
-    actions = np.tile(np.array([0.0, 0.0, 0.18, 0.0, 1.0], np.float32), (200, 1))
+    actions = np.tile(np.array([0.0, 0.0, 0.0, 0.0, 1.0], np.float32), (200, 1))
     env.reset(seed=1, options={"difficulty": 1.0})
     before = masses(env)
     env.step(actions)

@@ -16,7 +16,7 @@ from qrsim.envs.vector import VectorTask
 from qrsim.errors import UsageError
 from qrsim.runs.colours import STOPPED, VEHICLES
 
-HOVER = np.array([0.0, 0.0, 0.18, 0.0, 1.0], np.float32)
+HOVER = np.array([0.0, 0.0, 0.0, 0.0, 1.0], np.float32)
 DIVE = np.array([1.0, 0.0, -1.0, 0.0, 1.0], np.float32)
 
 

@@ -25,7 +25,7 @@ from qrsim.scenarios.scenario import built_in_names, load_scenario
 
 # Out of its space within a second: full pitch.
 DIVE = np.array([1.0, 0.0, -1.0, 0.0, 1.0], np.float32)
-HOVER = np.array([0.0, 0.0, 0.18, 0.0, 1.0], np.float32)
+HOVER = np.array([0.0, 0.0, 0.0, 0.0, 1.0], np.float32)
 
 
 @pytest.fixture(autouse=True)

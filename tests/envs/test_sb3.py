@@ -14,7 +14,7 @@ from qrsim.errors import UsageError
 
 INSTALL = "needs Stable-Baselines3: python -m pip install stable-baselines3"
 SHORT: dict[str, Any] = {"extends": "keep_spot", "name": "three_steps", "duration": 0.06}
-HOVER = np.array([0.0, 0.0, 0.18, 0.0, 1.0], np.float32)
+HOVER = np.array([0.0, 0.0, 0.0, 0.0, 1.0], np.float32)
 
 
 def test_without_it_a_line_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,7 +21,7 @@ def fleeing(seen: Any) -> Any:
 
 def leaning(seen: Any) -> Any:
     """Return the command of the hover throttle and 0.3 rad of pitch."""
-    return np.tile([1.0 / 3.0, 0.0, 0.18, 0.0, 1.0], (len(seen), 1))
+    return np.tile([1.0 / 3.0, 0.0, 0.0, 0.0, 1.0], (len(seen), 1))
 
 
 def test_the_same_episodes_are_flown_by_every_policy() -> None:

@@ -147,7 +147,7 @@ def test_others_check_them() -> None:
     many.reset(seed=1)
     seen_false, reaches = 0, set()
     for _ in range(30):
-        seen, *_ = many.step(np.tile(np.array([0.0, 0.0, 0.18, 0.0, 1.0], np.float32), (20, 1)))
+        seen, *_ = many.step(np.tile(np.array([0.0, 0.0, 0.0, 0.0, 1.0], np.float32), (20, 1)))
         assert many.observation_space.contains(seen)
         seen_false += int(seen[:, 12 + 1 + 3].sum())
         reaches |= set(seen[:, -1].round(3).tolist())

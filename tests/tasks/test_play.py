@@ -17,6 +17,7 @@ from qrsim.core.vectors import Vec3
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation
 from qrsim.tasks import Play
+from qrsim.tasks.agents import Axis, still
 
 Array = np.ndarray[Any, Any]
 QUICK: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
@@ -192,6 +193,20 @@ def test_a_step_of_several_ticks_is_those_ticks_of_a_simulation() -> None:
             np.testing.assert_allclose(one, np.asarray(two)[0], rtol=1e-3, atol=2e-3)
 
 
+def test_a_throttle_of_zero_is_that_of_hover() -> None:
+    """Linear from there to both ends; and what is 0 for a number at an end of its range has one side only."""
+    game = play("keep_spot")
+    asked = np.array([-1.0, -0.5, 0.0, 0.5, 1.0], np.float32)
+    flown = [game.scaled(np.array([[0.0, 0.0, throttle, 0.5, 1.0]], np.float32))[0] for throttle in asked]
+    np.testing.assert_allclose([row[2] for row in flown], [0.0, 0.295, 0.59, 0.795, 1.0], rtol=1e-6)
+    np.testing.assert_allclose([row[3] for row in flown], 2.25, rtol=1e-6)
+    np.testing.assert_allclose(game.axes[2].action(np.array([row[2] for row in flown])), asked, atol=1e-6)
+    np.testing.assert_array_equal(
+        Axis("lift", "1", 0.0, 1.0, 0.0).action(np.array([-1.0, 0.0, 0.25])), [0.0, 0.0, 0.25]
+    )
+    np.testing.assert_allclose(still(game.axes), [0.0, 0.0, 0.0, 0.0, 1.0])
+
+
 @pytest.mark.long
 def test_the_cost_of_keeping_a_spot_is_as_defined() -> None:
     game = play("keep_spot")
@@ -200,9 +215,9 @@ def test_the_cost_of_keeping_a_spot_is_as_defined() -> None:
     after, step = steer(game, episode, action)
     flown = after.state.fleets[0].command
     np.testing.assert_allclose(
-        [float(np.asarray(part)[0, 0]) for part in jax.tree.leaves(flown)], [0.45, -0.225, 0.7, 2.25, 12.0], rtol=1e-6
+        [float(np.asarray(part)[0, 0]) for part in jax.tree.leaves(flown)], [0.45, -0.225, 0.754, 2.25, 12.0], rtol=1e-6
     )
-    effort = (2.0 / np.pi) ** 2 * (0.45**2 + 0.225**2) + (0.5 * (0.7 - 0.59)) ** 2 + 2.25**2
+    effort = (2.0 / np.pi) ** 2 * (0.45**2 + 0.225**2) + (0.5 * (0.754 - 0.59)) ** 2 + 2.25**2
     place = np.asarray(after.state.fleets[0].vehicle.position_ned.stack())[0, 0]
     # On the way to the nearest limit, 10 m away, half of what a crash costs is paid too: 0.5 1859.615 (d/10)^2.
     expected = -effort * 0.02 - (1.0 + 9.298) * np.sum((place - [0.0, 0.0, -10.0]) ** 2)

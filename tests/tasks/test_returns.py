@@ -40,9 +40,11 @@ def batch(name: str, size: int, *overrides: str) -> Batch:
 
 def effort_of(commands: Array) -> Array:
     """Return what commands (..., 5) cost per second, as published."""
-    pitch, roll, throttle, yaw_rate = commands[..., :4].T * np.array([0.9, 0.9, 0.5, 4.5])[:, None]
+    pitch, roll, throttle, yaw_rate = commands[..., :4].T * np.array([0.9, 0.9, 1.0, 4.5])[:, None]
+    # Of a throttle of 0.59, that of hover: up to 0.41 above it and 0.59 below.
+    throttle = np.where(throttle >= 0.0, 0.41, 0.59) * throttle
     tilt = (2.0 / math.pi) ** 2 * (pitch**2 + roll**2)
-    cost: Array = tilt + (0.5 * (throttle + 0.5 - 0.59)) ** 2 + yaw_rate**2
+    cost: Array = tilt + (0.5 * throttle) ** 2 + yaw_rate**2
     return cost
 
 

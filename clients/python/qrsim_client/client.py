@@ -40,6 +40,7 @@ from qrsim_client.replies import (
     Status,
     VehicleStatus,
     arrays_of,
+    axes_of,
     seen_of,
     state_of,
 )
@@ -240,9 +241,8 @@ class Client(SharedCalls):
         found = self._call(Message(type=Message.PLAY, play=request), Message.EPISODE).episode
         return Episode(
             session=found.id, scenario=found.scenario, seed=found.seed, number=found.number, agents=tuple(found.agent),
-            axes=tuple(Axis(axis.name, axis.unit, axis.low, axis.high) for axis in found.axis), period=found.period,
-            steps=found.steps, answer_shape=tuple(found.answer_shape), observation=seen_of(found.observation),
-            info=arrays_of(found.info), say_size=found.say_size,
+            axes=axes_of(found.axis), period=found.period, steps=found.steps, answer_shape=tuple(found.answer_shape),
+            observation=seen_of(found.observation), info=arrays_of(found.info), say_size=found.say_size,
         )  # fmt: skip
 
     def act(self, action: object, answer: object = None, say: Any = None) -> Outcome:

@@ -14,11 +14,10 @@ from qrsim.core.arrays import Floats
 from qrsim.envs.batch import Batch, numbers, one_line
 from qrsim.envs.dataset import Recording
 from qrsim.errors import QrsimError, RunError, UsageError, did_you_mean
-from qrsim.tasks.agents import Axis
+from qrsim.tasks.agents import still
 from qrsim.tasks.baselines import baseline, oracle
 from qrsim.tasks.contracts import Answering
 from qrsim.tasks.play import Play
-from qrsim.tasks.simple import Commanded
 from qrsim.tasks.speaking import ACT, SAY
 from qrsim.tasks.teams import apart, axes_of_agents, by_fleet
 
@@ -53,7 +52,7 @@ class Hover:
     """Asks for nothing: of a command the neutral value of each number, of a velocity zero; hands in zeros."""
 
     def __init__(self, play: Play, seed: int = 0):
-        rows = [[neutral(play, axis) for axis in axes] for axes in axes_of_agents(play.sides)]
+        rows = [list(still(axes)) for axes in axes_of_agents(play.sides)]
         self._still = apart(play.sides, np.array([row + [0.0] * (play.width - len(row)) for row in rows]))
 
     def act(self, seen: object) -> Any:
@@ -82,16 +81,6 @@ class _Function:
     def act(self, seen: object) -> Any:
         """Return the actions that the user's function returns for the observations."""
         return self._function(seen)
-
-
-def neutral(play: Play, axis: Axis) -> float:
-    """Return the value in [-1, 1] of the neutral action on an axis: hover throttle, full battery, else 0."""
-    value = 0.0
-    if axis.name == "battery":
-        value = axis.high
-    elif isinstance(play.task, Commanded):
-        value = play.task.neutral(play.world, axis.name)
-    return float(np.clip(2.0 * (value - axis.low) / (axis.high - axis.low) - 1.0, -1.0, 1.0))
 
 
 def maker(policy: str | object, play: Play) -> Callable[[Play, int], Policy]:

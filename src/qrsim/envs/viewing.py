@@ -7,8 +7,8 @@ import numpy as np
 from qrsim.envs import VERSION
 from qrsim.envs.batch import Batch
 from qrsim.envs.functional import Functional
-from qrsim.envs.scoring import neutral
 from qrsim.errors import UsageError
+from qrsim.tasks.agents import still
 from qrsim.tasks.direct import DIRECT
 from qrsim.tasks.learned import View, observed_names
 from qrsim.tasks.search import Search
@@ -87,7 +87,7 @@ def view_of(functional: Functional, integral: bool = False, fleet: str | None = 
         pairs=pairs,
         yaw=observed.index("yaw") if turns else None,
         flown=flown,
-        centre=tuple(round(neutral(play, axis), 6) for axis in side.axes),
+        centre=tuple(round(value, 6) for value in still(side.axes)),
         reach=tuple(_reach(act, direct) for act in acts),
         ahead=(observed.index(towards[0]), observed.index(towards[1])) if chases and towards is not None else None,
         fleet=fleet if several else None,

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from qrsim.control import Estimate
@@ -24,12 +26,35 @@ class Axis:
         name: what it is.
         unit: of the number.
         low, high: its range; an agent says -1 for low and 1 for high.
+        neutral: what 0 of an action means, () or a float, such as the throttle of hover; between 0 and -1 or 1 it is
+            linear. None: the middle of the range.
     """
 
     name: str
     unit: str
     low: float = -float("inf")
     high: float = float("inf")
+    neutral: Any = None
+
+    @property
+    def centre(self) -> Any:
+        """Place of ``neutral`` in the range (), from -1 to 1; 0 is the middle."""
+        return 0.0 if self.neutral is None else 2.0 * (self.neutral - self.low) / (self.high - self.low) - 1.0
+
+    def action(self, value: Any) -> Any:
+        """Return the numbers in [-1, 1] of an action for values (...) in units, limited to the range; NumPy."""
+        place = np.clip(2.0 * (value - self.low) / (self.high - self.low) - 1.0, -1.0, 1.0)
+        if self.neutral is None:
+            return place
+        away = place - float(self.centre)
+        width = np.where(away >= 0.0, 1.0 - float(self.centre), 1.0 + float(self.centre))
+        return np.divide(away, width, out=np.zeros_like(width), where=width > 0.0)
+
+
+def still(axes: tuple[Axis, ...]) -> tuple[float, ...]:
+    """Return the action in [-1, 1] that asks for nothing: hover throttle, full battery, else 0 in units."""
+    values = [(axis.high if axis.name == "battery" else 0.0) if axis.neutral is None else None for axis in axes]
+    return tuple(0.0 if value is None else float(axis.action(value)) for axis, value in zip(axes, values, strict=True))
 
 
 def penalty() -> Array:

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
+from qrsim.control.setpoints import library
 from qrsim.models.sensors.imu import IdealImu, Imu
 from qrsim.models.sensors.inertial import Gyroscope, IdealGyroscope
 from qrsim.models.vehicles.commands import clipped
@@ -43,12 +43,23 @@ def command_kind(actions: str, vehicle: Multirotor) -> type:
     return RateCommand if actions == RATES else MotorCommand.of_count(len(vehicle.rotors))
 
 
-def narrowed(axes: Sequence[Axis]) -> tuple[Axis, ...]:
-    """Return a command's axes with the rates limited to ``FASTEST_RATES``."""
-    limits = {axis.name: FASTEST_RATES.get(axis.name) for axis in axes}
-    return tuple(
-        axis if (limit := limits[axis.name]) is None else Axis(axis.name, axis.unit, -limit, limit) for axis in axes
-    )
+def direct_axes(axes: Sequence[Axis], vehicle: Multirotor) -> tuple[Axis, ...]:
+    """Return the axes of rates or motors: rates within ``FASTEST_RATES``; 0 of throttle and rotors is a hover."""
+    rotors = rotor_fractions(vehicle, vehicle.mass * vehicle.gravity, (0.0, 0.0, 0.0))
+    hover = {f"rotor_{number}": fraction for number, fraction in enumerate(rotors)}
+    hover["throttle"] = hover_throttle(vehicle)
+    found = []
+    for axis in axes:
+        limit, neutral = FASTEST_RATES.get(axis.name), hover.get(axis.name)
+        low, high = (axis.low, axis.high) if limit is None else (-limit, limit)
+        # Of a fleet of different vehicles it is the first that hovers.
+        found.append(Axis(axis.name, axis.unit, low, high, None if neutral is None else neutral.reshape(-1)[0]))
+    return tuple(found)
+
+
+def hover_throttle(vehicle: Multirotor) -> Array:
+    """Return the throttle, () or (n,), of a hover in the air of the site."""
+    return vehicle.throttle_of(vehicle.mass * vehicle.gravity / vehicle.site_share)
 
 
 def flown(actions: str, model: Fleet, fleet: FleetState) -> AttitudeCommand:
@@ -84,25 +95,16 @@ def measured_rates(fleet: FleetState) -> Array:
     return jnp.where(jnp.isfinite(found), found, 0.0)
 
 
-def hovering(vehicle: Multirotor, name: str) -> float:
-    """Return the value of the action number ``name`` with which a fleet's first vehicle hovers; NumPy."""
-    weight = np.ravel(np.asarray(vehicle.mass * vehicle.gravity))[0]
-    if name == "throttle":
-        return float(np.ravel(np.asarray(vehicle.throttle_of(weight / vehicle.site_share)))[0])
-    if name.startswith("rotor_"):
-        return float(rotor_fractions(vehicle, weight, (0.0, 0.0, 0.0))[int(name.removeprefix("rotor_"))])
-    return 0.0
-
-
 def rotor_fractions(vehicle: Multirotor, thrust: Any, torque: Sequence[Any]) -> list[Any]:
-    """Return the speed of each rotor as a part of the largest; NumPy.
+    """Return the speed of each rotor as a part of the largest; NumPy or JAX.
 
     Args:
         vehicle: its parameters; the air is that of the site.
         thrust: collective [N], a number or (n,).
         torque: about the body axes [N m], three of the same shape.
     """
-    rows: Any = allocation(vehicle.rotors, np.asarray(vehicle.torque_ratio))  # type: ignore[arg-type]
-    most = np.asarray(vehicle.thrust_coefficient) * np.square(np.asarray(vehicle.speed_max)) * vehicle.site_share
+    lib = library(thrust)
+    rows: Any = allocation(vehicle.rotors, vehicle.torque_ratio)
+    most = vehicle.thrust_coefficient * (vehicle.speed_max * vehicle.speed_max) * vehicle.site_share
     wanted = [sum(factor * part for factor, part in zip(row, (thrust, *torque), strict=True)) for row in rows]
-    return [np.sqrt(np.clip(one / most, 0.0, 1.0)) for one in wanted]
+    return [lib.sqrt(lib.clip(one / most, 0.0, 1.0)) for one in wanted]

@@ -20,6 +20,7 @@ from qrsim.core.arrays import Floats
 from qrsim.errors import UsageError, readable
 from qrsim.files.numpy_file import read_arrays
 from qrsim.files.user_files import read_bytes
+from qrsim.tasks.agents import still
 from qrsim.tasks.baselines.one_of_several import OneOfSeveral
 from qrsim.tasks.play import Play
 from qrsim.tasks.teams import side_of_fleet
@@ -264,6 +265,8 @@ class PolicyFile:
                     f"policy {self.name}: it {what} {_shown(mine, start)}; the task's agents have "
                     f"{_shown(theirs, start)}"
                 )
+        if not np.allclose(self.view.centre, still(side_of_fleet(play.sides, fleet).axes), atol=1e-4):
+            raise UsageError(f"policy {self.name}: its throttle of hover is not 0, as the task's is; train it again")
 
     def pilot(self, agents: int, period: float) -> LearnedPolicy:
         """Return this policy as an object that acts for ``agents`` agents, at the start of their episodes.

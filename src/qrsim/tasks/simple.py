@@ -14,7 +14,6 @@ from dataclasses import fields
 from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from qrsim.control import VelocitySetpoint
@@ -37,7 +36,7 @@ from qrsim.tasks.agents import (
     velocity_axes,
 )
 from qrsim.tasks.contracts import Task
-from qrsim.tasks.direct import DIRECT, OBSERVED_RATES, command_kind, flown, hovering, measured_rates, narrowed
+from qrsim.tasks.direct import DIRECT, OBSERVED_RATES, command_kind, direct_axes, flown, measured_rates
 from qrsim.tasks.perceived import sensed, sensed_axes, senses
 from qrsim.world.state import Action, Fleet, FleetState, State, World
 
@@ -49,10 +48,14 @@ FASTEST = 3.0
 SHORTEST_REACH = 1.0
 
 
-def axes_of(kind: type) -> tuple[Axis, ...]:
-    """Describe the fields of a command record as numbers of an action: name, unit and range."""
+def axes_of(kind: type, hover: Any = None) -> tuple[Axis, ...]:
+    """Describe the fields of a command record as numbers of an action; 0 of a throttle means ``hover`` ()."""
     limits = limits_of(kind)
-    return tuple(Axis(field.name, field_info(field).unit, *limits[field.name]) for field in fields(kind))
+    return tuple(
+        Axis(name, field_info(field).unit, *limits[name], hover if name == "throttle" else None)
+        for field in fields(kind)
+        for name in (field.name,)
+    )
 
 
 @record
@@ -89,7 +92,9 @@ class Effort:
     tilt: Array = parameter(default=2.0 / math.pi, unit="1/rad", doc="weight of pitch and of roll", minimum=0.0)
     throttle: Array = parameter(default=0.5, unit="1", doc="weight of the throttle", minimum=0.0)
     yaw_rate: Array = parameter(default=1.0, unit="s/rad", doc="weight of the yaw rate", minimum=0.0)
-    hover_throttle: Array = parameter(default=0.59, unit="1", doc="throttle without cost", minimum=0.0, maximum=1.0)
+    hover_throttle: Array = parameter(
+        default=0.59, unit="1", doc="throttle without cost, and that of an action of 0", minimum=0.0, maximum=1.0
+    )
 
     def rate(self, command: Any) -> Array:
         """Return the cost per second (n,) of commands (n,): weighted squares of tilt, throttle and yaw rate."""
@@ -161,20 +166,14 @@ class Commanded(Task):
         if self.actions == "velocity":
             return velocity_axes(FASTEST, "ned")
         if self.actions in DIRECT:
-            return narrowed(axes_of(self.action_type(world)))
-        return axes_of(self.command_type(world))
+            vehicle: Any = world.fleets[number_of(world, self.fleet)].vehicle
+            return direct_axes(axes_of(self.action_type(world)), vehicle)
+        return axes_of(self.command_type(world), self.effort.hover_throttle)
 
     def action_type(self, world: World) -> type:
         """Return the record type of commands that an action gives."""
         vehicle: Any = world.fleets[number_of(world, self.fleet)].vehicle
         return command_kind(self.actions, vehicle) if self.actions in DIRECT else vehicle.command_type
-
-    def neutral(self, world: World, name: str) -> float:
-        """Return the value of the action's number ``name``, in its unit, at which a vehicle hovers."""
-        if self.actions in DIRECT:
-            vehicle: Any = world.fleets[number_of(world, self.fleet)].vehicle
-            return hovering(vehicle, name)
-        return float(np.asarray(self.effort.hover_throttle)) if name == "throttle" else 0.0
 
     def command_type(self, world: World) -> type:
         """Return the record type of commands to the fleet's vehicles."""

@@ -79,7 +79,22 @@ def in_units(sides: tuple[Side, ...], action: Any) -> Any:
         rows = [[getattr(axis, end) for axis in axes] for axes in axes_of_agents(sides)]
         ends.append(lib.asarray([row + [nothing] * (most - len(row)) for row in rows], action.dtype))
     low, high = ends
-    return low + 0.5 * (lib.clip(action, -1.0, 1.0) + 1.0) * (high - low)
+    action = lib.clip(action, -1.0, 1.0)
+    if any(axis.neutral is not None for side in sides for axis in side.axes):
+        # Where 0 is the middle of the range the numbers stay as they are, to the last bit.
+        centre = _centres(lib, sides, most, action.dtype)
+        action = centre + action * lib.where(action >= 0.0, 1.0 - centre, 1.0 + centre)
+    return low + 0.5 * (action + 1.0) * (high - low)
+
+
+def _centres(lib: Any, sides: tuple[Side, ...], most: int, dtype: Any) -> Any:
+    """Return where 0 of each agent's action lies in its range (n, A), from -1 to 1; NumPy or JAX."""
+    rows = []
+    for side in sides:
+        centres = [lib.asarray(axis.centre, dtype) for axis in side.axes]
+        row = lib.stack(centres + [lib.asarray(0.0, dtype)] * (most - len(centres)))
+        rows.append(lib.broadcast_to(row[None], (len(side.names), most)))
+    return lib.concatenate(rows)
 
 
 def apart(sides: tuple[Side, ...], action: Any) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -130,7 +130,7 @@ class Recording:
         """The runs that the page shows: only this one."""
         return [Member("", self)]
 
-    @property
+    @cached_property
     def events(self) -> list[Event]:
         """Events of the run, with stops in words; [] if they were not recorded."""
         return [as_shown(event, self._area) for event in self.run.events] if EVENTS in self.run else []

@@ -52,11 +52,11 @@ def tour(port: int) -> dict[str, object]:
         found["events"] = [event["kind"] for event in client.events()]
         found["pace"] = client.pace()["factor"]
         episode = client.play("keep_spot", seed=7)
-        outcome = client.act([[0.0, 0.0, 0.18, 0.0, 1.0]])
+        outcome = client.act([[0.0, 0.0, 0.0, 0.0, 1.0]])
         found["play"] = [episode.agents, episode.seed, episode.steps, outcome.step, float(outcome.reward[0])]
         with Client(port=port) as watcher:
             states = watcher.watch(timeout=20.0)
-            client.act([[0.0, 0.0, 0.18, 0.0, 1.0]])
+            client.act([[0.0, 0.0, 0.0, 0.0, 1.0]])
             found["watched"] = next(states).state.shape
         client.disconnect()
     with Client(port=port) as client:

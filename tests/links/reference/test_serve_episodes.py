@@ -22,7 +22,7 @@ TWO_SIDES = "extends: cats_and_mouse/1A\nname: two_sides\ntask: {mouse: agent}\n
 SLOW = "extends: keep_spot\nname: slow\nduration: 600.0\ntask: {period: 300.0}\n"
 PLUMES = "extends: plume_mapping/3D\nname: short_plumes\nduration: 2.0\n"
 # Out of its space within a second: full pitch.
-DIVE, HOVER = [1.0, 0.0, -1.0, 0.0, 1.0], [0.0, 0.0, 0.18, 0.0, 1.0]
+DIVE, HOVER = [1.0, 0.0, -1.0, 0.0, 1.0], [0.0, 0.0, 0.0, 0.0, 1.0]
 
 
 @pytest.fixture

@@ -39,6 +39,7 @@ from qrsim.links.reference.replies import (
     Status,
     VehicleStatus,
     arrays_of,
+    axes_of,
     seen_of,
     state_of,
 )
@@ -239,9 +240,8 @@ class Client(SharedCalls):
         found = self._call(Message(type=Message.PLAY, play=request), Message.EPISODE).episode
         return Episode(
             session=found.id, scenario=found.scenario, seed=found.seed, number=found.number, agents=tuple(found.agent),
-            axes=tuple(Axis(axis.name, axis.unit, axis.low, axis.high) for axis in found.axis), period=found.period,
-            steps=found.steps, answer_shape=tuple(found.answer_shape), observation=seen_of(found.observation),
-            info=arrays_of(found.info), say_size=found.say_size,
+            axes=axes_of(found.axis), period=found.period, steps=found.steps, answer_shape=tuple(found.answer_shape),
+            observation=seen_of(found.observation), info=arrays_of(found.info), say_size=found.say_size,
         )  # fmt: skip
 
     def act(self, action: object, answer: object = None, say: Any = None) -> Outcome:

@@ -19,6 +19,7 @@ from qrsim.links.shared.kinds import kinds_of
 from qrsim.scenarios import catalogue
 from qrsim.scenarios.scenario import Scenario
 from qrsim.simulation.simulation import Simulation
+from qrsim.tasks.agents import Axis
 from qrsim.world.state import Fleet, World
 
 Part = pb.World.Part
@@ -135,3 +136,9 @@ def _values(content: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, obje
 def _is_several(value: object) -> bool:
     """Return whether a value is a list of lists of points."""
     return bool(isinstance(value, list) and value and isinstance(value[0], list) and isinstance(value[0][0], list))
+
+
+def axis_message(axis: Axis) -> pb.Episode.Axis:
+    """Return the description of a number of an action as a message."""
+    neutral = None if axis.neutral is None else float(axis.neutral)
+    return pb.Episode.Axis(name=axis.name, unit=axis.unit, low=axis.low, high=axis.high, neutral=neutral)

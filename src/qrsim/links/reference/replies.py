@@ -67,12 +67,13 @@ class Session:
 
 @dataclass(frozen=True)
 class Axis:
-    """One number of an action; -1 and 1 of the action mean ``low`` and ``high`` in ``unit``."""
+    """One number of an action; -1, 0 and 1 of the action mean ``low``, ``neutral`` and ``high`` in ``unit``."""
 
     name: str
     unit: str
     low: float
     high: float
+    neutral: float
 
 
 @dataclass(frozen=True)
@@ -268,6 +269,17 @@ def state_of(found: Any) -> State:
 def heard_of(found: Iterable[Any]) -> tuple[Heard, ...]:
     """Convert the radio messages that a vehicle has received from protobuf to ``Heard`` records."""
     return tuple(Heard(each.sender, each.sent, each.received, each.rssi, np.array(each.value)) for each in found)
+
+
+def axes_of(found: Iterable[Any]) -> tuple[Axis, ...]:
+    """Convert the protobuf description of an action's numbers."""
+    return tuple(
+        Axis(
+            name=axis.name, unit=axis.unit, low=axis.low, high=axis.high,
+            neutral=axis.neutral if axis.HasField("neutral") else 0.5 * (axis.low + axis.high),
+        )
+        for axis in found
+    )  # fmt: skip
 
 
 def arrays_of(found: Iterable[Any]) -> dict[str, Array]:

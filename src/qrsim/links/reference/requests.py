@@ -11,7 +11,7 @@ from qrsim.errors import UsageError
 from qrsim.files import Content
 from qrsim.links.pacing import checked_factor
 from qrsim.links.reference import shared_requests as shared
-from qrsim.links.reference.describing import description
+from qrsim.links.reference.describing import axis_message, description
 from qrsim.links.reference.episode_session import EpisodeSession
 from qrsim.links.reference.injecting import clear, inject
 from qrsim.links.reference.protocol import qrsim_pb2 as pb
@@ -310,7 +310,7 @@ async def play(connection: Client, message: Message) -> None:
         seed=session.seed,
         number=session.episode,
         agent=session.play.agents,
-        axis=[pb.Episode.Axis(**vars(axis)) for axis in session.play.axes],
+        axis=[axis_message(axis) for axis in session.play.axes],
         period=session.play.ticks * session.play.world.time_step,
         steps=session.play.steps,
         answer_shape=session.answer_shape,

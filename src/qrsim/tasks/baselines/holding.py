@@ -36,7 +36,7 @@ class Holding:
         self._axes, self._period = play.axes, play.task.period
         self._by_velocity, self._lands = isinstance(play.task, KeepVelocity), isinstance(play.task, Land)
         task: Any = play.task
-        self._hover = task.neutral(play.world, "throttle")
+        self._hover = float(np.asarray(task.effort.hover_throttle)) if self._inner is None else self._inner.hover
         self._start: Floats | None = None
         self._steps = 0
 
@@ -70,8 +70,5 @@ class Holding:
         command: Any = (pitch, roll, self._hover - THROTTLE * down, -TURN * yaw, np.full_like(yaw, np.inf))
         if self._inner is not None:
             command = self._inner.action(command, seen)
-        parts = [
-            np.clip(2.0 * (value - axis.low) / (axis.high - axis.low) - 1.0, -1.0, 1.0)
-            for value, axis in zip(command, self._axes, strict=True)
-        ]
+        parts = [axis.action(value) for value, axis in zip(command, self._axes, strict=True)]
         return np.stack(parts, axis=-1)

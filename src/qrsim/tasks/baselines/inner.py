@@ -8,7 +8,7 @@ import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.tasks.agents import number_of
-from qrsim.tasks.direct import FASTEST_RATES, RATES, rotor_fractions
+from qrsim.tasks.direct import FASTEST_RATES, RATES, hover_throttle, rotor_fractions
 from qrsim.tasks.play import Play
 
 # Rate for each radian of tilt, and angular acceleration for each rad/s of roll and pitch rate, and of yaw rate [1/s].
@@ -21,12 +21,16 @@ class Inner:
 
     Args:
         play: the task, with multirotors.
+
+    Attributes:
+        hover: throttle, () or (n,), of a hover.
     """
 
     def __init__(self, play: Play):
         task: Any = play.task
         self._by_rates = task.actions == RATES
-        self._vehicle: Any = play.world.fleets[number_of(play.world, task.fleet)].vehicle
+        vehicle: Any = play.world.fleets[number_of(play.world, task.fleet)].vehicle
+        self._vehicle, self.hover = vehicle, np.asarray(hover_throttle(vehicle))
 
     def action(self, command: tuple[Floats, ...], seen: Floats) -> tuple[Floats, ...]:
         """Return the numbers (..., n) of an action.

@@ -306,16 +306,18 @@ class Values(_message.Message):
 class Episode(_message.Message):
     __slots__ = ("id", "scenario", "seed", "number", "agent", "axis", "period", "steps", "answer_shape", "say_size", "observation", "info")
     class Axis(_message.Message):
-        __slots__ = ("name", "unit", "low", "high")
+        __slots__ = ("name", "unit", "low", "high", "neutral")
         NAME_FIELD_NUMBER: _ClassVar[int]
         UNIT_FIELD_NUMBER: _ClassVar[int]
         LOW_FIELD_NUMBER: _ClassVar[int]
         HIGH_FIELD_NUMBER: _ClassVar[int]
+        NEUTRAL_FIELD_NUMBER: _ClassVar[int]
         name: str
         unit: str
         low: float
         high: float
-        def __init__(self, name: _Optional[str] = ..., unit: _Optional[str] = ..., low: _Optional[float] = ..., high: _Optional[float] = ...) -> None: ...
+        neutral: float
+        def __init__(self, name: _Optional[str] = ..., unit: _Optional[str] = ..., low: _Optional[float] = ..., high: _Optional[float] = ..., neutral: _Optional[float] = ...) -> None: ...
     ID_FIELD_NUMBER: _ClassVar[int]
     SCENARIO_FIELD_NUMBER: _ClassVar[int]
     SEED_FIELD_NUMBER: _ClassVar[int]
