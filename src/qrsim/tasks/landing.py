@@ -27,7 +27,7 @@ class Land(ReachWaypoint):
         stands = on_ground(model, fleet)
         return effort + (self.airborne if stands is None else jnp.where(stands, 0.0, self.airborne))
 
-    def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
+    def highest_cost(self, memory: SimpleMemory, world: World, duration: Array) -> Array:
         """Return the largest possible cost (n,) in ``duration`` [s]: as in ``reach_waypoint``, and never landed."""
         highest: Array = ReachWaypoint.highest_cost(self, memory, world, duration)
         return highest + self.airborne * duration
