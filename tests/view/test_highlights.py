@@ -86,7 +86,7 @@ def plots(recording: Recording) -> Plots:
 def test_who_and_when_in_flight_only(plots: Plots):
     # b is 4.00 m from c at 4 s; the collision at 5 s was at 3.75 m, which only its event knows.
     assert [(at if at is None else round(at, 6), text) for at, text in plots.highlights()] == [
-        (3.0, "stopped: 2 of 3: a 3.00 s, b 5.00 s"),
+        (3.0, "stopped: 2 of 3: a 3.00 s left the area to the north; b 5.00 s came too close to c, 3.75 m"),
         (3.0, "outside the fence: a by 0.25 m to the north at 3.00 s"),
         (5.0, "closest to another vehicle: b and c, 3.75 m at 5.00 s"),
         (0.0, "fastest: a, 3.4 m/s at 0.00 s"),

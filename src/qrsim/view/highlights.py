@@ -103,12 +103,13 @@ def _largest(own: Series, name: str, words: str) -> Iterator[Highlight]:
 
 
 def _stops(own: Series) -> Iterator[Highlight]:
-    """Yield how many vehicles stopped, and when, the first one first."""
+    """Yield how many vehicles stopped, when and why, the first one first."""
     stops = sorted((float(at), vehicle) for vehicle, at in enumerate(own.ends) if np.isfinite(at))
     count = f"stopped: {_letter(own)}{len(stops)} of {len(own.ends)}"
     if stops:
-        times = _listed(own, [(vehicle, f"{at:.2f} s") for at, vehicle in stops])
-        yield stops[0][0], f"{count}: {times}"
+        why = {vehicle: own.member.recording.why(event) for event, vehicle in own.member.recording.stops}
+        reasons = _listed(own, [(vehicle, f"{at:.2f} s {why[vehicle]}") for at, vehicle in stops], "; ")
+        yield stops[0][0], f"{count}: {reasons}"
     else:
         yield None, count
 
