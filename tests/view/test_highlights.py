@@ -93,9 +93,9 @@ def test_who_and_when_in_flight_only(plots: Plots):
         (2.0, "strongest wind: c, 5.0 m/s"),
         (4.0, "largest error of the estimate: b, 3.00 m"),
         (9.9, "lowest battery in flight: c, 90.1 %; at their stops: a 97.1 % at 3.00 s, b 95.1 % at 5.00 s"),
-        (1.0, "estimate first outside its 95 % band (1.96 sigma): a 1.00 s, b 4.00 s"),
-        (2.9, "speed before it stopped: a, 3.4 m/s; estimate 1.50 sigma: inside its 95 % band"),
-        (4.9, "speed before it stopped: b, 2.0 m/s; estimate 3.00 sigma: outside its 95 % band"),
+        (1.0, "estimate first outside its 95 % band (1.96 sigma on the worst axis): a 1.00 s, b 4.00 s"),
+        (2.9, "speed before it stopped: a, 3.4 m/s; estimate 1.50 sigma on the worst axis: inside its 95 % band"),
+        (4.9, "speed before it stopped: b, 2.0 m/s; estimate 3.00 sigma on the worst axis: outside its 95 % band"),
     ]
 
 

@@ -93,11 +93,11 @@ def test_highlights_say_who_and_when(plots: Plots, monkeypatch: pytest.MonkeyPat
         (None, "stopped: 0 of 2"),
         (0.0, "closest to another vehicle: a_0 and <b>, 5.00 m at 0.00 s"),
         (0.0, "largest error of the estimate: <b>, 5.00 m"),
-        (0.0, "estimate first outside its 95 % band (1.96 sigma): <b> 0.00 s"),
+        (0.0, "estimate first outside its 95 % band (1.96 sigma on the worst axis): <b> 0.00 s"),
     ]
     # The first one's error is 3 m = 1.5 standard deviations.
-    outside = "first outside its 95 % band (1.0 sigma): a_0 0.00 s, <b> 0.00 s"
-    for band, told in ((1.0, outside), (9.0, "never outside its 95 % band (9.0 sigma)")):
+    outside = "first outside its 95 % band (1.0 sigma on the worst axis): a_0 0.00 s, <b> 0.00 s"
+    for band, told in ((1.0, outside), (9.0, "never outside its 95 % band (9.0 sigma on the worst axis)")):
         monkeypatch.setattr(highlights, "BAND", band)
         assert plots.highlights()[-1][1] == f"estimate {told}"
     data = plots.answer({"number": 3, "lines": [], "highlights": True})

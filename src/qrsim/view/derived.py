@@ -67,10 +67,13 @@ def _length(values: Floats) -> Floats:
 
 def _beyond(read: Read) -> Floats:
     """Return the position estimate's error (T, n) on its worst axis, in reported standard deviations, or NaN."""
-    std = vector(read, STD)
-    error = np.abs(vector(read, ESTIMATE) - vector(read, TRUE))
+    return in_sigmas(vector(read, ESTIMATE) - vector(read, TRUE), vector(read, STD))
+
+
+def in_sigmas(error: Floats, std: Floats) -> Floats:
+    """Return errors (..., 3) on their worst axis, in standard deviations ``std`` (..., 3); NaN for none above 0."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.where(std > 0.0, error / std, np.nan).max(axis=-1))
+        return np.asarray(np.where(std > 0.0, np.abs(error) / std, np.nan).max(axis=-1))
 
 
 ALWAYS = (

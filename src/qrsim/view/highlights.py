@@ -196,9 +196,12 @@ def _outside(own: Series) -> Iterator[Highlight]:
     """Yield the estimates that left their 95 % band, each with its first time [s], the earliest first."""
     firsts = _firsts_above(own, SIGMAS, BAND)
     if firsts:
-        yield firsts[0][0], f"estimate first outside its 95 % band ({BAND} sigma): {_with_times(own, firsts)}"
+        yield (
+            firsts[0][0],
+            f"estimate first outside its 95 % band ({BAND} sigma on the worst axis): {_with_times(own, firsts)}",
+        )
     elif firsts is not None:
-        yield None, f"estimate never outside its 95 % band ({BAND} sigma){_of_run(own)}"
+        yield None, f"estimate never outside its 95 % band ({BAND} sigma on the worst axis){_of_run(own)}"
 
 
 def _at_stops(own: Series) -> Iterator[Highlight]:
@@ -210,7 +213,7 @@ def _at_stops(own: Series) -> Iterator[Highlight]:
             continue
         off = _last(sigmas, vehicle)
         side = "" if off is None else "outside" if off[1] > BAND else "inside"
-        estimate = "" if off is None else f"; estimate {off[1]:.2f} sigma: {side} its 95 % band"
+        estimate = "" if off is None else f"; estimate {off[1]:.2f} sigma on the worst axis: {side} its 95 % band"
         yield last[0], f"speed before it stopped: {_named(own, vehicle)}, {last[1]:.1f} m/s{estimate}"
 
 
