@@ -14,40 +14,66 @@ from qrsim.runs.layout import Event
 from qrsim.runs.radio_columns import links_logged
 from qrsim.runs.radio_links import out_of_reach, packets_of, radios_of
 from qrsim.view.derived import CHARGE, FENCE, NEAREST
+from qrsim.view.gnss_events import losses
 from qrsim.view.reasons import LEFT, outside_by
 from qrsim.view.satellite_events import satellite_of, satellites_lost
 from qrsim.view.series import BETWEEN, SAME, Series
 
-# Time [s], None if it is none of a moment, and text.
-Highlight = tuple[float | None, str]
-# Yields highlights of one run.
-Find = Callable[[Series], Iterator[Highlight]]
+# Time [s], None for a line about no single moment, and text.
+Line = tuple[float | None, str]
+# The same with the section of the list.
+Highlight = tuple[float | None, str, str]
+# Yields lines about one run.
+Find = Callable[[Series], Iterator[Line]]
 # Distance [m] from which two runs count as apart, and the half width of the 95 % band in standard deviations.
 APART, BAND = 1.0, 1.96
+AXIS = "sigma on the worst axis"
 SIGMAS, SPEED = "derived.estimate_error_sigmas", "derived.speed"
-# Vehicles that one highlight names, and lines for vehicles that stopped.
-MOST_NAMED, MOST_STOPS = 5, 9
+# Vehicles that one highlight names, and lines of a run for vehicles that stopped, and for those that lost GNSS.
+MOST_NAMED, MOST_STOPS, MOST_LOSSES = 5, 9, 3
 # Links with fewer packets than this are not compared.
 FEWEST_PACKETS = 10
-# Quantities of which the largest value counts, and text with places for the vehicle, the value and, for some, the time.
-LARGEST: tuple[tuple[str, str], ...] = (
-    (SPEED, "fastest: {}, {:.1f} m/s at {:.2f} s"),
-    ("derived.wind_speed", "strongest wind: {}, {:.1f} m/s"),
-    ("derived.estimate_error", "largest error of the estimate: {}, {:.2f} m"),
-    ("derived.setpoint_distance", "farthest from the set-point: {}, {:.2f} m"),
-)
 
 
 def highlights_of(runs: Sequence[Series]) -> list[Highlight]:
-    """Return (time [s] or None, text) of notable moments of runs, such as extremes; unlogged quantities are skipped."""
-    largest: list[Find] = [partial(_largest, name=name, words=words) for name, words in LARGEST]
-    others = (_battery, _outside, _at_stops, _lost_satellites, _apart, _worst_link)
-    finders: tuple[Find, ...] = (_stops, _fence, _closest, *largest, *others)
-    return [line for find in finders for own in runs for line in _guarded(find, own)]
+    """Return (time [s] or None, text, section) of notable moments of runs; quantities without a log are skipped."""
+    return [
+        (*line, section)
+        for section, finders in _sections()
+        for find in finders
+        for own in runs
+        for line in _guarded(find, own)
+    ]
 
 
-def _guarded(find: Find, own: Series) -> list[Highlight]:
-    """Return the highlights of a run that ``find`` yields; none if a part of the log is damaged."""
+def _sections() -> tuple[tuple[str, tuple[Find, ...]], ...]:
+    """Return the sections of the list, in order, and what yields their lines."""
+
+    def largest(name: str, words: str) -> Find:
+        """Return the line about the largest value of a quantity; ``words`` as in ``_largest``."""
+        return partial(_largest, name=name, words=words)
+
+    return (
+        ("stops", (_stops, _at_stops)),
+        ("fence", (_fence,)),
+        ("separation", (_closest, _apart)),
+        (
+            "speed and wind",
+            (
+                largest(SPEED, "fastest: {}, {:.1f} m/s at {:.2f} s"),
+                largest("derived.setpoint_distance", "farthest from the set-point: {}, {:.2f} m"),
+                largest("derived.wind_speed", "strongest wind: {}, {:.1f} m/s"),
+            ),
+        ),
+        ("estimate", (largest("derived.estimate_error", "largest error of the estimate: {}, {:.2f} m"), _outside)),
+        ("GNSS", (_lost_gnss, _lost_satellites)),
+        ("radio", (_worst_link,)),
+        ("battery", (_battery,)),
+    )
+
+
+def _guarded(find: Find, own: Series) -> list[Line]:
+    """Return the lines about a run that ``find`` yields; none if a part of the log is damaged."""
     with suppress(QrsimError):
         return list(find(own))
     return []
@@ -95,14 +121,20 @@ def _extreme(own: Series, name: str, sign: float) -> tuple[float, int, float] | 
     return float(time[row]), int(vehicle), float(values[row, vehicle])
 
 
-def _largest(own: Series, name: str, words: str) -> Iterator[Highlight]:
-    """Yield when a quantity was largest; ``words``: text with places as in ``LARGEST``."""
+def _largest(own: Series, name: str, words: str) -> Iterator[Line]:
+    """Yield when a quantity was largest.
+
+    Args:
+        own: the run.
+        name: of the quantity.
+        words: text with places for the vehicle, the value and, if it names it, the time.
+    """
     found = _extreme(own, name, 1.0)
     if found is not None:
         yield found[0], words.format(_named(own, found[1]), found[2], found[0])
 
 
-def _stops(own: Series) -> Iterator[Highlight]:
+def _stops(own: Series) -> Iterator[Line]:
     """Yield how many vehicles stopped, when and why, the first one first."""
     stops = sorted((float(at), vehicle) for vehicle, at in enumerate(own.ends) if np.isfinite(at))
     count = f"stopped: {_letter(own)}{len(stops)} of {len(own.ends)}"
@@ -114,7 +146,7 @@ def _stops(own: Series) -> Iterator[Highlight]:
         yield None, count
 
 
-def _fence(own: Series) -> Iterator[Highlight]:
+def _fence(own: Series) -> Iterator[Line]:
     """Yield which vehicles were outside the fence, by how much and when, or the closest approach to it."""
     shown, found = _shown(own, FENCE), _extreme(own, FENCE, -1.0)
     if shown is None:
@@ -146,7 +178,7 @@ def _by(own: Series, event: Event) -> str:
     return "" if far is None else f"by {far[0]:.2f} m {far[1]}".strip() + " "
 
 
-def _closest(own: Series) -> Iterator[Highlight]:
+def _closest(own: Series) -> Iterator[Line]:
     """Yield which two vehicles came closest to each other while both flew, and when."""
     found = _extreme(own, NEAREST, -1.0)
     if found is None:
@@ -161,7 +193,7 @@ def _closest(own: Series) -> Iterator[Highlight]:
     yield at, f"closest to another vehicle: {_named(own, vehicle)} and {name}, {distance:.2f} m at {at:.2f} s{stopped}"
 
 
-def _battery(own: Series) -> Iterator[Highlight]:
+def _battery(own: Series) -> Iterator[Line]:
     """Yield the lowest charge in flight, and the charges at which other vehicles stopped."""
     shown, found = _shown(own, CHARGE), _extreme(own, CHARGE, -1.0)
     if shown is None or found is None:
@@ -192,19 +224,19 @@ def _with_times(own: Series, firsts: Sequence[tuple[float, int]]) -> str:
     return _letter(own) + _listed(own, [(vehicle, f"{at:.2f} s") for at, vehicle in firsts])
 
 
-def _outside(own: Series) -> Iterator[Highlight]:
+def _outside(own: Series) -> Iterator[Line]:
     """Yield the estimates that left their 95 % band, each with its first time [s], the earliest first."""
     firsts = _firsts_above(own, SIGMAS, BAND)
     if firsts:
         yield (
             firsts[0][0],
-            f"estimate first outside its 95 % band ({BAND} sigma on the worst axis): {_with_times(own, firsts)}",
+            f"estimate first outside its 95 % band ({BAND} {AXIS}): {_with_times(own, firsts)}",
         )
     elif firsts is not None:
-        yield None, f"estimate never outside its 95 % band ({BAND} sigma on the worst axis){_of_run(own)}"
+        yield None, f"estimate never outside its 95 % band ({BAND} {AXIS}){_of_run(own)}"
 
 
-def _at_stops(own: Series) -> Iterator[Highlight]:
+def _at_stops(own: Series) -> Iterator[Line]:
     """Yield for each vehicle that stopped its last speed [m/s] before, and whether its estimate was in its band."""
     speeds, sigmas = _shown(own, SPEED), _shown(own, SIGMAS)
     for vehicle in np.argsort(own.ends, kind="stable").tolist()[:MOST_STOPS]:
@@ -213,7 +245,7 @@ def _at_stops(own: Series) -> Iterator[Highlight]:
             continue
         off = _last(sigmas, vehicle)
         side = "" if off is None else "outside" if off[1] > BAND else "inside"
-        estimate = "" if off is None else f"; estimate {off[1]:.2f} sigma on the worst axis: {side} its 95 % band"
+        estimate = "" if off is None else f"; estimate {off[1]:.2f} {AXIS}: {side} its 95 % band"
         yield last[0], f"speed before it stopped: {_named(own, vehicle)}, {last[1]:.1f} m/s{estimate}"
 
 
@@ -225,7 +257,18 @@ def _last(shown: tuple[Floats, Floats] | None, vehicle: int) -> tuple[float, flo
     return float(shown[0][row]), float(shown[1][row, vehicle])
 
 
-def _lost_satellites(own: Series) -> Iterator[Highlight]:
+def _lost_gnss(own: Series) -> Iterator[Line]:
+    """Yield for each vehicle when it first lost GNSS, and what followed until GNSS was back."""
+    shift = own.member.shift
+    found = [loss for loss in losses(own.member.recording.run, own.ends - shift) if loss.time + shift >= 0.0]
+    for loss in found[:MOST_LOSSES]:
+        then = "".join(f"; {words} {at + shift:.2f} s" for words, at in loss.then)
+        yield loss.time + shift, f"GNSS lost: {_named(own, loss.vehicle)} {loss.time + shift:.2f} s{then}"
+    if len(found) > MOST_LOSSES:
+        yield found[MOST_LOSSES].time + shift, f"GNSS lost: {_letter(own)}and {len(found) - MOST_LOSSES} more"
+
+
+def _lost_satellites(own: Series) -> Iterator[Line]:
     """Yield the first satellite that each vehicle's receiver lost, with its time [s]."""
     firsts: dict[int, Event] = {}
     names = own.member.recording.run.vehicles
@@ -238,7 +281,7 @@ def _lost_satellites(own: Series) -> Iterator[Highlight]:
         yield found[0][1].time, f"first satellite lost: {_letter(own)}{_listed(own, parts)}"
 
 
-def _apart(own: Series) -> Iterator[Highlight]:
+def _apart(own: Series) -> Iterator[Line]:
     """Yield when each vehicle was first 1 m from its position in the first run, and when one was farthest."""
     firsts = _firsts_above(own, BETWEEN, APART)
     if firsts:
@@ -246,7 +289,7 @@ def _apart(own: Series) -> Iterator[Highlight]:
     yield from _largest(own, BETWEEN, "farthest from run A: {}, {:.2f} m")
 
 
-def _worst_link(own: Series) -> Iterator[Highlight]:
+def _worst_link(own: Series) -> Iterator[Line]:
     """Yield the radio link that lost the largest share of its packets, or that no packet was lost."""
     run = own.member.recording.run
     if "measurements" not in run or not links_logged(run["measurements"].columns()):
