@@ -25,6 +25,8 @@ VECTORS = {
     "wind": ("mean_ned", "gust_ned"),
 }
 LEFT = ("out_of_area", "position_ned.x", 10.25, "a stopped at 3.00 s, out_of_area: position_ned.x = 10.25 m")
+# c is 8 m from a at first; until a stops, b is nearest to it 8.84 m to the south and 14.8 m to the east.
+OF_A = "a and c, 8.00 m at 0.00 s; a and b, 17.24 m at 2.60 s"
 AXIS = "sigma on the worst axis"
 HIT = ("collision", "distance", 3.75, "b stopped at 5.00 s, collision: distance = 3.75 m to c")
 
@@ -93,7 +95,7 @@ def test_who_and_when_in_flight_only(plots: Plots):
         ("stops", 2.9, f"speed before it stopped: a, 3.4 m/s; estimate 1.50 {AXIS}: inside its 95 % band"),
         ("stops", 4.9, f"speed before it stopped: b, 2.0 m/s; estimate 3.00 {AXIS}: outside its 95 % band"),
         ("fence", 3.0, "outside the fence: a by 0.25 m to the north at 3.00 s"),
-        ("separation", 5.0, "closest to another vehicle: b and c, 3.75 m at 5.00 s"),
+        ("separation", 5.0, f"closest pairs: b and c, 3.75 m at 5.00 s; {OF_A}"),
         ("speed and wind", 0.0, "fastest: a, 3.4 m/s at 0.00 s"),
         ("speed and wind", 2.0, "strongest wind: c, 5.0 m/s"),
         ("estimate", 4.0, "largest error of the estimate: b, 3.00 m"),
@@ -140,17 +142,24 @@ def test_a_loss_of_gnss_is_told_until_it_is_back(recording: Recording):
 @pytest.mark.parametrize(
     ("stops", "told"),
     [
-        ([], (8.0, "closest to another vehicle: a and c, 1.00 m at 8.00 s")),
-        ([("a", 3.0, "crashed", None)], (4.0, "closest to another vehicle: b and c, 4.00 m at 4.00 s")),
+        ([], (8.0, "closest pairs: a and c, 1.00 m at 8.00 s; b and c, 4.00 m at 4.00 s; a and b, 15.53 m at 4.00 s")),
+        ([("a", 3.0, "crashed", None)], (4.0, f"closest pairs: b and c, 4.00 m at 4.00 s; {OF_A}")),
         # Vehicles collide with those that lie where they stopped.
         (
             [("a", 3.0, "crashed", None), ("c", 9.0, "collision", 0.48)],
-            (9.0, "closest to another vehicle: c and a, 0.48 m at 9.00 s (a had stopped)"),
+            (
+                9.0,
+                "closest pairs: c and a, 0.48 m at 9.00 s (a had stopped); b and c, 4.00 m at 4.00 s; "
+                "a and b, 17.24 m at 2.60 s",
+            ),
         ),
         # Both stop at once.
         (
             [("b", 4.1, "collision", 0.3), ("c", 4.1, "collision", 0.3)],
-            (4.1, "closest to another vehicle: b and c, 0.30 m at 4.10 s"),
+            (
+                4.1,
+                "closest pairs: b and c, 0.30 m at 4.10 s; a and c, 8.00 m at 0.00 s; a and b, 15.53 m at 4.00 s",
+            ),
         ),
     ],
 )

@@ -91,7 +91,7 @@ def test_highlights_say_who_and_when(plots: Plots, monkeypatch: pytest.MonkeyPat
     # The first vehicle begins 5 m from the second, whose estimate is 5 m = 2.5 standard deviations off.
     assert plots.highlights() == [
         (None, "stopped: 0 of 2", "stops"),
-        (0.0, "closest to another vehicle: a_0 and <b>, 5.00 m at 0.00 s", "separation"),
+        (0.0, "closest pair: a_0 and <b>, 5.00 m at 0.00 s", "separation"),
         (0.0, "largest error of the estimate: <b>, 5.00 m", "estimate"),
         (0.0, "estimate first outside its 95 % band (1.96 sigma on the worst axis): <b> 0.00 s", "estimate"),
     ]
@@ -150,7 +150,7 @@ def test_where_two_runs_part(plots: Plots):
     assert (2.0, "first 1 m from run A: B a_0 2.00 s") in found
     assert "farthest from run A: B a_0, 2.00 m" in [text for _, text in found]
     # The earliest of B's times that are shown.
-    assert (2.0, "closest to another vehicle: B a_0 and <b>, 5.00 m at 2.00 s") in found
+    assert (2.0, "closest pair: B a_0 and <b>, 5.00 m at 2.00 s") in found
 
 
 def test_one_value_is_exact(plots: Plots):

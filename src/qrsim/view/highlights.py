@@ -13,11 +13,11 @@ from qrsim.errors import QrsimError
 from qrsim.runs.layout import Event
 from qrsim.runs.radio_columns import links_logged
 from qrsim.runs.radio_links import out_of_reach, packets_of, radios_of
-from qrsim.view.derived import CHARGE, FENCE, NEAREST
+from qrsim.view.derived import CHARGE, FENCE, TRUE, closest_pairs
 from qrsim.view.gnss_events import losses
 from qrsim.view.reasons import LEFT, outside_by
 from qrsim.view.satellite_events import satellite_of, satellites_lost
-from qrsim.view.series import BETWEEN, SAME, Series
+from qrsim.view.series import BETWEEN, COLLISION, SAME, Series
 
 # Time [s], None for a line about no single moment, and text.
 Line = tuple[float | None, str]
@@ -31,6 +31,8 @@ AXIS = "sigma on the worst axis"
 SIGMAS, SPEED = "derived.estimate_error_sigmas", "derived.speed"
 # Vehicles that one highlight names, and lines of a run for vehicles that stopped, and for those that lost GNSS.
 MOST_NAMED, MOST_STOPS, MOST_LOSSES = 5, 9, 3
+# Pairs of vehicles of a run that came closest to each other.
+MOST_PAIRS = 3
 # Links with fewer packets than this are not compared.
 FEWEST_PACKETS = 10
 
@@ -179,18 +181,32 @@ def _by(own: Series, event: Event) -> str:
 
 
 def _closest(own: Series) -> Iterator[Line]:
-    """Yield which two vehicles came closest to each other while both flew, and when."""
-    found = _extreme(own, NEAREST, -1.0)
-    if found is None:
-        return
-    at, vehicle, distance = found
-    # Vehicles also collide with those that have stopped.
-    other = own.nearest_at(vehicle, at, flying=at < own.ends[vehicle] - SAME)
-    if other is None:
-        return
-    name = own.member.recording.run.vehicles[other]
-    stopped = f" ({name} had stopped)" if own.ends[other] < at - SAME else ""
-    yield at, f"closest to another vehicle: {_named(own, vehicle)} and {name}, {distance:.2f} m at {at:.2f} s{stopped}"
+    """Yield which vehicles came closest to each other while both flew, or collided, and when."""
+    time, places = _places(own)
+    names, ends = own.member.recording.run.vehicles, own.ends
+    found = {(i, j): (apart, float(time[k]), i, j) for apart, k, i, j in closest_pairs(places, MOST_PAIRS)}
+    # Vehicles also collide with those that have stopped, and only the event has the distance at a collision.
+    for event, vehicle in own.member.recording.stops:
+        other = own.nearest_at(vehicle, ends[vehicle], flying=False) if (event.kind, event.field) == COLLISION else None
+        if other is None or event.value is None or ends[vehicle] < 0.0:
+            continue
+        pair = (min(vehicle, other), max(vehicle, other))
+        if pair not in found or event.value < found[pair][0]:
+            found[pair] = (event.value, float(ends[vehicle]), vehicle, other)
+    pairs = sorted(found.values())[:MOST_PAIRS]
+    texts = []
+    for apart, at, one, other in pairs:
+        stopped = f" ({names[other]} had stopped)" if ends[other] < at - SAME else ""
+        texts.append(f"{names[one]} and {names[other]}, {apart:.2f} m at {at:.2f} s{stopped}")
+    if texts:
+        yield pairs[0][1], f"closest pair{'s' if len(texts) > 1 else ''}: {_letter(own)}{'; '.join(texts)}"
+
+
+def _places(own: Series) -> tuple[Floats, Floats]:
+    """Return times (T,) [s] from 0 on and true positions (T, n, 3) NED [m], NaN from each vehicle's stop on."""
+    columns = [own.values(name) for name in TRUE]
+    first = int(np.searchsorted(columns[0][0], 0.0))
+    return columns[0][0][first:], np.stack([values[first:] for _, values in columns], axis=-1)
 
 
 def _battery(own: Series) -> Iterator[Line]:
