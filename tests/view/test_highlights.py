@@ -127,7 +127,7 @@ def test_a_loss_of_gnss_is_told_until_it_is_back(recording: Recording):
 
     found = losses(Log(streams), np.array([8.0, np.inf, np.inf]))  # type: ignore[arg-type]
     assert [(loss.vehicle, loss.time, loss.then) for loss in found] == [
-        (1, 2.0, [("fix lost, land", 2.1), ("back", 3.0)]),
+        (1, 2.0, [("fix lost, land", 2.1), ("GNSS back", 3.0)]),
         (2, 4.5, []),
     ]
     # The reaction to a lost fix, and its end, are found by "gnss".

@@ -63,7 +63,7 @@ def losses(run: Run, ends: Floats) -> list[Loss]:
         if reacts:
             loss.then.append((mode_of(event).removeprefix("failsafe: ") or f"{event.field} lost", event.time))
         elif event.kind == "fix_found" or (event.kind == BACK and event.field in sensors):
-            loss.then.append(("back", event.time))
+            loss.then.append(("GNSS back", event.time))
             loss.over = True
     return sorted(found.values(), key=lambda loss: loss.time)
 

@@ -83,7 +83,7 @@
   };
   // Modes and states are words, and no quantities: the table has them.
   const inTable = (text) => /(^|\s)(modes?|states?)(\s|$)/i.test(text);
-  const openTable = () => { search.value = ""; search.blur(); window.qrsim?.table.toggle(true); };
+  const openTable = () => { search.value = ""; search.blur(); leave(); window.qrsim?.table.toggle(true); };
   const suggest = () => {
     found.replaceChildren();
     found.hidden = false;

@@ -11,8 +11,8 @@ const tableIn = (host) => {
     ["battery %", 62, "charge of the battery", fixed(0, 100)],
     ["estimate error m", 78, "distance between the estimated and the true position", fixed(2)],
     ["estimate sigma m", 78, "standard deviation that the estimator reports, of all three axes", fixed(2)],
-    ["error / sigma, worst axis", 84, "error on its worst axis in sigma; above 1.96 the estimate is outside its 95 % band", fixed(2)],
-    ["state", 520, "waypoint, failsafe, or when and why it stopped; sorted by the time of the stop", null],
+    ["error / sigma, worst axis", 104, "error on its worst axis in sigma; above 1.96 the estimate is outside its 95 % band", fixed(2)],
+    ["state", 500, "waypoint, failsafe, or when and why it stopped; sorted by the time of the stop", null],
   ];
   const box = make("div", "qrsim-table", host.root), bar = make("div", "qrsim-table-bar", box);
   const words = make("span", "", bar), filter = make("input", "", bar), shut = make("button", "", bar, "\u2715");
