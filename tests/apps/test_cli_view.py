@@ -18,10 +18,12 @@ import pytest
 from tests.apps.conftest import DURATION, Flight
 from tests.interrupting import INTERRUPTIBLE
 from tests.runs.small_run import COLUMNS, VEHICLES
+from tests.small_worlds import bare_pair
 from tests.view.fetching import fetching
 
 from qrsim import cli
 from qrsim.runs import RunInfo, RunWriter, open_run
+from qrsim.runs.recorder import fly
 from qrsim.view.recording import Recording
 
 
@@ -219,6 +221,30 @@ def test_without_looking_nothing_of_the_page_is_imported():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "False False\n"
     assert cli.COMMANDS["view"] is not None
+
+
+OPENED = """
+import sys
+from pathlib import Path
+from jax._src.xla_bridge import backends_are_initialized
+from qrsim import cli
+from qrsim.apps.view import View
+from qrsim.view.clock import Clock
+from qrsim.view.server import start_server
+view = View([Path(sys.argv[1])])
+view._replay(start_server(0), view._opened(), Clock())
+slow = ("llvmlite", "matplotlib", "pandas", "qrsim.engine.backend", "qrsim.simulation.simulation", "scipy")
+print([name for name in slow if name in sys.modules], backends_are_initialized(), flush=True)
+"""
+
+
+@pytest.mark.long
+def test_the_page_of_a_saved_run_needs_no_compiler(tmp_path: Path):
+    """Each of these takes a part of the time until it is shown."""
+    fly(bare_pair(duration=0.1), tmp_path / "run", seed=1, precision="float32")
+    words = [sys.executable, "-c", OPENED, str(tmp_path / "run")]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert done.stdout == "[] False\n"
 
 
 def test_an_export_that_does_not_fit_and_what_is_thinned_are_said(

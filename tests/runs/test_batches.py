@@ -45,6 +45,29 @@ def test_arrays_piece_by_piece(start: Callable[..., RunWriter]) -> None:
         next(stream.batches(["trust"]))
 
 
+def test_pieces_after_the_times_are_known_read_no_times(
+    start: Callable[..., RunWriter], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with start() as writer:
+        for first_tick in (1, 5):
+            append_chunk(writer, first_tick)
+            writer.flush()
+    stream, read = open_run(writer.folder)["truth"], []
+    assert stream.time.tolist() == pytest.approx([0.02, 0.04, 0.06, 0.08, 0.10, 0.12, 0.14, 0.16])
+    plain = StreamParts._read_part
+    monkeypatch.setattr(StreamParts, "_read_part", lambda self, *rest: (read.append(rest[2]), plain(self, *rest))[1])
+    pieces = list(stream.batches(["thrust"]))
+    assert read == [["thrust"]] * 3
+    assert [piece.tick.tolist() for piece in pieces] == [[1, 2, 3, 4], [5, 6, 7, 8]]
+    assert [piece.time.tolist() for piece in pieces] == [stream.time[:4].tolist(), stream.time[4:].tolist()]
+    # Ten a tick, one a vehicle, and 2000 of the third column.
+    assert pieces[1].arrays["thrust"][0].tolist() == [2050.0, 2051.0, 2052.0]
+    empty, last = (writer.folder / "truth" / f"part-0000{number}.parquet" for number in (0, 2))
+    last.write_bytes(empty.read_bytes())
+    with pytest.raises(RunError, match=r"truth: its files have changed since they were opened"):
+        list(stream.batches(["thrust"]))
+
+
 def test_pieces_of_other_times_are_not_read(start: Callable[..., RunWriter], monkeypatch: pytest.MonkeyPatch) -> None:
     """Of forty pieces only a few are opened, to find those of a time."""
     with start() as writer:

@@ -88,3 +88,17 @@ def test_what_looks_like_what():
     assert len(shapes.looks(Outline())[0]) == len(shapes.mast()[0])
     two = Outline(((0.1, 0.0, 0.0), (-0.1, 0.0, 0.0)), 0.05)
     np.testing.assert_array_equal(shapes.looks(two)[0], shapes.multirotor(two.rotors, 0.05)[0])
+
+
+def test_a_ball_is_closed_and_round():
+    corners, triangles = shapes.ball()
+    assert (len(corners), len(triangles)) == (162, 320)
+    np.testing.assert_allclose(np.linalg.norm(corners, axis=1), 1.0, atol=1e-6)
+    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).tolist()
+    assert len({tuple(edge) for edge in edges}) == 960
+    assert {(a, b) for a, b in edges} == {(b, a) for a, b in edges}
+    # Six times the volume of each tetrahedron with the centre: all face outwards.
+    volumes = np.linalg.det(corners[triangles].astype(float))
+    assert volumes.min() > 0.0
+    # trimesh 5.2.0: icosphere(subdivisions=2).volume.
+    assert volumes.sum() / 6.0 == pytest.approx(4.0470447, abs=1e-5)

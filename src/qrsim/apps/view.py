@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import sys
 import threading
@@ -20,7 +21,9 @@ from qrsim.files.interruptions import calling
 if TYPE_CHECKING:
     from viser import ViserServer
 
+    from qrsim.view.clock import Clock
     from qrsim.view.recording import Recording
+    from qrsim.view.replay import Replay
     from qrsim.view.scene import Scene
     from qrsim.view.several import Several
 
@@ -257,19 +260,15 @@ class View:
         server = start_server(self.port, host=self.host)
         clock = Clock(playing=False, speeds=SPEEDS[:-1])
         try:
-            if recording is None:
-                names = ", ".join(folder.resolve().name for folder in self.run_folders)
-                show_loading(server, names)
-                # Programs wait for the line of a page that is whole.
-                if sys.stdout.isatty():
-                    print(f"loading {names}: {address(server)}", flush=True)
-                recording = self._opened()
-            # These take most of the time of a start, which the page is there for already.
-            from qrsim.view.page import Page
-            from qrsim.view.replay import Replay
-
-            page = Page(server, recording.cast, recording.world, recording.heading, clock, recording.imagery)
-            replay = Replay(recording, page, clock, self.at or 0.0, self.colour)
+            with _uncollected():
+                if recording is None:
+                    names = ", ".join(folder.resolve().name for folder in self.run_folders)
+                    show_loading(server, names)
+                    # Programs wait for the line of a page that is whole.
+                    if sys.stdout.isatty():
+                        print(f"loading {names}: {address(server)}", flush=True)
+                    recording = self._opened()
+                replay = self._replay(server, recording, clock)
             stop = threading.Event()
 
             def end() -> None:
@@ -283,3 +282,26 @@ class View:
                 replay.run(stop)
         finally:
             server.stop()
+
+    def _replay(self, server: ViserServer, recording: Recording | Several, clock: Clock) -> Replay:
+        """Build the page of the recording on the server, and return its replay at the start time of the options."""
+        # These take most of the time of a start, which the page is there for already.
+        from qrsim.view.page import Page
+        from qrsim.view.replay import Replay
+
+        # At once: browsers would fetch the hundred parts one by one, and each time this thread would wait for them.
+        with server.atomic():
+            page = Page(server, recording.cast, recording.world, recording.heading, clock, recording.imagery)
+            return Replay(recording, page, clock, self.at or 0.0, self.colour)
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Collect no garbage in the context: imports leave none, and hundreds of searches take a tenth of a start."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from qrsim.core.arrays import NumpyArray
 from qrsim.errors import RunError, UsageError
@@ -170,10 +169,13 @@ def connectivity(packets: Packets, bins: int, radios: NumpyArray) -> Connectivit
 
 def components_of(packets: Packets, radios: NumpyArray) -> tuple[int, float]:
     """Return the number of connected groups of flying vehicles with radios, and the fraction in the largest."""
+    # Slow to import, and pages of runs without radios never come here.
+    from scipy.sparse.csgraph import connected_components
+
     there = np.flatnonzero(packets.flies[-1] & radios)
     if not len(there):
         return 0, float("nan")
     _, heard, _ = packets.counts()
     both = (heard > 0) & (heard.T > 0)
-    count, group = scipy.sparse.csgraph.connected_components(both[np.ix_(there, there)], directed=False)
+    count, group = connected_components(both[np.ix_(there, there)], directed=False)
     return int(count), float(np.bincount(group).max() / len(there))

@@ -215,6 +215,11 @@ class Run(Tabled):
 
     @property
     def events(self) -> list[Event]:
+        """All events in the order of recording, read once; raises as ``table``."""
+        return list(self._events)
+
+    @cached_property
+    def _events(self) -> list[Event]:
         """All events in the order of recording; raises as ``table``."""
         table = self.table(EVENTS)
         expected = stream_schema(EVENTS, (), self.info)

@@ -66,10 +66,10 @@ class Stream(Tabled):
         order = _codes(table["vehicle"], self.vehicles)
         times: npt.NDArray[np.float64] = to_numpy(table["time"])
         ticks: npt.NDArray[np.int64] = to_numpy(table["tick"])
-        steps = ticks[::count]
-        in_order = np.array_equal(order, np.tile(np.arange(count), len(steps)))
-        if in_order and np.array_equal(ticks, np.repeat(steps, count)):
-            return times[::count].copy(), steps.copy()
+        if count and len(ticks) % count == 0:
+            steps = ticks.reshape(-1, count)[:, :1]
+            if (order.reshape(-1, count) == np.arange(count)).all() and (ticks.reshape(-1, count) == steps).all():
+                return times[::count].copy(), steps[:, 0].copy()
         raise RunError(
             f"{self._parts.folder}: its rows are not one per vehicle at each tick, so there are no (T, n) arrays; "
             "use run.table"
@@ -119,14 +119,32 @@ class Stream(Tabled):
             start, end: times [s]; batches without any between them are left out, and not read.
         """
         names = self._checked_names(names)
-        columns = [*(column.name for column in INDEX), *names]
         whole = start == -math.inf and end == math.inf
+        if whole and names and "_grid" in vars(self):
+            yield from self._on_the_grid(names)
+            return
+        columns = [*(column.name for column in INDEX), *names]
         for table in self._parts.tables(columns) if whole else self._parts.tables_between(columns, start, end):
             if not table.num_rows:
                 continue
             time, tick = self._steps(table)
             shape = (len(time), len(self.vehicles))
             yield Batch(time, tick, {name: to_numpy(table[name]).reshape(shape) for name in names})
+
+    def _on_the_grid(self, names: Sequence[str]) -> Iterator[Batch]:
+        """Yield all batches of columns, with times and ticks from memory, which takes half as long as to read them."""
+        first, count = 0, len(self.vehicles)
+        changed = RunError(f"{self._parts.folder}: its files have changed since they were opened")
+        for table in self._parts.tables(names):
+            ticks = slice(first, first + table.num_rows // count)
+            first, time = ticks.stop, self.time[ticks]
+            if len(time) * count != table.num_rows:
+                raise changed
+            if len(time):
+                arrays = {name: to_numpy(table[name]).reshape(len(time), count) for name in names}
+                yield Batch(time, self.tick[ticks], arrays)
+        if first != len(self.time):
+            raise changed
 
     def _checked_names(self, names: Sequence[str] | None) -> Sequence[str]:
         """Return the names of columns to read, by default all; raises UsageError for an unknown one."""

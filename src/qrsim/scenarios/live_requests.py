@@ -6,13 +6,15 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.models.sensors.faults import LAST_TICK
 from qrsim.simulation.changing import WIND
 from qrsim.simulation.injections import OK, WORLD
-from qrsim.simulation.simulation import Simulation
+
+if TYPE_CHECKING:
+    from qrsim.simulation.simulation import Simulation
 
 # Numbers of a change of the wind: m/s at 20 ft, and degrees that it comes from.
 WIND_NUMBERS = ("speed_20ft", "wind_from_deg")

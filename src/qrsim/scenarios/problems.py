@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import date
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
@@ -56,9 +56,10 @@ def component_types(model: type[BaseModel], path: list[str]) -> list[str]:
     """Return the types of component allowed at a path of a scenario; [] if no component belongs there."""
     annotation: Any = model
     for part in path:
-        models = _models(annotation)
-        if models:
-            field = models[0].model_fields.get(part) if len(models) == 1 else None
+        makers = _makers(annotation)
+        if makers:
+            # Of several components none is made, because each takes milliseconds.
+            field = makers[0]().model_fields.get(part) if len(makers) == 1 else None
             annotation = field.annotation if field else None
         else:
             annotation = _entry(annotation)
@@ -339,10 +340,15 @@ def _slot(annotation: object) -> type[Slot] | None:
 
 def _models(annotation: object) -> list[type[BaseModel]]:
     """Return the pydantic models that an annotation allows; [] for a number, a list or a mapping."""
+    return [make() for make in _makers(annotation)]
+
+
+def _makers(annotation: object) -> list[Callable[[], type[BaseModel]]]:
+    """Return a function for each pydantic model that an annotation allows, which makes it, as in ``_models``."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
+        return [lambda: annotation]
     if slot := _slot(annotation):
-        return list(slot.models())
+        return list(slot.makers().values())
     if get_origin(annotation) in (dict, list):
         return []
-    return [model for argument in get_args(annotation) for model in _models(argument)]
+    return [make for argument in get_args(annotation) for make in _makers(argument)]

@@ -36,11 +36,6 @@ class Slot:
         return list(cls.makers())
 
     @classmethod
-    def models(cls) -> list[type[Strict]]:
-        """Return the pydantic models of all components that this place of the schema accepts."""
-        return [make() for make in cls.makers().values()]
-
-    @classmethod
     def __get_pydantic_core_schema__(cls, source: object, handler: object) -> CoreSchema:
         choices: dict[Hashable, CoreSchema] = {
             # pydantic joins what the inner schema finds to its own errors, with the path.

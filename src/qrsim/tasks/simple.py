@@ -48,7 +48,7 @@ SHORTEST_REACH = 1.0
 
 
 def axes_of(kind: type, hover: Any = None) -> tuple[Axis, ...]:
-    """Describe the fields of a command record as numbers of an action; ``hover``: throttle () that an action of 0 means."""
+    """Describe the fields of a command record as numbers of an action; 0 of a throttle means ``hover`` ()."""
     limits = limits_of(kind)
     return tuple(
         Axis(name, field_info(field).unit, *limits[name], hover if name == "throttle" else None)

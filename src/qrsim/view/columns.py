@@ -40,7 +40,7 @@ class Columns:
             self.time = whole[:: self.stride].copy()
         # Filled piece by piece: of a long log there is room for one copy only.
         self._vectors = {
-            name: np.empty((len(self.time), self._size, len(columns)), np.float32) for name, columns in known.items()
+            name: np.empty((len(columns), len(self.time), self._size), np.float32) for name, columns in known.items()
         }
         if known:
             self._read(run[stream].batches([column for columns in known.values() for column in columns]), known)
@@ -54,7 +54,7 @@ class Columns:
             seen, kept = seen + len(batch.time), rows.stop
             for name, columns in known.items():
                 for part, column in enumerate(columns):
-                    self._vectors[name][rows, :, part] = batch.arrays[column][chosen]
+                    self._vectors[name][part, rows] = batch.arrays[column][chosen]
 
     def at(self, name: str, time: Any) -> Floats:
         """Return last logged values (..., n, k) of a vector up to times (...) [s], else the first; NaN if unknown."""
@@ -63,7 +63,7 @@ class Columns:
             return np.full(shape, np.nan, np.float32)
         # A time that was typed, or comes from a slider, may be a rounding below that of its tick.
         rows = np.searchsorted(self.time, np.asarray(time) + 1e-6, side="right") - 1
-        return self._vectors[name][np.maximum(rows, 0)]
+        return np.stack([part[np.maximum(rows, 0)] for part in self._vectors[name]], axis=-1)
 
 
 def vector(run: Run, stream: str, name: str, parts: tuple[str, ...]) -> tuple[str, ...] | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from jax import Array
 
@@ -9,6 +11,7 @@ from qrsim.core.arrays import Floats
 from qrsim.core.host import on_host
 from qrsim.core.tree import record_of
 from qrsim.core.vectors import Vec3
+from qrsim.models.vehicles.contracts import Vehicle
 from qrsim.models.vehicles.wake import SPREAD, Wake, half_width, jet_axis, jet_share, jet_strength
 from qrsim.view import shapes
 from qrsim.view.frame import Frame
@@ -82,7 +85,7 @@ def _parameters(world: World) -> tuple[Floats, Floats]:
     """Return size (n,) [m] and rotor disc area (n,) [m^2] of all vehicles; NaN for those without a wake."""
     parts = []
     for fleet in world.fleets:
-        wake = fleet.vehicle.wake()
+        wake = _wake(fleet.vehicle)
         own = (np.nan, np.nan) if wake is None else (wake.size, wake.disc_area)
         parts.append([np.broadcast_to(np.asarray(value, np.float64), (fleet.size,)) for value in own])
     return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
@@ -90,4 +93,8 @@ def _parameters(world: World) -> tuple[Floats, Floats]:
 
 def wake_layers(stage: Stage, world: World) -> list[Layer]:
     """Return a list with the layer of rotor wakes, [] if no vehicle has a wake."""
-    return [Wakes(stage, world)] if any(fleet.vehicle.wake() is not None for fleet in world.fleets) else []
+    return [Wakes(stage, world)] if any(_wake(fleet.vehicle) is not None for fleet in world.fleets) else []
+
+
+# By NumPy: for the first few numbers JAX would start its backend and compile programs, while a page waits.
+_wake: Callable[[Vehicle], Wake | None] = on_host(lambda vehicle: vehicle.wake())

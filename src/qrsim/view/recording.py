@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -132,7 +132,7 @@ class Recording:
         """The runs that the page shows: only this one."""
         return [Member("", self)]
 
-    @property
+    @cached_property
     def events(self) -> list[Event]:
         """Events of the run, with stops in words; [] if they were not recorded.
 

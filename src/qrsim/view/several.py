@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields, replace
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -99,7 +99,7 @@ class Several:
         """Title line of the page: scenarios, and letter, folder and seed of each run."""
         return f"{self.title}, {len(self.members)} runs: " + "; ".join(map(_name, self.members))
 
-    @property
+    @cached_property
     def events(self) -> list[Event]:
         """Events of all runs at the times shown, and the end of each run that ends before the last one."""
         found = []

@@ -19,6 +19,12 @@ _CUBE_FACES = np.array(
         (2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2), (1, 3, 7), (1, 7, 5),
     ]
 )  # fmt: skip
+# Triangles of an icosahedron with the corners (-+a, +-b, 0), and those of the two cyclic shifts of their axes.
+_ICOSAHEDRON = (
+    (0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4), (11, 10, 2),
+    (10, 7, 6), (7, 1, 8), (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10),
+    (8, 6, 7), (9, 8, 1),
+)  # fmt: skip
 
 
 def merged(*meshes: Mesh) -> Mesh:
@@ -165,11 +171,22 @@ def arrow() -> Mesh:
 
 
 def ball() -> Mesh:
-    """Return the mesh of a ball of radius 1."""
-    from trimesh.creation import icosphere
+    """Return the mesh of a ball of radius 1, an icosahedron whose triangles are divided into four, twice.
 
-    found = icosphere(subdivisions=2)
-    return np.asarray(found.vertices, np.float32), np.asarray(found.faces, np.uint32)
+    The package trimesh has one too, and takes most of a second to import.
+    """
+    short, long = math.sqrt(0.5 - math.sqrt(0.05)), math.sqrt(0.5 + math.sqrt(0.05))
+    corners = np.array([(x * short, y * long, 0.0) for y in (1, -1) for x in (-1, 1)])
+    corners = np.vstack([np.roll(corners, turns, axis=1) for turns in range(3)])
+    faces = np.array(_ICOSAHEDRON)
+    for _ in range(2):
+        edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)[:, ::-1]
+        ends, middle = np.unique(edges, axis=0, return_inverse=True)
+        (a, b, c), (ab, bc, ca) = faces.T, len(corners) + middle.reshape(-1, 3).T
+        faces = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
+        middles = corners[ends].mean(axis=1)
+        corners = np.vstack([corners, middles / np.linalg.norm(middles, axis=1, keepdims=True)])
+    return corners.astype(np.float32), faces.astype(np.uint32)
 
 
 def funnel(narrow: float) -> Mesh:

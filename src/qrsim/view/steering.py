@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from qrsim.errors import UsageError
 from qrsim.scenarios.live_requests import Request, apply
 from qrsim.simulation.changing import wind_limit, with_wind
-from qrsim.simulation.simulation import Simulation
 from qrsim.world.state import World
+
+if TYPE_CHECKING:
+    from qrsim.simulation.simulation import Simulation
 
 # Kind of the events that tell of another wind, and the fields of the two of a change of the wind.
 WIND_CHANGED = "wind_changed"
