@@ -13,7 +13,7 @@ from qrsim.models.scene.area import BoxArea
 from qrsim.runs import Column, RunInfo, RunWriter, open_run
 from qrsim.runs.layout import Event
 from qrsim.view import highlights
-from qrsim.view.gnss_events import losses, search_words
+from qrsim.view.gnss_events import Loss, losses, search_words
 from qrsim.view.plots import Plots
 from qrsim.view.recording import Recording
 
@@ -136,6 +136,15 @@ def test_a_loss_of_gnss_is_told_until_it_is_back(recording: Recording):
         4.0,
         6.0,
         7.0,
+    ]
+
+
+def test_three_vehicles_that_lost_gnss_have_lines(plots: Plots, monkeypatch: pytest.MonkeyPatch):
+    every = [Loss(vehicle, float(vehicle)) for vehicle in (0, 1, 2, 0, 1)]
+    monkeypatch.setattr(highlights, "losses", lambda run, ends: every)
+    assert list(highlights._lost_gnss(plots._series[0]))[2:] == [
+        (2.0, "GNSS lost: c 2.00 s"),
+        (0.0, "GNSS lost: 2 more vehicles"),
     ]
 
 

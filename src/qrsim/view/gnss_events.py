@@ -54,15 +54,16 @@ def losses(run: Run, ends: Floats) -> list[Loss]:
         if vehicle is None or event.time >= ends[vehicle]:
             continue
         reacts = event.kind == FAILSAFE and event.field in POSITION
-        off = event.kind == BEGINS and event.field in sensors and f": {event.field} off," in event.message
-        if reacts or off or event.kind == "fix_lost":
+        # Other faults leave a fix, which may be wrong.
+        off = event.field in sensors and f": {event.field} off," in event.message
+        if reacts or (off and event.kind == BEGINS) or event.kind == "fix_lost":
             found.setdefault(vehicle, Loss(vehicle, event.time))
         loss = found.get(vehicle)
         if loss is None or loss.over:
             continue
         if reacts:
             loss.then.append((mode_of(event).removeprefix("failsafe: ") or f"{event.field} lost", event.time))
-        elif event.kind == "fix_found" or (event.kind == BACK and event.field in sensors):
+        elif event.kind == "fix_found" or (off and event.kind == BACK):
             loss.then.append(("GNSS back", event.time))
             loss.over = True
     return sorted(found.values(), key=lambda loss: loss.time)

@@ -244,10 +244,7 @@ def _outside(own: Series) -> Iterator[Line]:
     """Yield the estimates that left their 95 % band, each with its first time [s], the earliest first."""
     firsts = _firsts_above(own, SIGMAS, BAND)
     if firsts:
-        yield (
-            firsts[0][0],
-            f"estimate first outside its 95 % band ({BAND} {AXIS}): {_with_times(own, firsts)}",
-        )
+        yield firsts[0][0], f"estimate first outside its 95 % band ({BAND} {AXIS}): {_with_times(own, firsts)}"
     elif firsts is not None:
         yield None, f"estimate never outside its 95 % band ({BAND} {AXIS}){_of_run(own)}"
 
@@ -276,12 +273,14 @@ def _last(shown: tuple[Floats, Floats] | None, vehicle: int) -> tuple[float, flo
 def _lost_gnss(own: Series) -> Iterator[Line]:
     """Yield for each vehicle when it first lost GNSS, and what followed until GNSS was back."""
     shift = own.member.shift
-    found = [loss for loss in losses(own.member.recording.run, own.ends - shift) if loss.time + shift >= 0.0]
+    found = [loss for loss in losses(own.member.recording.run, own.ends - shift - SAME) if loss.time + shift >= 0.0]
     for loss in found[:MOST_LOSSES]:
         then = "".join(f"; {words} {at + shift:.2f} s" for words, at in loss.then)
         yield loss.time + shift, f"GNSS lost: {_named(own, loss.vehicle)} {loss.time + shift:.2f} s{then}"
-    if len(found) > MOST_LOSSES:
-        yield found[MOST_LOSSES].time + shift, f"GNSS lost: {_letter(own)}and {len(found) - MOST_LOSSES} more"
+    rest = found[MOST_LOSSES:]
+    if rest:
+        of = f" of {own.member.letter}" if own.member.letter else ""
+        yield rest[0].time + shift, f"GNSS lost: {len(rest)} more vehicle{'s' if len(rest) > 1 else ''}{of}"
 
 
 def _lost_satellites(own: Series) -> Iterator[Line]:
