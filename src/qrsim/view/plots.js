@@ -81,13 +81,13 @@
     const inName = (item) => words.every((word) => item.title.toLowerCase().includes(word)) ? 0 : 1;
     return [...together, ...single].sort((a, b) => inName(a) - inName(b));
   };
-  // Modes and states are words, and no quantities: the table has them.
-  const inTable = (text) => /(^|\s)(modes?|states?)(\s|$)/i.test(text);
+  // Modes and states are words, and no quantities: the table has them, unless further words name a quantity.
+  const inTable = (text, some) => /(^|\s)(modes?|states?)(\s|$)/i.test(text) && !(some.length && /\s/.test(text.trim()));
   const openTable = () => { search.value = ""; search.blur(); leave(); window.qrsim?.table.toggle(true); };
   const suggest = () => {
     found.replaceChildren();
     found.hidden = false;
-    const some = matches(search.value), elsewhere = inTable(search.value);
+    const some = matches(search.value), elsewhere = inTable(search.value, some);
     if (elsewhere) make("button", found, "Table (T), column state: modes and states of all vehicles", "first").onpointerdown = (event) => { event.preventDefault(); openTable(); };
     some.slice(0, 60).forEach((item, i) => {
       const row = make("button", found, item.title, i || elsewhere ? "" : "first");
@@ -103,8 +103,11 @@
   const leave = () => { found.hidden = true; replacing = null; search.placeholder = PLACEHOLDER; };
   search.onblur = leave;
   search.onkeydown = (event) => {
-    if (event.key === "Enter" && inTable(search.value)) openTable();
-    else if (event.key === "Enter") { const first = matches(search.value)[0]; if (first) add(first.names); }
+    if (event.key === "Enter") {
+      const some = matches(search.value);
+      if (inTable(search.value, some)) openTable();
+      else if (some.length) add(some[0].names);
+    }
     if (event.key === "Escape") search.blur();
   };
   found.hidden = true;
