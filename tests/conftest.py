@@ -11,6 +11,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+# Before NumPy is imported. Matrices of tests are small, and two threads of BLAS take a hundred times the CPU of one.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import jax
 import pytest
 from jax._src import compiler

@@ -12,12 +12,15 @@ import numpy as np
 import pytest
 
 from qrsim.core.noise import Key
-from qrsim.core.tree import replace
+from qrsim.core.tree import cast, replace
 from qrsim.core.vectors import Vec3
+from qrsim.engine import by_llvm
+from qrsim.engine.layout import Packer
+from qrsim.envs.batch import Batch
 from qrsim.scenarios.scenario import load_scenario
 from qrsim.simulation.simulation import Simulation
 from qrsim.tasks import Play
-from qrsim.tasks.agents import Axis, still
+from qrsim.tasks.agents import Axis, duration_of, still
 
 Array = np.ndarray[Any, Any]
 QUICK: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
@@ -224,6 +227,26 @@ def test_the_cost_of_keeping_a_spot_is_as_defined() -> None:
     np.testing.assert_allclose(np.asarray(step.reward)[0, 0], expected, rtol=1e-5)
 
 
+def test_the_length_of_an_episode_is_a_number_of_its_program() -> None:
+    short, longer = (cast(play("keep_spot", f"duration={seconds}"), np.dtype("float32")) for seconds in (0.04, 0.3))
+    assert Packer(short) == Packer(longer)
+    assert (short.steps, longer.steps) == (2, 15)
+    # In single precision 15 times 0.02 is 0.29999998, which would change rewards.
+    of_single = duration_of(longer.length, longer.task.period, jnp.zeros(()))
+    assert float(of_single) == float(np.float32(0.3))
+
+
+@pytest.mark.long
+def test_another_duration_ends_later_in_the_same_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    short = Batch("keep_spot", 1, ["duration=0.2"])
+    monkeypatch.setattr(by_llvm, "_loaded", lambda *given: pytest.fail("another duration is another program"))
+    longer = Batch("keep_spot", 1, ["duration=0.22"])
+    for batch, steps in ((short, 10), (longer, 11)):
+        batch.again(np.zeros(1, int))
+        ends = [bool(batch.step(np.zeros((1, 1, batch.width)))[2][0]) for _ in range(steps)]
+        assert ends == [False] * (steps - 1) + [True]
+
+
 @pytest.mark.parametrize(
     ("name", "override", "message"),
     [
@@ -264,7 +287,6 @@ def test_cats_that_find_no_place_are_an_error_with_numbers() -> None:
 @pytest.mark.long
 def test_cats_find_a_place_in_an_episode_that_takes_more_than_a_hundred_tries() -> None:
     """One of 48 000 that were looked at: a learner flies as many, and must not end there."""
-    from qrsim.envs.batch import Batch
     from qrsim.errors import RunError
 
     few, batch = (Batch("cats_and_mouse/1C", 1, given) for given in (["fleets.cats.placement.tries=100"], []))

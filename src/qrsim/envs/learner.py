@@ -33,7 +33,7 @@ class LearnerTask(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     An observation (F,) has the offset to the goal, velocity and attitude relative to the heading, over 5 m, 2 m/s and
     0.3 rad, and the last action (K,). An action (K,) in [-1, 1] changes the neutral command. A decision is held for
-    0.1 s. Time limits are truncations.
+    0.1 s, of rates and motors for 0.02 s. Time limits are truncations.
 
     Args:
         scenario, overrides, precision, render_mode: as of ``SingleTask``.

@@ -9,14 +9,19 @@ from qrsim.envs.batch import Batch
 from qrsim.envs.functional import Functional
 from qrsim.errors import UsageError
 from qrsim.tasks.agents import still
+from qrsim.tasks.direct import DIRECT
 from qrsim.tasks.learned import View, observed_names
 from qrsim.tasks.search import Search
+from qrsim.tasks.simple import Commanded
 from qrsim.tasks.teams import side_of_fleet
 
-# Wanted time between two decisions [s]; a task with longer steps has one for each.
-DECISION = 0.1
+# Wanted time between two decisions [s], and between those of rates and motors, which no vehicle stabilises. A task with
+# longer steps has one for each.
+DECISION, DIRECT_DECISION = 0.1, 0.02
 # Change of an action for each unit of a network's output, by the name of the number; of others 1.
 REACHES = {"pitch": 0.3, "roll": 0.3, "throttle": 0.2, "yaw_rate": 0.05}
+# The same of body rates and of the speed of a rotor.
+RATE_REACHES, ROTOR_REACH = {"roll_rate": 0.3, "pitch_rate": 0.3, "throttle": 0.2, "yaw_rate": 0.1}, 0.1
 # What is commanded in the vehicle's own axes, which makes a policy turn with its heading.
 BODY = ("pitch", "roll")
 # A pursuer sees and moves relative to the direction of the first mouse, as it looks alike from all sides.
@@ -55,7 +60,8 @@ def view_of(functional: Functional, integral: bool = False, fleet: str | None = 
         hint = "; task.observes=likeliest gives numbers" if isinstance(play.task, Search) else ""
         raise UsageError(f"{name}: {error}{hint}") from None
     acts = tuple(axis.name for axis in side.axes)
-    turns = "yaw" in observed and all(axis in acts for axis in BODY)
+    direct = is_direct(play.task)
+    turns = "yaw" in observed and (direct or all(axis in acts for axis in BODY))
     towards = next((pair for pair in (AHEAD, AHEAD_OF_MOUSE) if pair[0] in observed), None)
     chases = towards is not None and all(axis in acts for axis in LEVEL)
     summed = tuple(number for number, name in enumerate(observed) if name.startswith(INTEGRATED)) if integral else ()
@@ -74,7 +80,7 @@ def view_of(functional: Functional, integral: bool = False, fleet: str | None = 
     return View(
         task=name,
         version=VERSION,
-        seconds=_seconds(play.task.period, play.steps),
+        seconds=_seconds(DIRECT_DECISION if direct else DECISION, play.task.period, play.steps),
         observed=observed,
         acts=acts,
         kept=tuple(number for number, each in enumerate(names) if each not in left_out),
@@ -82,7 +88,7 @@ def view_of(functional: Functional, integral: bool = False, fleet: str | None = 
         yaw=observed.index("yaw") if turns else None,
         flown=flown,
         centre=tuple(round(value, 6) for value in still(side.axes)),
-        reach=tuple(REACHES.get(act, 1.0) for act in acts),
+        reach=tuple(_reach(act, direct) for act in acts),
         ahead=(observed.index(towards[0]), observed.index(towards[1])) if chases and towards is not None else None,
         fleet=fleet if several else None,
         turned=(flown.index(acts.index(LEVEL[0])), flown.index(acts.index(LEVEL[1]))) if chases else None,
@@ -90,9 +96,21 @@ def view_of(functional: Functional, integral: bool = False, fleet: str | None = 
     )
 
 
-def _seconds(period: float, steps: int) -> float:
+def is_direct(task: object) -> bool:
+    """Return whether the actions of a task are body rates or rotor speeds, which no vehicle stabilises."""
+    return isinstance(task, Commanded) and task.actions in DIRECT
+
+
+def _reach(act: str, direct: bool) -> float:
+    """Return the change of the action's number ``act`` for each unit that a network returns."""
+    if not direct:
+        return REACHES.get(act, 1.0)
+    return RATE_REACHES.get(act, ROTOR_REACH)
+
+
+def _seconds(wanted: float, period: float, steps: int) -> float:
     """Return the time [s] between decisions: a multiple of ``period`` [s] that divides the episode's ``steps``."""
-    most = max(1, round(DECISION / period))
+    most = max(1, round(wanted / period))
     count = next(count for count in range(most, 0, -1) if steps % count == 0)
     return float(np.round(period * count, 9))
 

@@ -12,6 +12,7 @@ from qrsim.scenarios.build import build_task
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.timing import is_multiple
+from qrsim.tasks.direct import DIRECT, GYROSCOPES, accepts
 from qrsim.tasks.formation import BEACON
 from qrsim.tasks.perceived import SEEING
 
@@ -51,6 +52,7 @@ def task_problems(scenario: ScenarioSpec) -> Iterator[str]:
             yield from _setpoint_problems(scenario, name, built.asks(name))
         else:
             yield f"task.fleets: no fleet is called '{name}'{did_you_mean(name, scenario.fleets)}"
+    yield from _action_problems(task, scenario.fleets[task.fleet])
     yield from _fleet_problems(scenario, scenario.fleets[task.fleet])
 
 
@@ -67,6 +69,23 @@ def _formation_problems(scenario: ScenarioSpec) -> Iterator[str]:
         own = scenario.fleets[name].radio
         if own is not None and not own.works:
             yield f"fleets.{name}.radio: none; the task '{task.type}' needs one"
+
+
+def _action_problems(task: Any, fleet: FleetSpec) -> Iterator[str]:
+    """Yield errors of actions below attitude: vehicles that do not accept them, or that measure no body rates."""
+    actions = vars(task).get("actions")
+    if is_outside("task", task.type) or actions not in DIRECT:
+        return
+    vehicle = fleet.vehicle.type
+    if not accepts(known.VEHICLES[vehicle]):
+        allowed = ", ".join(sorted(name for name, cls in known.VEHICLES.items() if accepts(cls)))
+        yield (
+            f"task.actions: {actions}; only vehicles of type {allowed} accept them, and fleet '{task.fleet}' has type "
+            f"'{vehicle}', which accepts command, velocity"
+        )
+    if not any(issubclass(known.SENSORS[sensor.type], GYROSCOPES) for sensor in fleet.sensors.values()):
+        types = ", ".join(name for name, cls in known.SENSORS.items() if issubclass(cls, GYROSCOPES))
+        yield f"task.actions: {actions}; they need body rates, and fleet '{task.fleet}' has no sensor of type {types}"
 
 
 def _senses_problems(task: Any, fleet: FleetSpec) -> Iterator[str]:

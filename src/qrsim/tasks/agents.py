@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import jax
@@ -16,6 +17,9 @@ from qrsim.core.vectors import Vec3
 from qrsim.errors import UsageError, did_you_mean
 from qrsim.world.sensing import measured_quantities
 from qrsim.world.state import Action, Fleet, FleetState, State, World
+
+# Denominator of a period in seconds, at most. Periods are multiples of the time step, such as 1/50 s.
+LARGEST_DENOMINATOR = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,17 @@ def leaving() -> bool:
 def action_period(seconds: float) -> float:
     """Declare a record's field: the time [s] between two actions of an agent, by default ``seconds``."""
     return setting(default=seconds, unit="s", doc="time between two actions, a multiple of the time step", above=0.0)
+
+
+def duration_of(steps: Array, period: float, like: Array) -> Array:
+    """Return the duration () [s] of ``steps`` () periods [s], of the type of ``like``, correctly rounded.
+
+    A period such as 0.02 s is the ratio 1/50 s. Both integers are exact in single precision, and the period is not.
+    """
+    if like.dtype == jnp.float64:
+        return steps * jnp.asarray(period, like.dtype)
+    ratio = Fraction(period).limit_denominator(LARGEST_DENOMINATOR)
+    return jnp.asarray(steps, like.dtype) * ratio.numerator / ratio.denominator
 
 
 def velocity_axes(limit: float, axes: str) -> tuple[Axis, ...]:

@@ -89,10 +89,13 @@ class Task(Protocol):
         return memory
 
     @abstractmethod
-    def judge(self, memory: Any, world: World, state: State, step: Array, steps: int) -> tuple[object, object]:
-        """Return the memory after step ``step`` () of ``steps``, from 1, and the reward (n,) while all vehicles fly."""
+    def judge(self, memory: Any, world: World, state: State, step: Array, steps: Array) -> tuple[object, object]:
+        """Return the memory after step ``step`` () of ``steps`` (), from 1, and the reward (n,) while all vehicles fly.
 
-    def crashed(self, memory: Any, world: World, state: State, steps: int) -> Array:
+        Both are numbers of the program, so that an episode of another length has the same one.
+        """
+
+    def crashed(self, memory: Any, world: World, state: State, steps: Array) -> Array:
         """Return the reward, () for the team or (n,), of the step in which a vehicle stops, such as after a crash."""
         return jnp.asarray(self.penalty)
 

@@ -19,6 +19,7 @@ from qrsim.tasks.agents import (
     Axis,
     action_period,
     believed,
+    duration_of,
     estimate_of,
     fleet_of,
     number_of,
@@ -86,13 +87,13 @@ class KeepFormation(Task):
         return FormationMemory(memory.cost + error * world.time_step, memory.total)
 
     def judge(
-        self, memory: FormationMemory, world: World, state: State, step: Array, steps: int
+        self, memory: FormationMemory, world: World, state: State, step: Array, steps: Array
     ) -> tuple[FormationMemory, Array]:
         """Return the memory and the agents' rewards (n,): minus this step's part of their mean squared errors [m^2]."""
-        reward = -memory.cost / (steps * self.period)
+        reward = -memory.cost / duration_of(steps, self.period, memory.cost)
         return FormationMemory(jnp.zeros_like(reward), memory.total + reward), reward
 
-    def crashed(self, memory: FormationMemory, world: World, state: State, steps: int) -> Array:
+    def crashed(self, memory: FormationMemory, world: World, state: State, steps: Array) -> Array:
         """Return the rewards (n,) of the step of a crash, with which each agent's sum of rewards is ``penalty``."""
         return self.penalty - memory.total
 

@@ -258,8 +258,12 @@ class PolicyFile:
             ("commands", self.view.acts, tuple(axis.name for axis in side_of_fleet(play.sides, fleet).axes)),
         ):
             if mine != theirs:
+                first = next((i for i, pair in enumerate(zip(mine, theirs, strict=False)) if pair[0] != pair[1]), None)
+                # Of long lists the part that differs is shown.
+                start = max(0, min(len(mine), len(theirs)) - 1 if first is None else first - 1)
                 raise UsageError(
-                    f"policy {self.name}: it {what} {_shown(mine)}; the task's agents have {_shown(theirs)}"
+                    f"policy {self.name}: it {what} {_shown(mine, start)}; the task's agents have "
+                    f"{_shown(theirs, start)}"
                 )
         if not np.allclose(self.view.centre, still(side_of_fleet(play.sides, fleet).axes), atol=1e-4):
             raise UsageError(f"policy {self.name}: its throttle of hover is not 0, as the task's is; train it again")
@@ -388,6 +392,7 @@ def _frozen(value: Any) -> Any:
     return tuple(map(_frozen, value)) if isinstance(value, list) else value
 
 
-def _shown(names: tuple[str, ...]) -> str:
-    """Return names as one text for an error message, shortened if there are many."""
-    return ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
+def _shown(names: tuple[str, ...], start: int = 0) -> str:
+    """Return names as one text for an error message; of many at most eight from number ``start`` on."""
+    begun = start if len(names) > 8 else 0
+    return "..., " * (begun > 0) + ", ".join(names[begun : begun + 8]) + ", ..." * (len(names) > begun + 8)

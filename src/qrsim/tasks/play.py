@@ -6,7 +6,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
+from jax.extend.core.primitives import convert_element_type_p
 
 from qrsim.core.noise import Draw, Key, StreamKeys
 from qrsim.core.tree import quantity, record, replace, select, setting
@@ -80,8 +82,27 @@ class Play:
 
     task: Task = quantity(doc="the task")
     world: World = quantity(doc="where")
-    steps: int = setting(unit="1", doc="steps of an episode")
+    length: Any = quantity(unit="1", doc="() int32 steps of an episode; given as an int")
     late: bool = setting(default=False, doc="whether observations lack what ``look`` computes")
+
+    def __post_init__(self) -> None:
+        # int32 like the number of a step, so that every episode's length has one program.
+        if isinstance(self.length, int):
+            object.__setattr__(self, "length", np.int32(self.length))
+
+    @property
+    def steps(self) -> int:
+        """Number of steps in an episode; a program reads ``length``."""
+        return int(self.length)
+
+    @property
+    def _steps(self) -> Array:
+        """Number of steps () int32 that a task gets; JAX promotes it as it does a Python integer (weakly typed)."""
+        # No function of JAX's own makes one of a number that a program is given.
+        weak: Array = convert_element_type_p.bind(
+            self.length, new_dtype=np.dtype(np.int32), weak_type=True, sharding=None
+        )
+        return weak
 
     @property
     def agents(self) -> tuple[str, ...]:
@@ -253,11 +274,11 @@ class Play:
         after = Episode(state, found.memory, number, found.gone)
         seen = self.observed(found.memory, state, number * self.ticks)
         fly = found.goes_on
-        return after, Step(seen, found.reward, ~fly, fly & (number >= self.steps), found.gone)
+        return after, Step(seen, found.reward, ~fly, fly & (number >= self.length), found.gone)
 
     def rewarded(self, episode: Episode) -> Judged:
         """Return task memory, reward, whether the episode goes on, and agents that left, after a step's last tick."""
-        memory, worth = self.task.judge(episode.memory, self.world, episode.state, episode.step + 1, self.steps)
+        memory, worth = self.task.judge(episode.memory, self.world, episode.state, episode.step + 1, self._steps)
         reward = of_all(self.sides, worth)
         if not self.task.leave:
             fly = all_fly(episode.state)
@@ -278,7 +299,7 @@ class Play:
 
     def _crashed(self, episode: Episode) -> Array:
         """Return the reward, () for the team or (n,), of the step in which a vehicle stops."""
-        return self.task.crashed(episode.memory, self.world, episode.state, self.steps)
+        return self.task.crashed(episode.memory, self.world, episode.state, self._steps)
 
     def scaled(self, action: object) -> Any:
         """Convert actions (n, A) in [-1, 1], clipped, to physical units; NumPy or JAX."""

@@ -105,7 +105,7 @@ class PlumeMapping(Task):
         return only(world, self.fleet, VelocitySetpoint(Vec3.of(action), jnp.zeros_like(action[:, 0])))
 
     def judge(
-        self, memory: PlumeMemory, world: World, state: State, step: Array, steps: int
+        self, memory: PlumeMemory, world: World, state: State, step: Array, steps: Array
     ) -> tuple[PlumeMemory, Array]:
         """Return the memory and a reward of 0 (n,): only the answers at the end are rewarded, by ``score``."""
         _, fleet = fleet_of(world, state, self.fleet)

@@ -81,7 +81,7 @@ class Pursuit(Task):
         return tuple(each.get(fleet.name) for fleet in world.fleets)
 
     def judge(
-        self, memory: PursuitMemory, world: World, state: State, step: Array, steps: int
+        self, memory: PursuitMemory, world: World, state: State, step: Array, steps: Array
     ) -> tuple[PursuitMemory, Any]:
         """Return the memory, and the reward that all cats share (mice: the negative one); 0 before the last step."""
         _, cats = fleet_of(world, state, self.fleet)

@@ -75,7 +75,7 @@ class Search(Task):
         return only(world, self.fleet, VelocitySetpoint(Vec3.of(action), memory.yaw))
 
     def judge(
-        self, memory: SearchMemory, world: World, state: State, step: Array, steps: int
+        self, memory: SearchMemory, world: World, state: State, step: Array, steps: Array
     ) -> tuple[SearchMemory, Array]:
         """Return the memory and each vehicle's reward (n,): persons found in a step; if none, -1 / ``steps``."""
         found = jnp.sum(state.contents.persons.found_tick >= 0).astype(jnp.int32)

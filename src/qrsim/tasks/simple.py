@@ -28,6 +28,7 @@ from qrsim.tasks.agents import (
     Axis,
     action_period,
     believed,
+    duration_of,
     estimate_of,
     fleet_of,
     number_of,
@@ -36,11 +37,12 @@ from qrsim.tasks.agents import (
     velocity_axes,
 )
 from qrsim.tasks.contracts import Task
+from qrsim.tasks.direct import DIRECT, OBSERVED_RATES, command_kind, direct_axes, flown, measured_rates
 from qrsim.tasks.perceived import sensed, sensed_axes, senses
 from qrsim.world.state import Action, Fleet, FleetState, State, World
 
 Crash = Literal["worst", "published"]
-Actions = Literal["command", "velocity"]
+Actions = Literal["command", "velocity", "rates", "motors"]
 # Largest velocity of an action in each axis [m/s].
 FASTEST = 3.0
 # Distance from the limits of a goal that is nearer to them, or beyond [m].
@@ -71,7 +73,7 @@ class NoTask(Task):
         """Return one None (no command) per fleet."""
         return (None,) * len(world.fleets)
 
-    def judge(self, memory: None, world: World, state: State, step: Array, steps: int) -> tuple[None, Array]:
+    def judge(self, memory: None, world: World, state: State, step: Array, steps: Array) -> tuple[None, Array]:
         """Return no memory and an empty reward (0,), because there are no agents."""
         return None, jnp.zeros(0)
 
@@ -142,7 +144,8 @@ class Commanded(Task):
     actions: Actions = setting(
         default="command",
         doc="numbers of an action: command: those of the vehicles; velocity: north, east and down over ground, up to "
-        "3 m/s, which the fleet's controller flies with the heading north",
+        "3 m/s, which the fleet's controller flies with the heading north; rates: roll and pitch rate up to 3 rad/s, "
+        "yaw rate up to 1.5 rad/s and throttle; motors: the speed of each rotor; both of multirotors",
     )
 
     # Of quadrotors; ``acts`` has those of the fleet.
@@ -163,7 +166,15 @@ class Commanded(Task):
         """Describe an action, a command of the fleet's vehicles or a velocity, by name, unit and range."""
         if self.actions == "velocity":
             return velocity_axes(FASTEST, "ned")
+        if self.actions in DIRECT:
+            vehicle: Any = world.fleets[number_of(world, self.fleet)].vehicle
+            return direct_axes(axes_of(self.action_type(world)), vehicle)
         return axes_of(self.command_type(world), self.effort.hover_throttle)
+
+    def action_type(self, world: World) -> type:
+        """Return the record type of commands that an action gives."""
+        vehicle: Any = world.fleets[number_of(world, self.fleet)].vehicle
+        return command_kind(self.actions, vehicle) if self.actions in DIRECT else vehicle.command_type
 
     def command_type(self, world: World) -> type:
         """Return the record type of commands to the fleet's vehicles."""
@@ -173,7 +184,7 @@ class Commanded(Task):
         """Convert actions (n, A), in physical units, to commands, or to velocity set-points heading north."""
         if self.actions == "velocity":
             return only(world, self.fleet, VelocitySetpoint(Vec3.of(action), jnp.zeros_like(action[:, 0])))
-        return only(world, self.fleet, self.command_type(world)(*(action[:, i] for i in range(action.shape[1]))))
+        return only(world, self.fleet, self.action_type(world)(*(action[:, i] for i in range(action.shape[1]))))
 
     def each_tick(self, memory: SimpleMemory, world: World, state: State) -> SimpleMemory:
         """Return the memory (costs so far) with the cost of one more tick."""
@@ -181,8 +192,8 @@ class Commanded(Task):
         return replace(memory, cost=memory.cost + cost * world.time_step)
 
     def cost_rate(self, model: Fleet, fleet: FleetState) -> Array:
-        """Return the cost per second (n,) of each vehicle's present command."""
-        return self.effort.rate(fleet.command)
+        """Return the cost per second (n,) of each vehicle's present command; of rates and motors, of its motion."""
+        return self.effort.rate(flown(self.actions, model, fleet) if self.actions in DIRECT else fleet.command)
 
     def distance_squared(self, memory: SimpleMemory, world: World, state: State) -> Array:
         """Return each vehicle's extra cost (n,) if the episode ended in this state; 0 here."""
@@ -193,7 +204,7 @@ class Commanded(Task):
         return jnp.zeros_like(memory.owed)
 
     def judge(
-        self, memory: SimpleMemory, world: World, state: State, step: Array, steps: int
+        self, memory: SimpleMemory, world: World, state: State, step: Array, steps: Array
     ) -> tuple[SimpleMemory, Array]:
         """Return the memory and the reward (n,) of a step: minus the cost of all vehicles, the same for each."""
         distance = self.distance_squared(memory, world, state)
@@ -203,11 +214,11 @@ class Commanded(Task):
         after = replace(memory, cost=jnp.zeros_like(owed), owed=owed, total=memory.total + reward)
         return after, jnp.broadcast_to(reward, owed.shape)
 
-    def crashed(self, memory: SimpleMemory, world: World, state: State, steps: int) -> Array:
+    def crashed(self, memory: SimpleMemory, world: World, state: State, steps: Array) -> Array:
         """Return the reward () of the step of a crash, with which the episode's sum of rewards is ``crash_return``."""
         return self.crash_return(memory, world, state, steps) - memory.total
 
-    def crash_return(self, memory: SimpleMemory, world: World, state: State, steps: int) -> Array:
+    def crash_return(self, memory: SimpleMemory, world: World, state: State, steps: Array) -> Array:
         """Return the sum of rewards () that an episode with a crash has.
 
         Raises:
@@ -216,15 +227,22 @@ class Commanded(Task):
         penalty = jnp.asarray(self.penalty)
         if self.crash == "published":
             return penalty
-        cost = self.highest_cost(memory, world.with_drawn(state.drawn), steps * self.period)
+        duration = duration_of(steps, self.period, memory.total)
+        cost = self.highest_cost(memory, world.with_drawn(state.drawn), duration)
         return jnp.minimum(penalty, -jnp.sum(cost))
 
     def with_sensed(self, world: World, state: State, *parts: Array) -> Array:
-        """Return parts (n, ...) of an observation, concatenated with the readings of the sensors in ``senses``."""
+        """Return parts (n, ...) of an observation, with body rates if actions need them, and readings of ``senses``."""
+        rates = [measured_rates(fleet_of(world, state, self.fleet)[1])] if self.actions in DIRECT else []
         more = [sensed(world, state, self.fleet, self.senses)] if self.senses else []
-        return jnp.concatenate([*parts, *more], axis=-1)
+        return jnp.concatenate([*parts, *rates, *more], axis=-1)
 
-    def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
+    def further_axes(self, world: World) -> tuple[Axis, ...]:
+        """Describe the numbers that ``with_sensed`` appends, by name, unit and range."""
+        rates = OBSERVED_RATES if self.actions in DIRECT else ()
+        return (*rates, *sensed_axes(world, self.fleet, self.senses))
+
+    def highest_cost(self, memory: SimpleMemory, world: World, duration: Array) -> Array:
         """Return an upper bound of each vehicle's cost (n,) in ``duration`` [s] without a crash."""
         return jnp.broadcast_to(self.effort.highest_rate(self.command_type(world)) * duration, memory.owed.shape)
 
@@ -236,7 +254,7 @@ class KeepSpot(Commanded):
     def sees(self, world: World) -> tuple[Axis, ...]:
         """Describe the values of an observation by name, unit and range: estimated state, offset to the goal."""
         goal = tuple(Axis(f"to_{name}", "m") for name in ("north", "east", "down"))
-        return (*BELIEVED, *goal, *sensed_axes(world, self.fleet, self.senses))
+        return (*BELIEVED, *goal, *self.further_axes(world))
 
     def danger(self, memory: SimpleMemory, world: World, state: State) -> Array:
         """Return the squared distance from the goal (n,), relative to that of the area's limit; at most 1.
@@ -259,7 +277,7 @@ class KeepSpot(Commanded):
         _, fleet = fleet_of(world, state, self.fleet)
         return square(fleet.vehicle.position_ned - self.goal(memory.start_ned, world))
 
-    def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
+    def highest_cost(self, memory: SimpleMemory, world: World, duration: Array) -> Array:
         """Return the largest cost (n,): of commands for ``duration`` [s], and of ending at the farthest corner."""
         effort: Array = Commanded.highest_cost(self, memory, world, duration)
         return effort + world.area.farthest_squared(self.goal(memory.start_ned, world))
@@ -296,14 +314,15 @@ class KeepVelocity(Commanded):
     def sees(self, world: World) -> tuple[Axis, ...]:
         """Describe the values of an observation by name, unit and range: estimated state, velocity error."""
         lacking = tuple(Axis(f"wanting_{name}", "m/s") for name in ("north", "east", "down"))
-        return (*BELIEVED, *lacking, *sensed_axes(world, self.fleet, self.senses))
+        return (*BELIEVED, *lacking, *self.further_axes(world))
 
     def cost_rate(self, model: Fleet, fleet: FleetState) -> Array:
         """Return each vehicle's cost per second (n,): of its command, plus the squared velocity error."""
         error = velocity_of(model.vehicle.pose(fleet.vehicle)) - self._target_velocity()
-        return self.effort.rate(fleet.command) + square(error)
+        effort: Array = Commanded.cost_rate(self, model, fleet)
+        return effort + square(error)
 
-    def highest_cost(self, memory: SimpleMemory, world: World, duration: float) -> Array:
+    def highest_cost(self, memory: SimpleMemory, world: World, duration: Array) -> Array:
         """Return the largest cost (n,) in ``duration`` [s]: of commands, and of velocity errors within the limits."""
         fleet = world.fleets[number_of(world, self.fleet)]
         error = math.sqrt(3.0) * fleet.limits.velocity + jnp.sqrt(square(self._target_velocity()))

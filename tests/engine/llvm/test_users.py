@@ -328,7 +328,7 @@ def test_components_of_users_by_both_compilers(count, monkeypatch):
 class Race(KeepSpot):
     """A task of a user's: who has come farthest wins what the others lose."""
 
-    def judge(self, memory: Any, world: Any, state: Any, step: Array, steps: int) -> tuple[Any, Array]:
+    def judge(self, memory: Any, world: Any, state: Any, step: Array, steps: Array) -> tuple[Any, Array]:
         """Return the reward (n,) of each."""
         memory, shared = KeepSpot.judge(self, memory, world, state, step, steps)
         place = state.fleets[0].vehicle.position_ned

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -14,6 +13,7 @@ from qrsim.core.clock import split_time
 from qrsim.core.noise import Draw, Key
 from qrsim.core.tree import cast
 from qrsim.core.vectors import Vec3
+from qrsim.engine.backend import Extent, Function, Worlds
 from qrsim.models.gnss.base_station import BaseStation
 from qrsim.models.gnss.budget import ErrorBudget
 from qrsim.models.gnss.constellations import NominalConstellations
@@ -85,47 +85,42 @@ def sky_of(
     )
 
 
-# Optimised, the program takes ten times as long to compile, and flies no study in less time than that.
-_QUICKLY = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
+# Of the random streams of a world.
+STREAMS = ("/sky", "/sky/start", "receiver", "receiver/start")
 
 
-@partial(jax.jit, static_argnames=("fixes", "worlds", "keep"), compiler_options=_QUICKLY)
-def _flown(
-    sky: SlottedSky, sensor: Gnss, offsets: Any, velocity: Any, seed: Any, fixes: int, worlds: int, keep: int
-) -> Any:
-    like = jnp.zeros((), offsets.x.dtype)
-    ids = jnp.arange(offsets.x.shape[0], dtype=jnp.uint32)
-    names = ("/sky", "/sky/start", "receiver", "receiver/start")
+def _first(shared: Any, given: Any) -> Any:
+    """Return a world at its start: keys of its streams, sky, receivers, and a fix that nobody reads."""
+    (sky, sensor, offsets, velocity), (_, keys) = shared, given
+    like, ids = jnp.zeros((), offsets.x.dtype), jnp.arange(offsets.x.shape[0], dtype=jnp.uint32)
+    first_sky, first = keys.stream(1, sky.ids), keys.stream(3, ids)
+    state = sky.init(Draw(first_sky, jnp.int32(0), like))
+    memory, reading = sensor.init(Draw(first, jnp.int32(0), like), offsets, velocity, state)
+    return keys, state, memory, _said(memory, reading, velocity)
 
-    def one(world: jax.Array) -> Any:
-        key = Key.root(seed, world)
-        later_sky, first_sky, later, first = (key.stream(name, sky.ids if "sky" in name else ids) for name in names)
-        start = sky.init(Draw(first_sky, jnp.int32(0), like))
-        memory, _ = sensor.init(Draw(first, jnp.int32(0), like), offsets, velocity, start)
 
-        def fix(carry: Any, tick: jax.Array) -> Any:
-            state, memory = carry
-            seconds, fraction = split_time(tick, sensor.period, like.dtype)
-            state = sky.step(state, Draw(later_sky, tick, like), seconds, fraction)
-            time = tick.astype(like.dtype) * sensor.period
-            truth = offsets + velocity * time
-            memory, reading = sensor.step(memory, Draw(later, tick, like), truth, velocity, state)
-            said = memory.outer if memory.link is None else memory.link.said
-            return (state, memory), (
-                jnp.where((reading.fix_type > 0.0)[:, None], said.stack(), jnp.nan),
-                (reading.velocity_ned - velocity).stack(),
-                jnp.stack([reading.horizontal_accuracy, reading.vertical_accuracy, reading.speed_accuracy], axis=-1),
-                reading.satellites,
-                reading.fix_type,
-            )
+def _next(shared: Any, given: Any, before: Any, tick: Any) -> Any:
+    """Return a world at its next fix, number ``tick``."""
+    (sky, sensor, offsets, velocity), (keys, state, memory, _) = shared, before
+    like, ids = jnp.zeros((), offsets.x.dtype), jnp.arange(offsets.x.shape[0], dtype=jnp.uint32)
+    later_sky, later = keys.stream(0, sky.ids), keys.stream(2, ids)
+    seconds, fraction = split_time(tick, sensor.period, like.dtype)
+    state = sky.step(state, Draw(later_sky, tick, like), seconds, fraction)
+    truth = offsets + velocity * (tick.astype(like.dtype) * sensor.period)
+    memory, reading = sensor.step(memory, Draw(later, tick, like), truth, velocity, state)
+    return keys, state, memory, _said(memory, reading, velocity)
 
-        def some(carry: Any, first: jax.Array) -> Any:
-            carry, found = jax.lax.scan(fix, carry, first + jnp.arange(1, keep + 1, dtype=jnp.int32))
-            return carry, jax.tree.map(lambda leaf: leaf[-1], found)
 
-        return jax.lax.scan(some, (start, memory), keep * jnp.arange(fixes // keep, dtype=jnp.int32))[1]
-
-    return jax.vmap(one)(jnp.arange(worlds, dtype=jnp.uint32))
+def _said(memory: Any, reading: Any, velocity: Any) -> tuple[Any, ...]:
+    """Return the fields of ``Flown`` of one fix in one world."""
+    said = memory.outer if memory.link is None else memory.link.said
+    return (
+        jnp.where((reading.fix_type > 0.0)[:, None], said.stack(), jnp.nan),
+        (reading.velocity_ned - velocity).stack(),
+        jnp.stack([reading.horizontal_accuracy, reading.vertical_accuracy, reading.speed_accuracy], axis=-1),
+        reading.satellites,
+        reading.fix_type,
+    )
 
 
 def fly(
@@ -152,13 +147,22 @@ def fly(
     """
     with jax.enable_x64(np.dtype(dtype) == np.float64):
         places = np.asarray(offsets, dtype)
-        where = Vec3(*(jnp.asarray(places[:, i]) for i in range(3)))
-        north = Vec3(*(jnp.full(len(places), value, dtype) for value in (speed, 0.0, 0.0)))
+        where = Vec3(*places.T)
+        north = Vec3(*(np.full(len(places), value, dtype) for value in (speed, 0.0, 0.0)))
         sky = sky or sky_of(sensor, start_s, errors, dtype, base=base, interference=interference)
-        fixes = round(seconds / sensor.period)
-        words = jnp.asarray([seed, 0], jnp.uint32)
-        found = _flown(sky, cast(sensor, dtype), where, north, words, fixes - fixes % keep, worlds, keep)
-        return Flown(*(np.moveaxis(np.asarray(part, np.float64), 0, 1) for part in found))
+        # Not by XLA, which compiles for ten times as long.
+        flying = Worlds(
+            Function("start of receivers", _first, text=None),
+            Function("fix of receivers", _next, text=None),
+            (sky, cast(sensor, dtype), where, north),
+            Extent(len(places), np.dtype(dtype), worlds),
+        )
+        flying.begin(Key.roots(np.full(worlds, seed, np.int64), np.arange(worlds)).streams(STREAMS))
+        found = []
+        for first in range(1, round(seconds / sensor.period) - keep + 2, keep):
+            flying.advance(first, keep, ())
+            found.append([np.array(part, np.float64) for part in flying.get(lambda world: world[3])])
+        return Flown(*(np.stack(part) for part in zip(*found, strict=True)))
 
 
 def over_a_day(sensor: Gnss, starts: int, seconds: float, worlds: int, seed: int = 0, **how: Any) -> Flown:

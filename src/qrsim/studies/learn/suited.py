@@ -6,9 +6,11 @@ from dataclasses import replace
 from typing import Any
 
 from qrsim.envs.functional import Functional
+from qrsim.envs.viewing import is_direct
 from qrsim.studies.learn.ppo import Settings
 from qrsim.studies.learn.starting import BASELINE
 from qrsim.studies.learn.training import Plan
+from qrsim.tasks.direct import MOTORS
 from qrsim.tasks.formation import KeepFormation
 from qrsim.tasks.landing import Land
 from qrsim.tasks.pursuit import Pursuit
@@ -33,6 +35,12 @@ SHORTER_S = 200.0
 LANDING = Settings(spread=0.4)
 # Decisions of 0.2 s and more: fewer samples, and more passes over them.
 SLOW, SLOW_ENVS = Settings(epochs=4, minibatches=8, spread=0.4), 64
+# Rates and motors, decided every 0.02 s: a longer horizon, and a rate that falls, so that noise does not move the last
+# policy from its spot. They are learned in episodes of this length [s], so that policies are tried more often.
+DIRECT_SETTINGS = Settings(discount=0.99, epochs=2, averaged=0.9, falling=True)
+DIRECT_S, DIRECT_STEPS = 20.0, 10_000_000
+# Motors start with the baseline: from nothing some seeds learn to stay upright, and not to stay at the spot.
+MOTORS_ENVS, MOTORS_STEPS = 256, 3_500_000
 # Episodes side by side: fewer of a team, so that the policy is improved more often for the same decisions.
 ENVS, PURSUIT_ENVS = 512, 128
 SUITED: dict[type, tuple[Settings, int]] = {
@@ -55,20 +63,36 @@ def plan_of(task: Any, overrides: tuple[str, ...] = (), envs: int | None = None,
         UsageError, ScenarioError: there is no such task.
     """
     play = Functional.of(task, overrides).play
-    kind = play.task
+    kind: Any = play.task
     settings, suited = next((each for task, each in SUITED.items() if isinstance(kind, task)), (Settings(), ENVS))
+    direct = is_direct(kind)
+    by_motors = direct and kind.actions == MOTORS
     if envs is None:
-        envs = suited
+        envs = MOTORS_ENVS if by_motors else suited
     fields: dict[str, Any] = {"settings": settings}
     if isinstance(kind, Pursuit) and play.steps * kind.period > SHORTER_S:
         fields["shorter"] = (f"duration={SHORTER_S:g}",)
+    if direct:
+        fields |= _direct_fields(play.steps * kind.period, by_motors)
     if isinstance(kind, Pursuit) and not kind.senses:
         fields["start"] = BASELINE
     if (fields | changes).get("start") is not None:
         suits = STARTED | (STARTED_PURSUIT if isinstance(kind, Pursuit) else {})
-        fields |= {"settings": replace(settings, **suits), "tries": STARTED_TRIES}
+        fields |= {"settings": replace(fields["settings"], **suits), "tries": STARTED_TRIES}
         if isinstance(kind, Pursuit):
             fields |= {"steps": STARTED_STEPS, "early": EARLY_S}
-        if "shorter" in fields:
+        if by_motors:
+            fields |= {"steps": MOTORS_STEPS}
+        if "shorter" in fields and not direct:
             fields |= {"starts": STARTS, "tries": WHOLE_TRIES}
     return Plan(task, overrides, envs=envs, **(fields | changes))
+
+
+def _direct_fields(duration: float, by_motors: bool) -> dict[str, Any]:
+    """Return fields of a plan for rates or motors, in episodes of ``duration`` [s]."""
+    fields: dict[str, Any] = {"settings": DIRECT_SETTINGS, "steps": DIRECT_STEPS}
+    if by_motors:
+        fields["start"] = BASELINE
+    if duration > DIRECT_S:
+        fields["shorter"] = (f"duration={DIRECT_S:g}",)
+    return fields

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from qrsim.core.arrays import Floats
+from qrsim.tasks.baselines.inner import Inner
+from qrsim.tasks.direct import DIRECT
 from qrsim.tasks.landing import Land
 from qrsim.tasks.play import Play
 from qrsim.tasks.simple import KeepVelocity
@@ -25,21 +27,31 @@ class Holding:
     """Flies a quadrotor to its goal, or along a line at the wanted velocity, heading north.
 
     Args:
-        play: a simple task, whose action is the command of a quadrotor (``FLOWN``).
+        play: a simple task, whose action is the command of a quadrotor (``FLOWN``), or rates or motors of a multirotor.
         seed: nothing is drawn.
     """
 
     def __init__(self, play: Play, seed: int = 0):
+        self._inner = Inner(play) if play.task.actions in DIRECT else None  # type: ignore[attr-defined]
         self._axes, self._period = play.axes, play.task.period
         self._by_velocity, self._lands = isinstance(play.task, KeepVelocity), isinstance(play.task, Land)
         task: Any = play.task
-        self._hover = float(np.asarray(task.effort.hover_throttle))
+        self._hover = float(np.asarray(task.effort.hover_throttle)) if self._inner is None else self._inner.hover
         self._start: Floats | None = None
         self._steps = 0
 
+    def begin(self, size: int, rows: Floats | None = None) -> None:
+        """Begin ``size`` episodes, all together; ``act`` then takes and returns (size, n, ...)."""
+        self._start, self._steps = None, 0
+
     def act(self, seen: Floats) -> Floats:
-        """Return actions (n, 5) that fly to the goal, for observations (n, 12): estimated state, offset to the goal."""
-        position, velocity, yaw, offset = seen[:, :3], seen[:, 3:6], seen[:, 8], seen[:, 9:12]
+        """Return actions (..., n, A) that fly to the goal.
+
+        Args:
+            seen: observations (..., n, 12), estimated state and offset to the goal; for rates and motors (..., n, 15),
+                with the body rates.
+        """
+        position, velocity, yaw, offset = seen[..., :3], seen[..., 3:6], seen[..., 8], seen[..., 9:12]
         wanted = np.zeros_like(velocity)
         if self._by_velocity:
             # Who holds a velocity holds the line too: the error of a velocity alone lets a height drift.
@@ -48,12 +60,15 @@ class Holding:
             offset = self._start + wanted * (self._steps * self._period) - position
         elif self._lands:
             # The estimated height may be wrong: it sinks until it stands.
-            offset = np.concatenate([offset[:, :2], np.maximum(offset[:, 2:], SINKING)], axis=1)
+            offset = np.concatenate([offset[..., :2], np.maximum(offset[..., 2:], SINKING)], axis=-1)
         self._steps += 1
         lacking = np.clip(APPROACH * offset, -FASTEST, FASTEST) + wanted - velocity
         cos, sin = np.cos(yaw), np.sin(yaw)
-        ahead, right = cos * lacking[:, 0] + sin * lacking[:, 1], cos * lacking[:, 1] - sin * lacking[:, 0]
+        north, east, down = np.moveaxis(lacking, -1, 0)
+        ahead, right = cos * north + sin * east, cos * east - sin * north
         pitch, roll = (np.clip(TILT * part, -LARGEST_TILT, LARGEST_TILT) for part in (-ahead, right))
-        command = (pitch, roll, self._hover - THROTTLE * lacking[:, 2], -TURN * yaw, np.full_like(yaw, np.inf))
+        command: Any = (pitch, roll, self._hover - THROTTLE * down, -TURN * yaw, np.full_like(yaw, np.inf))
+        if self._inner is not None:
+            command = self._inner.action(command, seen)
         parts = [axis.action(value) for value, axis in zip(command, self._axes, strict=True)]
-        return np.stack(parts, axis=1)
+        return np.stack(parts, axis=-1)

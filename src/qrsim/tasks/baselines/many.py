@@ -10,6 +10,7 @@ import numpy as np
 from qrsim.core.arrays import NumpyArray
 from qrsim.tasks.baselines import Chasing, baseline
 from qrsim.tasks.baselines.fleeing import Pursuing
+from qrsim.tasks.baselines.holding import Holding
 from qrsim.tasks.play import Play
 
 
@@ -31,7 +32,7 @@ class Many:
         if timeless and isinstance(one, Chasing):
             one = Chasing(self._play, timeless=True)
         # One object flies all episodes at once, or there is one for each.
-        self._one = one if isinstance(one, Chasing | Pursuing) else None
+        self._one = one if isinstance(one, Chasing | Pursuing | Holding) else None
         self._each: list[Any] = [one] * size
 
     def begin(self, rows: NumpyArray | None = None) -> None:
