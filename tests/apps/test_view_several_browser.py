@@ -101,7 +101,8 @@ def test_runs_and_plots_on_one_page(replay: Replay):
         replay.seek(7.78)
         clock = "document.getElementById('qrsim-timeline').innerText"
         eventually(lambda: "00:07.78 / 00:10.00" in str(browser.evaluate(clock)))
-        browser.evaluate("window.dispatchEvent(new KeyboardEvent('keydown', {key: 't', bubbles: true}))")
+        # A search for modes, which are no quantities, opens the table.
+        search(browser, "mode")
         eventually(lambda: "t = 7.78 s, 10 vehicles" in text(".qrsim-table-bar"))
         eventually(lambda: "t = 7.78 s" in str(browser.evaluate("document.body.innerText")))
         assert "B pelicans_0" in text(".qrsim-table tbody")
@@ -123,6 +124,19 @@ def test_runs_and_plots_on_one_page(replay: Replay):
         eventually(lambda: browser.evaluate(scrolled) == 70)
         browser.evaluate(f"{DOCK}.querySelector('.panel .close').click()")
         eventually(lambda: '"derived.height"' not in browser.evaluate(names))
+        # A filter counts, a section keeps its heading, and an empty list has none.
+        eventually(lambda: "separation" in text("#qrsim-plots .events h5"))
+        box = "document.querySelector('#qrsim-plots .events input')"
+        heads = "[...document.querySelectorAll('#qrsim-plots .events h4, #qrsim-plots .events h5')]"
+        seen = f"{heads}.filter(e => e.offsetHeight).map(e => e.textContent).join('|')"
+        for words, wanted in (
+            ("closest pairs", r"Highlights \(2 of \d+\)\|separation"),
+            ("waypoint_reached pelicans_4", r"Events \(\d+ of \d+\)"),
+            ("zzz", ""),
+        ):
+            browser.evaluate(f"{{{box}.value = '{words}'; {box}.oninput(); }}")
+            assert re.fullmatch(wanted, str(browser.evaluate(seen)))
+        browser.evaluate(f"{{{box}.value = ''; {box}.oninput(); }}")
         # The filter of the list of events stays in view.
         browser.evaluate(f"{DOCK}.querySelector('.events').scrollTop = 500")
         top = "document.querySelector('#qrsim-plots {}').getBoundingClientRect().top"

@@ -106,7 +106,7 @@ def test_a_row_is_cut_in_two_by_a_wall(run: Any) -> None:
     assert strength[0, 1] == pytest.approx(strength[1, 0], abs=0.1)
     assert heard[2, 5] == 0
     [member] = Recording(run).members
-    [worst] = [text for _, text in highlights_of([Series(member, member)]) if "radio" in text]
+    [worst] = [text for _, text, _ in highlights_of([Series(member, member)]) if "radio" in text]
     assert worst == "worst radio link: row_0 to row_4, 100.0 % of 10 packets lost"
     # As if the second vehicle had stopped, which ends its speed: that before is told.
     member.recording.stops = [(Event(1.0, 50, "row_1", "collision", "obstacle", 0.0, ""), 1)]
@@ -116,7 +116,7 @@ def test_a_row_is_cut_in_two_by_a_wall(run: Any) -> None:
     assert truth.time[49] == pytest.approx(0.98)
     assert before > 0.1
     told = f"speed before it stopped: row_1, {before:.1f} m/s"
-    assert told in [text.partition(";")[0] for _, text in highlights_of([Series(member, member)])]
+    assert told in [text.partition(";")[0] for _, text, _ in highlights_of([Series(member, member)])]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         figure = draw_radio(run, start=0.5)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ from qrsim.models.scene.area import BoxArea
 from qrsim.runs import Column, RunInfo, RunWriter, open_run
 from qrsim.runs.layout import Event
 from qrsim.view import highlights
+from qrsim.view.gnss_events import Loss, losses, search_words
 from qrsim.view.plots import Plots
 from qrsim.view.recording import Recording
 
@@ -24,6 +25,9 @@ VECTORS = {
     "wind": ("mean_ned", "gust_ned"),
 }
 LEFT = ("out_of_area", "position_ned.x", 10.25, "a stopped at 3.00 s, out_of_area: position_ned.x = 10.25 m")
+# c is 8 m from a at first; until a stops, b is nearest to it 8.84 m to the south and 14.8 m to the east.
+OF_A = "a and c, 8.00 m at 0.00 s; a and b, 17.24 m at 2.60 s"
+AXIS = "sigma on the worst axis"
 HIT = ("collision", "distance", 3.75, "b stopped at 5.00 s, collision: distance = 3.75 m to c")
 
 
@@ -69,6 +73,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
         writer.append_event(3.5, 35, "c", "failsafe", "fix", 3.0, "c: failsafe: fix lost, land, at 3.50 s")
         writer.append_event(4.0, 40, "c", "failsafe", "position", 4.0, "c: failsafe: position lost, descend, at 4.00 s")
         writer.append_event(5.0, 50, "b", *HIT)
+        writer.append_event(5.5, 55, "b", "fault_ends", "gnss", None, "b: gnss off, ends at 5.50 s")
         writer.append_event(6.0, 60, "c", "failsafe_ends", "action", 3.0, "c: failsafe: land, at 6.00 s")
         writer.append_event(7.0, 70, "c", "failsafe_ends", "action", 0.0, "c: failsafe ends at 7.00 s")
         writer.append_event(8.0, 80, "c", "failsafe", "battery", 0.0, "c: failsafe: battery low, no action, at 8.00 s")
@@ -85,34 +90,85 @@ def plots(recording: Recording) -> Plots:
 
 def test_who_and_when_in_flight_only(plots: Plots):
     # b is 4.00 m from c at 4 s; the collision at 5 s was at 3.75 m, which only its event knows.
-    assert [(at if at is None else round(at, 6), text) for at, text in plots.highlights()] == [
-        (3.0, "stopped: 2 of 3: a 3.00 s, b 5.00 s"),
-        (3.0, "outside the fence: a by 0.25 m to the north at 3.00 s"),
-        (5.0, "closest to another vehicle: b and c, 3.75 m at 5.00 s"),
-        (0.0, "fastest: a, 3.4 m/s at 0.00 s"),
-        (2.0, "strongest wind: c, 5.0 m/s"),
-        (4.0, "largest error of the estimate: b, 3.00 m"),
-        (9.9, "lowest battery in flight: c, 90.1 %; at their stops: a 97.1 % at 3.00 s, b 95.1 % at 5.00 s"),
-        (1.0, "estimate first outside its 95 % band (1.96 sigma): a 1.00 s, b 4.00 s"),
-        (2.9, "speed before it stopped: a, 3.4 m/s; estimate 1.50 sigma: inside its 95 % band"),
-        (4.9, "speed before it stopped: b, 2.0 m/s; estimate 3.00 sigma: outside its 95 % band"),
+    assert [(section, at if at is None else round(at, 6), text) for at, text, section in plots.highlights()] == [
+        ("stops", 3.0, "stopped: 2 of 3: a 3.00 s left the area to the north; b 5.00 s came too close to c, 3.75 m"),
+        ("stops", 2.9, f"speed before it stopped: a, 3.4 m/s; estimate 1.50 {AXIS}: inside its 95 % band"),
+        ("stops", 4.9, f"speed before it stopped: b, 2.0 m/s; estimate 3.00 {AXIS}: outside its 95 % band"),
+        ("fence", 3.0, "outside the fence: a by 0.25 m to the north at 3.00 s"),
+        ("separation", 5.0, f"closest pairs: b and c, 3.75 m at 5.00 s; {OF_A}"),
+        ("speed and wind", 0.0, "fastest: a, 3.4 m/s at 0.00 s"),
+        ("speed and wind", 2.0, "strongest wind: c, 5.0 m/s"),
+        ("estimate", 4.0, "largest error of the estimate: b, 3.00 m"),
+        ("estimate", 1.0, f"estimate first outside its 95 % band (1.96 {AXIS}): a 1.00 s, b 4.00 s"),
+        # Its failsafe is all that the log has of it.
+        ("GNSS", 3.5, "GNSS lost: c 3.50 s; fix lost, land 3.50 s; position lost, descend 4.00 s"),
+        ("battery", 9.9, "lowest battery in flight: c, 90.1 %; at their stops: a 97.1 % at 3.00 s, b 95.1 % at 5.00 s"),
+    ]
+
+
+def test_a_loss_of_gnss_is_told_until_it_is_back(recording: Recording):
+    """Scheduled, with the reactions to it; of the receiver's own events; not of other sensors, nor after a stop."""
+    of_gnss = [f"gnss.{name}" for name in ("position_ned.x", "satellites")]
+    streams = {"measurements": SimpleNamespace(columns=lambda: [*of_gnss, "mocap.position_ned.x"]), "events": None}
+
+    class Log(dict[str, Any]):
+        vehicles = NAMES
+        events: ClassVar[list[Event]] = [
+            Event(1.0, 10, "a", "fault_begins", "mocap", None, "a: mocap off, begins at 1.00 s"),
+            Event(2.0, 20, "b", "fault_begins", "gnss", None, "b: gnss off, begins at 2.00 s"),
+            Event(2.1, 21, "b", "failsafe", "fix", 3.0, "b: failsafe: fix lost, land, at 2.10 s"),
+            Event(2.5, 25, "a", "failsafe", "battery", 3.0, "a: failsafe: battery low, land, at 2.50 s"),
+            Event(3.0, 30, "b", "fault_ends", "gnss", None, "b: gnss off, ends at 3.00 s"),
+            Event(4.0, 40, "c", "fault_begins", "gnss", None, "c: gnss wrong, begins at 4.00 s"),
+            Event(4.5, 45, "c", "fix_lost", "gnss.satellites", 3.0, "c: gnss fix lost at 4.50 s, 3 satellites"),
+            Event(6.0, 60, "b", "fix_lost", "gnss.satellites", 2.0, "b: gnss fix lost at 6.00 s, 2 satellites"),
+            Event(9.0, 90, "a", "fix_lost", "gnss.satellites", 2.0, "a: gnss fix lost at 9.00 s, 2 satellites"),
+        ]
+
+    found = losses(Log(streams), np.array([8.0, np.inf, np.inf]))  # type: ignore[arg-type]
+    assert [(loss.vehicle, loss.time, loss.then) for loss in found] == [
+        (1, 2.0, [("fix lost, land", 2.1), ("GNSS back", 3.0)]),
+        (2, 4.5, []),
+    ]
+    # The reaction to a lost fix, and its end, are found by "gnss".
+    assert [own.time for own, words in zip(recording.events, search_words(recording.events), strict=True) if words] == [
+        3.5,
+        4.0,
+        6.0,
+        7.0,
+    ]
+
+
+def test_three_vehicles_that_lost_gnss_have_lines(plots: Plots, monkeypatch: pytest.MonkeyPatch):
+    every = [Loss(vehicle, float(vehicle)) for vehicle in (0, 1, 2, 0, 1)]
+    monkeypatch.setattr(highlights, "losses", lambda run, ends: every)
+    assert list(highlights._lost_gnss(plots._series[0]))[2:] == [
+        (2.0, "GNSS lost: c 2.00 s"),
+        (0.0, "GNSS lost: 2 more vehicles"),
     ]
 
 
 @pytest.mark.parametrize(
     ("stops", "told"),
     [
-        ([], (8.0, "closest to another vehicle: a and c, 1.00 m at 8.00 s")),
-        ([("a", 3.0, "crashed", None)], (4.0, "closest to another vehicle: b and c, 4.00 m at 4.00 s")),
+        ([], (8.0, "closest pairs: a and c, 1.00 m at 8.00 s; b and c, 4.00 m at 4.00 s; a and b, 15.53 m at 4.00 s")),
+        ([("a", 3.0, "crashed", None)], (4.0, f"closest pairs: b and c, 4.00 m at 4.00 s; {OF_A}")),
         # Vehicles collide with those that lie where they stopped.
         (
             [("a", 3.0, "crashed", None), ("c", 9.0, "collision", 0.48)],
-            (9.0, "closest to another vehicle: c and a, 0.48 m at 9.00 s (a had stopped)"),
+            (
+                9.0,
+                "closest pairs: c and a, 0.48 m at 9.00 s (a had stopped); b and c, 4.00 m at 4.00 s; "
+                "a and b, 17.24 m at 2.60 s",
+            ),
         ),
         # Both stop at once.
         (
             [("b", 4.1, "collision", 0.3), ("c", 4.1, "collision", 0.3)],
-            (4.1, "closest to another vehicle: b and c, 0.30 m at 4.10 s"),
+            (
+                4.1,
+                "closest pairs: b and c, 0.30 m at 4.10 s; a and c, 8.00 m at 0.00 s; a and b, 15.53 m at 4.00 s",
+            ),
         ),
     ],
 )
@@ -174,6 +230,8 @@ def test_events_and_states_say_it_in_the_same_words(recording: Recording):
     assert told[5.0] == "b stopped: came too close to c, 3.75 m, at 5.00 s"
     assert told[6.0] == "c: failsafe continues: land, at 6.00 s"
     assert told[7.0] == "c: failsafe ends at 7.00 s"
+    # b had stopped half a second before its fault ended.
+    assert 5.5 not in told
     assert recording.frame(5.0).reasons == {
         0: "left the area to the north",
         1: "came too close to c, 3.75 m",

@@ -90,19 +90,19 @@ def test_what_is_derived(plots: Plots):
 def test_highlights_say_who_and_when(plots: Plots, monkeypatch: pytest.MonkeyPatch):
     # The first vehicle begins 5 m from the second, whose estimate is 5 m = 2.5 standard deviations off.
     assert plots.highlights() == [
-        (None, "stopped: 0 of 2"),
-        (0.0, "closest to another vehicle: a_0 and <b>, 5.00 m at 0.00 s"),
-        (0.0, "largest error of the estimate: <b>, 5.00 m"),
-        (0.0, "estimate first outside its 95 % band (1.96 sigma): <b> 0.00 s"),
+        (None, "stopped: 0 of 2", "stops"),
+        (0.0, "closest pair: a_0 and <b>, 5.00 m at 0.00 s", "separation"),
+        (0.0, "largest error of the estimate: <b>, 5.00 m", "estimate"),
+        (0.0, "estimate first outside its 95 % band (1.96 sigma on the worst axis): <b> 0.00 s", "estimate"),
     ]
     # The first one's error is 3 m = 1.5 standard deviations.
-    outside = "first outside its 95 % band (1.0 sigma): a_0 0.00 s, <b> 0.00 s"
-    for band, told in ((1.0, outside), (9.0, "never outside its 95 % band (9.0 sigma)")):
+    outside = "first outside its 95 % band (1.0 sigma on the worst axis): a_0 0.00 s, <b> 0.00 s"
+    for band, told in ((1.0, outside), (9.0, "never outside its 95 % band (9.0 sigma on the worst axis)")):
         monkeypatch.setattr(highlights, "BAND", band)
         assert plots.highlights()[-1][1] == f"estimate {told}"
     data = plots.answer({"number": 3, "lines": [], "highlights": True})
     assert data is not None
-    assert json.loads(data[4:])["highlights"][1] == [0.0, "closest to another vehicle: a_0 and <b>, 5.00 m at 0.00 s"]
+    assert json.loads(data[4:])["highlights"][2] == [0.0, "largest error of the estimate: <b>, 5.00 m", "estimate"]
 
 
 @pytest.mark.parametrize(
@@ -146,11 +146,11 @@ def test_where_two_runs_part(plots: Plots):
     recording = plots._recording.members[0].recording
     # Run B is 2 s late, so that its first vehicle is 2 m behind that of A once B has begun.
     both = [Member("A", recording), Member("B", recording, shift=2.0, first=2)]
-    found = highlights_of([Series(own, both[0]) for own in both])
+    found = [line[:2] for line in highlights_of([Series(own, both[0]) for own in both])]
     assert (2.0, "first 1 m from run A: B a_0 2.00 s") in found
     assert "farthest from run A: B a_0, 2.00 m" in [text for _, text in found]
     # The earliest of B's times that are shown.
-    assert (2.0, "closest to another vehicle: B a_0 and <b>, 5.00 m at 2.00 s") in found
+    assert (2.0, "closest pair: B a_0 and <b>, 5.00 m at 2.00 s") in found
 
 
 def test_one_value_is_exact(plots: Plots):

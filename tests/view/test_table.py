@@ -44,9 +44,11 @@ def test_numbers_and_states():
     found, states = rows(FRAME)
     assert (found["north"][0], found["east"][0], found["height"][0]) == (10.0, 20.0, 30.0)
     assert (found["speed"][0], found["charge"][:2], found["error"][0], found["std"][0]) == (5.0, [0.5, 0.25], 2.0, 3.0)
+    # 2 m to the east, of which 2 m is one standard deviation; the errors of the second are 0.
+    assert found["sigmas"][:2] == [1.0, 0.0]
     assert states == ["waypoint 2 of 4", "stopped at 4.26 s: hit <b>", ""]
     assert found["stopped"][1] == 4.256
-    unknown = [found[name][2] for name in ("speed", "charge", "error", "std", "stopped")]
+    unknown = [found[name][2] for name in ("speed", "charge", "error", "std", "sigmas", "stopped")]
     assert all(map(math.isnan, unknown))
 
 
@@ -77,7 +79,7 @@ def test_texts_are_sent_once():
     def head(**wish: Any) -> tuple[Any, np.ndarray]:
         data = answer(wish, FRAME, (4, 4, 0), {}, True)
         size = int.from_bytes(data[:4], "little")
-        return json.loads(data[4 : 4 + size]), np.frombuffer(data[4 + size :], "<f4").reshape(9, 3)
+        return json.loads(data[4 : 4 + size]), np.frombuffer(data[4 + size :], "<f4").reshape(10, 3)
 
     first, values = head(number=7)
     assert (first["number"], first["time"], len(first["texts"])) == (7, 5.0, 3)

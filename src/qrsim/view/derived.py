@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,10 +67,13 @@ def _length(values: Floats) -> Floats:
 
 def _beyond(read: Read) -> Floats:
     """Return the position estimate's error (T, n) on its worst axis, in reported standard deviations, or NaN."""
-    std = vector(read, STD)
-    error = np.abs(vector(read, ESTIMATE) - vector(read, TRUE))
+    return in_sigmas(vector(read, ESTIMATE) - vector(read, TRUE), vector(read, STD))
+
+
+def in_sigmas(error: Floats, std: Floats) -> Floats:
+    """Return errors (..., 3) on their worst axis, in standard deviations ``std`` (..., 3); NaN for none above 0."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.where(std > 0.0, error / std, np.nan).max(axis=-1))
+        return np.asarray(np.where(std > 0.0, np.abs(error) / std, np.nan).max(axis=-1))
 
 
 ALWAYS = (
@@ -118,21 +121,54 @@ def nearest(places: Floats) -> Floats:
     """Return the distance (T, n) [m] to each vehicle's nearest other one, from positions (T, n, 3); NaN if alone."""
     ticks, count, _ = places.shape
     found = np.full((ticks, count), np.nan, np.float32)
-    if count < 2:
+    if count < 2 or not ticks:
         return found
     # In between the last one holds.
-    stride = max(1, -(-ticks * count * count // MOST_PAIRS))
-    chosen = places[::stride].astype(np.float32)
-    part = max(1, PAIRS_AT_ONCE // count**2)
-    apart = np.empty((len(chosen), count), np.float32)
-    for first in range(0, len(chosen), part):
-        own = chosen[first : first + part]
-        squared = sum((own[:, :, None, axis] - own[:, None, :, axis]) ** 2 for axis in range(3))
-        squared = np.where(np.isfinite(squared), squared, np.inf)
-        squared[:, np.arange(count), np.arange(count)] = np.inf
-        apart[first : first + part] = np.sqrt(squared.min(axis=2))
+    stride = _stride(ticks, count)
+    apart = np.concatenate([np.sqrt(squared.min(axis=2)) for squared in _squared(places[::stride])])
     apart[~np.isfinite(apart)] = np.nan
     return np.repeat(apart, stride, axis=0)[:ticks]
+
+
+def closest_pairs(places: Floats, most: int) -> list[tuple[float, int, int, int]]:
+    """Return (distance [m], tick, number, number) of the pairs that came closest to each other, at most ``most``.
+
+    Args:
+        places: (T, n, 3) positions [m]; NaN: the vehicle does not count.
+        most: number of pairs.
+    """
+    ticks, count, _ = places.shape
+    stride, first = _stride(ticks, count), 0
+    best, row = np.full((count, count), np.inf, np.float32), np.zeros((count, count), np.int64)
+    for squared in _squared(places[::stride]):
+        lowest = squared.min(axis=0)
+        closer = lowest < best
+        row[closer] = first + squared.argmin(axis=0)[closer]
+        best[closer] = lowest[closer]
+        first += len(squared)
+    pairs = np.argwhere(np.isfinite(best) & ~np.tri(count, dtype=bool))
+    order = np.argsort(best[tuple(pairs.T)], kind="stable")[:most]
+    return [(float(np.sqrt(best[i, j])), int(row[i, j]) * stride, i, j) for i, j in pairs[order].tolist()]
+
+
+def _stride(ticks: int, count: int) -> int:
+    """Return how many ticks apart the distances between all pairs of ``count`` vehicles are computed."""
+    return max(1, -(-ticks * count * count // MOST_PAIRS))
+
+
+def _squared(places: Floats) -> Iterator[Floats]:
+    """Yield squared distances (t, n, n) [m^2] of some ticks at once, from positions (T, n, 3) [m].
+
+    They are infinite where a position is unknown, and from a vehicle to itself.
+    """
+    count = places.shape[1]
+    part = max(1, PAIRS_AT_ONCE // max(1, count) ** 2)
+    for first in range(0, len(places), part):
+        own = places[first : first + part].astype(np.float32)
+        squared = sum((own[:, :, None, axis] - own[:, None, :, axis]) ** 2 for axis in range(3))
+        squared = np.where(np.isfinite(squared), squared, np.float32(np.inf))
+        squared[:, np.arange(count), np.arange(count)] = np.inf
+        yield squared
 
 
 def distance_to(vehicle: str, number: int) -> Derived:

@@ -9,19 +9,20 @@ const eventsIn = ({ parent, make, go, highlights }) => {
   filter.type = "search";
   const extremes = make("div", parent, "", "highlights"), rest = make("div", parent), more = make("button", parent, "", "more");
   const none = make("small", parent, `0 of ${data.events.length} events; the search of the plots finds logged quantities`);
-  make("h4", extremes, "Highlights");
-  if (data.events.length) make("h4", rest, `Events (${data.events.length})`);
-  const row = (to, time, kind, text) => {
+  // Headings, each with the rows under it: the whole lists, and the sections of the highlights.
+  const heads = [], head = (to, tag, text, whole) => { const own = { node: make(tag, to, text), text, whole, rows: [] }; heads.push(own); return own; };
+  const high = head(extremes, "h4", "Highlights", true), all = head(rest, "h4", "Events", true);
+  const row = (to, time, kind, text, more, under) => {
     // The time is in front, and not at the end again; the last time of a list is another one.
     const when = time === null ? "" : time.toFixed(2) + " s", again = kind === "highlight" ? ` at ${when}` : text.match(/,? at [\d.]+ s$/)?.[0];
     const words = again && text.endsWith(again) ? text.slice(0, -again.length) : text;
     const button = make("button", to, `${when && when + "  "}${words}`);
     button.onclick = () => { if (time !== null) go(time); button.blur(); };
-    const found = { time, button, words: `${kind} ${text}`.toLowerCase(), often: COMMON.includes(kind), event: to === rest };
+    const found = { time, button, words: `${kind} ${text} ${more}`.toLowerCase(), often: COMMON.includes(kind), event: to === rest };
     rows.push(found);
-    return found;
+    for (const own of under) own.rows.push(found);
   };
-  for (const [time, kind, text] of data.events) row(rest, time, kind, text);
+  for (const [time, kind, text, more] of data.events) row(rest, time, kind, text, more, [all]);
   let every = false;
   // Without words, only those that are marked in the plots, if there are any.
   const pick = () => {
@@ -30,6 +31,11 @@ const eventsIn = ({ parent, make, go, highlights }) => {
     const fits = words.map((word) => new RegExp("(?<![a-z0-9])" + word.replace(/[^\w]/g, "\\$&") + (LETTERS.includes(word) ? "(?![a-z0-9])" : "")));
     const shown = (own) => words.length ? fits.every((fit) => fit.test(own.words)) : every || !own.often || !rare.length;
     for (const own of rows) own.button.style.display = shown(own) ? "" : "none";
+    for (const { node, text, whole, rows } of heads) {
+      const count = rows.filter(shown).length;
+      node.hidden = !rows.length || (words.length > 0 && !count);
+      if (whole) node.textContent = `${text} (${words.length ? `${count} of ` : ""}${rows.length})`;
+    }
     none.hidden = !words.length || rows.some(shown);
     const hidden = rows.filter((own) => !words.length && !shown(own)), kinds = [...new Set(hidden.map((own) => own.words.split(" ")[0].replaceAll("_", " ")))];
     more.style.display = hidden.length ? "" : "none";
@@ -43,11 +49,14 @@ const eventsIn = ({ parent, make, go, highlights }) => {
   const load = async () => {
     if (asked || parent.hidden) return;
     asked = true;
-    const waits = make("small", extremes, "being computed ...");
+    const waits = make("small", extremes, "highlights are being computed ...");
     const found = data.highlights ?? await highlights();
     waits.remove();
-    for (const [time, text] of found) row(extremes, time, "highlight", text);
-    extremes.hidden = !found.length;
+    let under = null;
+    for (const [time, text, section] of found) {
+      if (under?.text !== section) under = head(extremes, "h5", section, false);
+      row(extremes, time, "highlight", text, section, [high, under]);
+    }
     pick();
   };
   return {

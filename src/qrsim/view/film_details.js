@@ -58,7 +58,7 @@ const detailsIn = (host) => {
   };
   // The numbers of all vehicles and their states in words, in the order of a server's answer (table.py).
   const table = async (time, at, valuesOf) => {
-    const count = about.vehicles.length, floats = new Float32Array(9 * count).fill(NaN), texts = new Map();
+    const count = about.vehicles.length, floats = new Float32Array(10 * count).fill(NaN), texts = new Map();
     const stops = new Map(about.stops.filter((stop) => stop[0] <= time + 1e-6).map(([when, vehicle, why]) => [vehicle, [when, why]]));
     const every = await Promise.all(about.vehicles.map((_, vehicle) => valuesOf(vehicle)));
     every.forEach((own, vehicle) => {
@@ -68,7 +68,7 @@ const detailsIn = (host) => {
       const text = stop ? `stopped at ${stop[0].toFixed(2)} s: ${stop[1]}` : doing(vehicle, time, of("commands.waypoint")).join();
       if (!texts.has(text)) texts.set(text, texts.size);
       [place[0], place[1], -place[2], stop ? 0 : of("derived.speed"), of("truth.battery.charge"), of("derived.estimate_error"),
-        Math.hypot(...STD.map(of)), texts.get(text), stop ? stop[0] : NaN].forEach((value, row) => { floats[row * count + vehicle] = value; });
+        Math.hypot(...STD.map(of)), of("derived.estimate_error_sigmas"), texts.get(text), stop ? stop[0] : NaN].forEach((value, row) => { floats[row * count + vehicle] = value; });
     });
     return { time, texts: [...texts.keys()], floats };
   };

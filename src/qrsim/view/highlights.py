@@ -13,41 +13,69 @@ from qrsim.errors import QrsimError
 from qrsim.runs.layout import Event
 from qrsim.runs.radio_columns import links_logged
 from qrsim.runs.radio_links import out_of_reach, packets_of, radios_of
-from qrsim.view.derived import CHARGE, FENCE, NEAREST
+from qrsim.view.derived import CHARGE, FENCE, TRUE, closest_pairs
+from qrsim.view.gnss_events import losses
 from qrsim.view.reasons import LEFT, outside_by
 from qrsim.view.satellite_events import satellite_of, satellites_lost
-from qrsim.view.series import BETWEEN, SAME, Series
+from qrsim.view.series import BETWEEN, COLLISION, SAME, Series
 
-# Time [s], None if it is none of a moment, and text.
-Highlight = tuple[float | None, str]
-# Yields highlights of one run.
-Find = Callable[[Series], Iterator[Highlight]]
+# Time [s], None for a line about no single moment, and text.
+Line = tuple[float | None, str]
+# The same with the section of the list.
+Highlight = tuple[float | None, str, str]
+# Yields lines about one run.
+Find = Callable[[Series], Iterator[Line]]
 # Distance [m] from which two runs count as apart, and the half width of the 95 % band in standard deviations.
 APART, BAND = 1.0, 1.96
+AXIS = "sigma on the worst axis"
 SIGMAS, SPEED = "derived.estimate_error_sigmas", "derived.speed"
-# Vehicles that one highlight names, and lines for vehicles that stopped.
-MOST_NAMED, MOST_STOPS = 5, 9
+# Vehicles that one highlight names, and lines of a run for vehicles that stopped, and for those that lost GNSS.
+MOST_NAMED, MOST_STOPS, MOST_LOSSES = 5, 9, 3
+# Pairs of vehicles of a run that came closest to each other.
+MOST_PAIRS = 3
 # Links with fewer packets than this are not compared.
 FEWEST_PACKETS = 10
-# Quantities of which the largest value counts, and text with places for the vehicle, the value and, for some, the time.
-LARGEST: tuple[tuple[str, str], ...] = (
-    (SPEED, "fastest: {}, {:.1f} m/s at {:.2f} s"),
-    ("derived.wind_speed", "strongest wind: {}, {:.1f} m/s"),
-    ("derived.estimate_error", "largest error of the estimate: {}, {:.2f} m"),
-    ("derived.setpoint_distance", "farthest from the set-point: {}, {:.2f} m"),
-)
 
 
 def highlights_of(runs: Sequence[Series]) -> list[Highlight]:
-    """Return (time [s] or None, text) of notable moments of runs, such as extremes; unlogged quantities are skipped."""
-    largest: list[Find] = [partial(_largest, name=name, words=words) for name, words in LARGEST]
-    others = (_battery, _outside, _at_stops, _lost_satellites, _apart, _worst_link)
-    finders: tuple[Find, ...] = (_stops, _fence, _closest, *largest, *others)
-    return [line for find in finders for own in runs for line in _guarded(find, own)]
+    """Return (time [s] or None, text, section) of notable moments of runs; quantities without a log are skipped."""
+    return [
+        (*line, section)
+        for section, finders in _sections()
+        for find in finders
+        for own in runs
+        for line in _guarded(find, own)
+    ]
 
 
-def _guarded(find: Find, own: Series) -> list[Highlight]:
-    """Return the highlights of a run that ``find`` yields; none if a part of the log is damaged."""
+def _sections() -> tuple[tuple[str, tuple[Find, ...]], ...]:
+    """Return the sections of the list, in order, and what yields their lines."""
+
+    def largest(name: str, words: str) -> Find:
+        """Return the line about the largest value of a quantity; ``words`` as in ``_largest``."""
+        return partial(_largest, name=name, words=words)
+
+    return (
+        ("stops", (_stops, _at_stops)),
+        ("fence", (_fence,)),
+        ("separation", (_closest, _apart)),
+        (
+            "speed and wind",
+            (
+                largest(SPEED, "fastest: {}, {:.1f} m/s at {:.2f} s"),
+                largest("derived.setpoint_distance", "farthest from the set-point: {}, {:.2f} m"),
+                largest("derived.wind_speed", "strongest wind: {}, {:.1f} m/s"),
+            ),
+        ),
+        ("estimate", (largest("derived.estimate_error", "largest error of the estimate: {}, {:.2f} m"), _outside)),
+        ("GNSS", (_lost_gnss, _lost_satellites)),
+        ("radio", (_worst_link,)),
+        ("battery", (_battery,)),
+    )
+
+
+def _guarded(find: Find, own: Series) -> list[Line]:
+    """Return the lines about a run that ``find`` yields; none if a part of the log is damaged."""
     with suppress(QrsimError):
         return list(find(own))
     return []
@@ -95,25 +123,32 @@ def _extreme(own: Series, name: str, sign: float) -> tuple[float, int, float] | 
     return float(time[row]), int(vehicle), float(values[row, vehicle])
 
 
-def _largest(own: Series, name: str, words: str) -> Iterator[Highlight]:
-    """Yield when a quantity was largest; ``words``: text with places as in ``LARGEST``."""
+def _largest(own: Series, name: str, words: str) -> Iterator[Line]:
+    """Yield when a quantity was largest.
+
+    Args:
+        own: the run.
+        name: of the quantity.
+        words: text with places for the vehicle, the value and, if it names it, the time.
+    """
     found = _extreme(own, name, 1.0)
     if found is not None:
         yield found[0], words.format(_named(own, found[1]), found[2], found[0])
 
 
-def _stops(own: Series) -> Iterator[Highlight]:
-    """Yield how many vehicles stopped, and when, the first one first."""
+def _stops(own: Series) -> Iterator[Line]:
+    """Yield how many vehicles stopped, when and why, the first one first."""
     stops = sorted((float(at), vehicle) for vehicle, at in enumerate(own.ends) if np.isfinite(at))
     count = f"stopped: {_letter(own)}{len(stops)} of {len(own.ends)}"
     if stops:
-        times = _listed(own, [(vehicle, f"{at:.2f} s") for at, vehicle in stops])
-        yield stops[0][0], f"{count}: {times}"
+        why = {vehicle: own.member.recording.why(event) for event, vehicle in own.member.recording.stops}
+        reasons = _listed(own, [(vehicle, f"{at:.2f} s {why[vehicle]}") for at, vehicle in stops], "; ")
+        yield stops[0][0], f"{count}: {reasons}"
     else:
         yield None, count
 
 
-def _fence(own: Series) -> Iterator[Highlight]:
+def _fence(own: Series) -> Iterator[Line]:
     """Yield which vehicles were outside the fence, by how much and when, or the closest approach to it."""
     shown, found = _shown(own, FENCE), _extreme(own, FENCE, -1.0)
     if shown is None:
@@ -145,22 +180,36 @@ def _by(own: Series, event: Event) -> str:
     return "" if far is None else f"by {far[0]:.2f} m {far[1]}".strip() + " "
 
 
-def _closest(own: Series) -> Iterator[Highlight]:
-    """Yield which two vehicles came closest to each other while both flew, and when."""
-    found = _extreme(own, NEAREST, -1.0)
-    if found is None:
-        return
-    at, vehicle, distance = found
-    # Vehicles also collide with those that have stopped.
-    other = own.nearest_at(vehicle, at, flying=at < own.ends[vehicle] - SAME)
-    if other is None:
-        return
-    name = own.member.recording.run.vehicles[other]
-    stopped = f" ({name} had stopped)" if own.ends[other] < at - SAME else ""
-    yield at, f"closest to another vehicle: {_named(own, vehicle)} and {name}, {distance:.2f} m at {at:.2f} s{stopped}"
+def _closest(own: Series) -> Iterator[Line]:
+    """Yield which vehicles came closest to each other while both flew, or collided, and when."""
+    time, places = _places(own)
+    names, ends = own.member.recording.run.vehicles, own.ends
+    found = {(i, j): (apart, float(time[k]), i, j) for apart, k, i, j in closest_pairs(places, MOST_PAIRS)}
+    # Vehicles also collide with those that have stopped, and only the event has the distance at a collision.
+    for event, vehicle in own.member.recording.stops:
+        other = own.nearest_at(vehicle, ends[vehicle], flying=False) if (event.kind, event.field) == COLLISION else None
+        if other is None or event.value is None or ends[vehicle] < 0.0:
+            continue
+        pair = (min(vehicle, other), max(vehicle, other))
+        if pair not in found or event.value < found[pair][0]:
+            found[pair] = (event.value, float(ends[vehicle]), vehicle, other)
+    pairs = sorted(found.values())[:MOST_PAIRS]
+    texts = []
+    for apart, at, one, other in pairs:
+        stopped = f" ({names[other]} had stopped)" if ends[other] < at - SAME else ""
+        texts.append(f"{names[one]} and {names[other]}, {apart:.2f} m at {at:.2f} s{stopped}")
+    if texts:
+        yield pairs[0][1], f"closest pair{'s' if len(texts) > 1 else ''}: {_letter(own)}{'; '.join(texts)}"
 
 
-def _battery(own: Series) -> Iterator[Highlight]:
+def _places(own: Series) -> tuple[Floats, Floats]:
+    """Return times (T,) [s] from 0 on and true positions (T, n, 3) NED [m], NaN from each vehicle's stop on."""
+    columns = [own.values(name) for name in TRUE]
+    first = int(np.searchsorted(columns[0][0], 0.0))
+    return columns[0][0][first:], np.stack([values[first:] for _, values in columns], axis=-1)
+
+
+def _battery(own: Series) -> Iterator[Line]:
     """Yield the lowest charge in flight, and the charges at which other vehicles stopped."""
     shown, found = _shown(own, CHARGE), _extreme(own, CHARGE, -1.0)
     if shown is None or found is None:
@@ -191,16 +240,16 @@ def _with_times(own: Series, firsts: Sequence[tuple[float, int]]) -> str:
     return _letter(own) + _listed(own, [(vehicle, f"{at:.2f} s") for at, vehicle in firsts])
 
 
-def _outside(own: Series) -> Iterator[Highlight]:
+def _outside(own: Series) -> Iterator[Line]:
     """Yield the estimates that left their 95 % band, each with its first time [s], the earliest first."""
     firsts = _firsts_above(own, SIGMAS, BAND)
     if firsts:
-        yield firsts[0][0], f"estimate first outside its 95 % band ({BAND} sigma): {_with_times(own, firsts)}"
+        yield firsts[0][0], f"estimate first outside its 95 % band ({BAND} {AXIS}): {_with_times(own, firsts)}"
     elif firsts is not None:
-        yield None, f"estimate never outside its 95 % band ({BAND} sigma){_of_run(own)}"
+        yield None, f"estimate never outside its 95 % band ({BAND} {AXIS}){_of_run(own)}"
 
 
-def _at_stops(own: Series) -> Iterator[Highlight]:
+def _at_stops(own: Series) -> Iterator[Line]:
     """Yield for each vehicle that stopped its last speed [m/s] before, and whether its estimate was in its band."""
     speeds, sigmas = _shown(own, SPEED), _shown(own, SIGMAS)
     for vehicle in np.argsort(own.ends, kind="stable").tolist()[:MOST_STOPS]:
@@ -209,7 +258,7 @@ def _at_stops(own: Series) -> Iterator[Highlight]:
             continue
         off = _last(sigmas, vehicle)
         side = "" if off is None else "outside" if off[1] > BAND else "inside"
-        estimate = "" if off is None else f"; estimate {off[1]:.2f} sigma: {side} its 95 % band"
+        estimate = "" if off is None else f"; estimate {off[1]:.2f} {AXIS}: {side} its 95 % band"
         yield last[0], f"speed before it stopped: {_named(own, vehicle)}, {last[1]:.1f} m/s{estimate}"
 
 
@@ -221,7 +270,20 @@ def _last(shown: tuple[Floats, Floats] | None, vehicle: int) -> tuple[float, flo
     return float(shown[0][row]), float(shown[1][row, vehicle])
 
 
-def _lost_satellites(own: Series) -> Iterator[Highlight]:
+def _lost_gnss(own: Series) -> Iterator[Line]:
+    """Yield for each vehicle when it first lost GNSS, and what followed until GNSS was back."""
+    shift = own.member.shift
+    found = [loss for loss in losses(own.member.recording.run, own.ends - shift - SAME) if loss.time + shift >= 0.0]
+    for loss in found[:MOST_LOSSES]:
+        then = "".join(f"; {words} {at + shift:.2f} s" for words, at in loss.then)
+        yield loss.time + shift, f"GNSS lost: {_named(own, loss.vehicle)} {loss.time + shift:.2f} s{then}"
+    rest = found[MOST_LOSSES:]
+    if rest:
+        of = f" of {own.member.letter}" if own.member.letter else ""
+        yield rest[0].time + shift, f"GNSS lost: {len(rest)} more vehicle{'s' if len(rest) > 1 else ''}{of}"
+
+
+def _lost_satellites(own: Series) -> Iterator[Line]:
     """Yield the first satellite that each vehicle's receiver lost, with its time [s]."""
     firsts: dict[int, Event] = {}
     names = own.member.recording.run.vehicles
@@ -234,7 +296,7 @@ def _lost_satellites(own: Series) -> Iterator[Highlight]:
         yield found[0][1].time, f"first satellite lost: {_letter(own)}{_listed(own, parts)}"
 
 
-def _apart(own: Series) -> Iterator[Highlight]:
+def _apart(own: Series) -> Iterator[Line]:
     """Yield when each vehicle was first 1 m from its position in the first run, and when one was farthest."""
     firsts = _firsts_above(own, BETWEEN, APART)
     if firsts:
@@ -242,7 +304,7 @@ def _apart(own: Series) -> Iterator[Highlight]:
     yield from _largest(own, BETWEEN, "farthest from run A: {}, {:.2f} m")
 
 
-def _worst_link(own: Series) -> Iterator[Highlight]:
+def _worst_link(own: Series) -> Iterator[Line]:
     """Yield the radio link that lost the largest share of its packets, or that no packet was lost."""
     run = own.member.recording.run
     if "measurements" not in run or not links_logged(run["measurements"].columns()):

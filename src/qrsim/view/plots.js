@@ -67,7 +67,7 @@
   const tool = (text, title, act) => { const button = make("button", bar, text); button.title = title; button.onclick = () => { act(); button.blur(); }; };
   tool("New plot", "the next quantity gets a plot of its own", () => { state.active = state.panels.length; search.focus(); });
   tool("Whole time", "undo the zoom (or double-click a plot)", () => zoom(0, data.end));
-  tool("Events", "highlights and events", () => { events.hidden = !events.hidden; list.load(); size(); });
+  tool("Highlights, events", "show or hide the list", () => { events.hidden = !events.hidden; list.load(); size(); });
   tool("\u2715", "close (P)", () => toggle(false));
   const panels = make("div", body, "", "panels"), events = make("div", body, "", "events");
   events.hidden = innerWidth < 900;
@@ -81,13 +81,16 @@
     const inName = (item) => words.every((word) => item.title.toLowerCase().includes(word)) ? 0 : 1;
     return [...together, ...single].sort((a, b) => inName(a) - inName(b));
   };
+  // Modes and states are words, and no quantities: the table has them, unless further words name a quantity.
+  const inTable = (text, some) => /(^|\s)(modes?|states?)(\s|$)/i.test(text) && !(some.length && /\s/.test(text.trim()));
+  const openTable = () => { search.value = ""; search.blur(); leave(); window.qrsim?.table.toggle(true); };
   const suggest = () => {
     found.replaceChildren();
     found.hidden = false;
-    const some = matches(search.value), elsewhere = /(^|\s)(modes?|states?)(\s|$)/i.test(search.value);
-    if (elsewhere) make("small", found, "for modes and states, see Table (T), column state");
+    const some = matches(search.value), elsewhere = inTable(search.value, some);
+    if (elsewhere) make("button", found, "Table (T), column state: modes and states of all vehicles", "first").onpointerdown = (event) => { event.preventDefault(); openTable(); };
     some.slice(0, 60).forEach((item, i) => {
-      const row = make("button", found, item.title, i ? "" : "first");
+      const row = make("button", found, item.title, i || elsewhere ? "" : "first");
       make("br", row);
       make("small", row, item.doc);
       row.onpointerdown = (event) => { event.preventDefault(); add(item.names); };
@@ -100,7 +103,11 @@
   const leave = () => { found.hidden = true; replacing = null; search.placeholder = PLACEHOLDER; };
   search.onblur = leave;
   search.onkeydown = (event) => {
-    if (event.key === "Enter") { const first = matches(search.value)[0]; if (first) add(first.names); }
+    if (event.key === "Enter") {
+      const some = matches(search.value);
+      if (inTable(search.value, some)) openTable();
+      else if (some.length) add(some[0].names);
+    }
     if (event.key === "Escape") search.blur();
   };
   found.hidden = true;

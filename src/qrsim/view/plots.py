@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from qrsim.core.arrays import Floats
 from qrsim.errors import QrsimError
 from qrsim.runs.layout import Event
+from qrsim.view.gnss_events import search_words
 from qrsim.view.highlights import Highlight, highlights_of
 from qrsim.view.recording import Recording
 from qrsim.view.satellite_events import first_lost
@@ -95,7 +96,7 @@ class Plots:
         return found
 
     def highlights(self) -> list[Highlight]:
-        """Return the notable moments of all runs: (time [s] or None, text)."""
+        """Return the notable moments of all runs: (time [s] or None, text, section of the list)."""
         with self._lock:
             return highlights_of(self._series)
 
@@ -183,9 +184,10 @@ def _time(event: Event) -> float:
     return event.time
 
 
-def listed(events: Iterable[Event]) -> list[tuple[float, str, str]]:
-    """Return (time [s], kind, text) of each event, at most the first MOST_EVENTS."""
-    return [(round(event.time, 4), event.kind, event.message or event.kind) for event in events][:MOST_EVENTS]
+def listed(events: Sequence[Event]) -> list[tuple[float, str, str, str]]:
+    """Return (time [s], kind, text, further words for searches) of each event, at most the first MOST_EVENTS."""
+    words = zip(events, search_words(events), strict=True)
+    return [(round(own.time, 4), own.kind, own.message or own.kind, more) for own, more in words][:MOST_EVENTS]
 
 
 def extremes(time: Floats, values: Floats, edges: Floats) -> dict[str, float | None]:

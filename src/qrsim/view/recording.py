@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
@@ -21,6 +22,7 @@ from qrsim.tasks.places import Places
 from qrsim.view.columns import Columns, vector
 from qrsim.view.details import RecordedDetails
 from qrsim.view.frame import Cast, Frame, Links, cast_of
+from qrsim.view.gnss_events import FAULTS
 from qrsim.view.imagery import Imagery
 from qrsim.view.paint import Paints
 from qrsim.view.readings import Excerpts
@@ -132,8 +134,14 @@ class Recording:
 
     @cached_property
     def events(self) -> list[Event]:
-        """Events of the run, with stops in words; [] if they were not recorded."""
-        return [as_shown(event, self._area) for event in self.run.events] if EVENTS in self.run else []
+        """Events of the run, with stops in words; [] if they were not recorded.
+
+        Faults that begin or end after their vehicle has stopped are left out.
+        """
+        ends = {event.vehicle: event.time for event, _ in self.stops}
+        every = self.run.events if EVENTS in self.run else []
+        shown = [own for own in every if own.kind not in FAULTS or own.time <= ends.get(own.vehicle, math.inf)]
+        return [as_shown(event, self._area) for event in shown]
 
     @property
     def _area(self) -> object:

@@ -2,7 +2,7 @@
 // Only the rows that are seen are there, so that a thousand vehicles cost as much as twenty.
 const tableIn = (host) => {
   const { data, state, make, css } = host, kept = (state.table ??= { open: false, by: -1, down: false, filter: "" });
-  const ROW = 22, PERIOD_MS = 250, STATE = 7, STOP = 8;
+  const ROW = 22, PERIOD_MS = 250, SIGMAS = 7, STATE = 8, STOP = 9, BAND = 1.96;
   const fixed = (digits, scale = 1) => (value) => (Number.isFinite(value) ? (scale * value).toFixed(digits).replace(/^-(0\.?0*)$/, "$1").replace("-", "\u2212") : "\u2013");
   // Heading, width [px], hint, and how a number is written; in the order of an answer (table.py), after the name.
   const columns = [
@@ -11,14 +11,15 @@ const tableIn = (host) => {
     ["battery %", 62, "charge of the battery", fixed(0, 100)],
     ["estimate error m", 78, "distance between the estimated and the true position", fixed(2)],
     ["estimate sigma m", 78, "standard deviation that the estimator reports, of all three axes", fixed(2)],
-    ["state", 520, "waypoint, failsafe, or when and why it stopped; sorted by the time of the stop", null],
+    ["error / sigma, worst axis", 104, "error on its worst axis in sigma; above 1.96 the estimate is outside its 95 % band", fixed(2)],
+    ["state", 500, "waypoint, failsafe, or when and why it stopped; sorted by the time of the stop", null],
   ];
   const box = make("div", "qrsim-table", host.root), bar = make("div", "qrsim-table-bar", box);
   const words = make("span", "", bar), filter = make("input", "", bar), shut = make("button", "", bar, "\u2715");
   const rows = make("div", "qrsim-table-rows", box), table = make("table", "", rows);
   const head = make("tr", "", make("thead", "", table)), body = make("tbody", "", table);
   // What the rows that are not there would take.
-  const gap = () => { const row = make("tr", "", body), cell = make("td", "qrsim-gap", row); cell.colSpan = 9; return { row, cell }; };
+  const gap = () => { const row = make("tr", "", body), cell = make("td", "qrsim-gap", row); cell.colSpan = 10; return { row, cell }; };
   const above = gap(), below = gap();
   const tall = ({ row, cell }, count) => { row.style.display = count ? "" : "none"; cell.style.height = count * ROW + "px"; };
   box.hidden = true;
@@ -88,6 +89,7 @@ const tableIn = (host) => {
       put(called, data.names[vehicle]);
       called.title = data.names[vehicle];
       columns.forEach(([, , , write], column) => put(cells[column], write ? write(value(column, vehicle)) : text(vehicle)));
+      cells[SIGMAS].className = value(SIGMAS, vehicle) > BAND ? "qrsim-out" : "";
       cells[STATE].title = text(vehicle);
     });
     tall(above, first);
@@ -119,7 +121,7 @@ const tableIn = (host) => {
     busy = true;
     const answer = await (window.qrsimFilm?.table ? window.qrsimFilm.table() : asking.request({ table: true, known: key }));
     busy = false;
-    if (!answer?.floats || answer.floats.length < 9 * data.names.length) return;
+    if (!answer?.floats || answer.floats.length < 10 * data.names.length) return;
     if (answer.texts) [texts, key] = [answer.texts, answer.key];
     found = answer;
     if (kept.open) show();

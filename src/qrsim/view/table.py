@@ -10,13 +10,14 @@ import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.errors import QrsimError
+from qrsim.view.derived import in_sigmas
 from qrsim.view.details import Details
 from qrsim.view.frame import Frame
 from qrsim.view.labels import doing_of
 from qrsim.view.server import packed
 
 # Columns of numbers, in the order of an answer; the last two are the index of the text and the time of the stop.
-COLUMNS = ("north", "east", "height", "speed", "charge", "error", "std", "text", "stopped")
+COLUMNS = ("north", "east", "height", "speed", "charge", "error", "std", "sigmas", "text", "stopped")
 
 
 def answer(
@@ -32,7 +33,7 @@ def answer(
         exact: whether these times are exact, or up to a drawn frame late.
 
     Returns:
-        The length of a head in 4 bytes, the head as JSON, and float32 (9, n), a row for each of ``COLUMNS``. The head
+        The length of a head in 4 bytes, the head as JSON, and float32 (10, n), a row for each of ``COLUMNS``. The head
         has the time [s], the key of the texts and, if the browser does not have them, the texts. Without a frame it has
         the number only.
     """
@@ -47,7 +48,7 @@ def answer(
 def table_of(
     frame: Frame, waypoints: Sequence[int], stops: Mapping[int, float], exact: bool = True
 ) -> tuple[Floats, list[str]]:
-    """Return a table of vehicles: numbers (9, n), a row per column of ``COLUMNS``, and the texts of their states.
+    """Return a table of vehicles: numbers (10, n), a row per column of ``COLUMNS``, and the texts of their states.
 
     Args:
         frame: at the time shown.
@@ -65,17 +66,19 @@ def table_of(
     if found is not None:
         values[3] = np.linalg.norm(found.velocity_ned, axis=1)
         values[4] = found.charge
-        values[5] = np.linalg.norm(found.believed_ned - frame.position_ned, axis=1)
+        error = found.believed_ned - frame.position_ned
+        values[5] = np.linalg.norm(error, axis=1)
         values[6] = np.linalg.norm(found.std_ned, axis=1)
+        values[7] = in_sigmas(error, found.std_ned)
     numbers: dict[str, int] = {}
     for i in range(size):
         if i in frame.reasons or not frame.valid[i]:
             time = stops.get(i, np.nan)
-            values[8, i] = time
+            values[9, i] = time
             text = stopped_text(frame.reasons.get(i), time, exact)
         else:
             text = "" if found is None else ", ".join(doing_of(found, i, waypoints[i]))
-        values[7, i] = numbers.setdefault(text, len(numbers))
+        values[8, i] = numbers.setdefault(text, len(numbers))
     return values, list(numbers)
 
 

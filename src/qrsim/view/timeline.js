@@ -26,7 +26,7 @@
   }
   const plots = document.createElement("button");
   plots.style.cssText = "border:1px solid #8888;border-radius:4px;background:none;font:inherit;cursor:pointer;color:inherit";
-  plots.textContent = innerWidth < 600 ? "Plots" : "Plots and events";
+  plots.textContent = innerWidth < 600 ? "Plots" : "Highlights, plots, events";
   plots.title = "highlights, events, and quantities over time (P)";
   plots.onclick = () => { window.qrsimPlots?.toggle(); plots.blur(); };
   bar.append(button, track, label, plots);
