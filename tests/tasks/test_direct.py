@@ -95,11 +95,12 @@ def test_a_learner_decides_at_every_step_and_turns_with_the_heading() -> None:
 
 def test_trainings_have_settings_for_short_decisions() -> None:
     plan = plan_of("keep_spot", tuple(each for each in RATES if each != "duration=2"))
-    # Learned in episodes of 20 s, for 10 million decisions, of which 100 are a horizon of 2 s.
-    assert (plan.shorter, plan.steps, plan.settings.discount) == (("duration=20",), 10_000_000, 0.99)
+    # Learned in episodes of 20 s, after the baseline, and 100 decisions are a horizon of 2 s.
+    assert (plan.shorter, plan.start, plan.steps, plan.envs) == (("duration=20",), "baseline", 3_500_000, 256)
+    assert plan.settings.discount == 0.99
     motors, alone = plan_of("keep_spot", tuple(MOTORS)), plan_of("keep_spot", tuple(MOTORS), start=None)
-    assert (plan.start, motors.shorter, motors.start, motors.steps) == (None, (), "baseline", 3_500_000)
-    assert (alone.start, alone.steps, alone.settings.spread) == (None, 10_000_000, 1.0)
+    assert (motors.shorter, motors.start, motors.settings.spread) == ((), "baseline", 0.03)
+    assert (alone.start, alone.settings.spread) == (None, 1.0)
 
 
 def test_inner_loops_by_hand() -> None:

@@ -46,16 +46,14 @@ class Train:
     """Seed of all randomness. Equal seeds give equal policies, bit for bit, on equally many cores of one machine."""
     steps: Annotated[
         int | None,
-        tyro.conf.arg(
-            help_behavior_hint="(default: 3000000; in a pursuit 2400000; of rates 10000000; of motors 3500000)"
-        ),
+        tyro.conf.arg(help_behavior_hint="(default: 3000000; pursuits 2400000; rates and motors 3500000)"),
     ] = None
     """Decisions of all agents, after which the training ends."""
     minutes: Annotated[float | None, tyro.conf.arg(help_behavior_hint="(default: no limit)")] = None
     """Wall time, after which the training ends earlier."""
     start: Annotated[
         str | None,
-        tyro.conf.arg(metavar="START", help_behavior_hint="(default: nothing; in a pursuit, and of motors, baseline)"),
+        tyro.conf.arg(metavar="START", help_behavior_hint="(default: nothing; pursuits, rates and motors: baseline)"),
     ] = None
     """First policy: 'baseline' imitates the task's baseline, a policy file goes on from it, 'nothing' is random."""
     fleet: Annotated[str | None, tyro.conf.arg(help_behavior_hint="(default: the only one)")] = None

@@ -10,7 +10,6 @@ from qrsim.envs.viewing import is_direct
 from qrsim.studies.learn.ppo import Settings
 from qrsim.studies.learn.starting import BASELINE
 from qrsim.studies.learn.training import Plan
-from qrsim.tasks.direct import MOTORS
 from qrsim.tasks.formation import KeepFormation
 from qrsim.tasks.landing import Land
 from qrsim.tasks.pursuit import Pursuit
@@ -38,9 +37,8 @@ SLOW, SLOW_ENVS = Settings(epochs=4, minibatches=8, spread=0.4), 64
 # Rates and motors, decided every 0.02 s: a longer horizon, and a rate that falls, so that noise does not move the last
 # policy from its spot. They are learned in episodes of this length [s], so that policies are tried more often.
 DIRECT_SETTINGS = Settings(discount=0.99, epochs=2, averaged=0.9, falling=True)
-DIRECT_S, DIRECT_STEPS = 20.0, 10_000_000
-# Motors start with the baseline: from nothing some seeds learn to stay upright, and not to stay at the spot.
-MOTORS_ENVS, MOTORS_STEPS = 256, 3_500_000
+# They start with the baseline: from nothing some seeds learn to stay upright, and not to stay at the spot.
+DIRECT_S, DIRECT_ENVS, DIRECT_STEPS = 20.0, 256, 3_500_000
 # Episodes side by side: fewer of a team, so that the policy is improved more often for the same decisions.
 ENVS, PURSUIT_ENVS = 512, 128
 SUITED: dict[type, tuple[Settings, int]] = {
@@ -66,14 +64,15 @@ def plan_of(task: Any, overrides: tuple[str, ...] = (), envs: int | None = None,
     kind: Any = play.task
     settings, suited = next((each for task, each in SUITED.items() if isinstance(kind, task)), (Settings(), ENVS))
     direct = is_direct(kind)
-    by_motors = direct and kind.actions == MOTORS
     if envs is None:
-        envs = MOTORS_ENVS if by_motors else suited
+        envs = DIRECT_ENVS if direct else suited
     fields: dict[str, Any] = {"settings": settings}
     if isinstance(kind, Pursuit) and play.steps * kind.period > SHORTER_S:
         fields["shorter"] = (f"duration={SHORTER_S:g}",)
     if direct:
-        fields |= _direct_fields(play.steps * kind.period, by_motors)
+        fields |= {"settings": DIRECT_SETTINGS, "steps": DIRECT_STEPS, "start": BASELINE}
+        if play.steps * kind.period > DIRECT_S:
+            fields["shorter"] = (f"duration={DIRECT_S:g}",)
     if isinstance(kind, Pursuit) and not kind.senses:
         fields["start"] = BASELINE
     if (fields | changes).get("start") is not None:
@@ -81,18 +80,6 @@ def plan_of(task: Any, overrides: tuple[str, ...] = (), envs: int | None = None,
         fields |= {"settings": replace(fields["settings"], **suits), "tries": STARTED_TRIES}
         if isinstance(kind, Pursuit):
             fields |= {"steps": STARTED_STEPS, "early": EARLY_S}
-        if by_motors:
-            fields |= {"steps": MOTORS_STEPS}
         if "shorter" in fields and not direct:
             fields |= {"starts": STARTS, "tries": WHOLE_TRIES}
     return Plan(task, overrides, envs=envs, **(fields | changes))
-
-
-def _direct_fields(duration: float, by_motors: bool) -> dict[str, Any]:
-    """Return fields of a plan for rates or motors, in episodes of ``duration`` [s]."""
-    fields: dict[str, Any] = {"settings": DIRECT_SETTINGS, "steps": DIRECT_STEPS}
-    if by_motors:
-        fields["start"] = BASELINE
-    if duration > DIRECT_S:
-        fields["shorter"] = (f"duration={DIRECT_S:g}",)
-    return fields
