@@ -28,6 +28,7 @@ from qrsim.runs.picture import new_figure, save_picture
 from qrsim.studies.learn.suited import plan_of
 from qrsim.studies.learn.training import Plan, Training
 from qrsim.tasks.baselines.many import Many
+from qrsim.tasks.direct import DIRECT
 from qrsim.tasks.learned import forward
 
 DOC = "policies of qrsim train on the simple tasks and in a pursuit, several seeds each, against the baseline"
@@ -49,6 +50,13 @@ SEEDS = 10
 # A mouse that is an agent: decisions, and seeds.
 BOTH, MOUSE_STEPS, MOUSE_SEEDS = "task.mouse=agent", 800_000, 3
 NEAR = 3.0
+# An X500 that keeps its spot by body rates and by rotor speeds, and seeds of each.
+X500 = (
+    "fleets.pelicans.vehicle={type: multirotor, model: x500}",
+    "fleets.pelicans.controller.type=cascade",
+    "task.effort.hover_throttle=0.77",
+)
+DIRECT_SEEDS = 3
 # Those whose curves are drawn.
 DRAWN = ("keep_velocity", "land_on_pad", PURSUIT)
 IMAGE = IMAGES / "learning_curves.png"
@@ -65,7 +73,8 @@ EACH = tuple(f"{key(task)}_{part}" for task in STEPS for part in ("compared", *r
 # The figure, of what the other parts have found.
 CURVES = "curves"
 MICE = ("mouse_compared", *(f"mouse_{seed}" for seed in range(MOUSE_SEEDS)))
-PARTS = (*EACH, *MICE, CURVES)
+BY_ACTIONS = tuple(f"{actions}_{part}" for actions in DIRECT for part in ("compared", *range(DIRECT_SEEDS)))
+PARTS = (*EACH, *MICE, *BY_ACTIONS, CURVES)
 
 Values = np.ndarray[Any, Any]
 
@@ -89,6 +98,13 @@ def run(full: bool, parts: tuple[str, ...] = PARTS) -> dict[str, Any]:
         if MICE[1 + seed] in parts:
             plan = plan_of(PURSUIT, (BOTH,), seed=seed, steps=MOUSE_STEPS, fleet="mice")
             found[f"mouse_seed_{seed}"] = trained(plan, TRIALS)
+    for actions in DIRECT:
+        changes = (*X500, f"task.actions={actions}")
+        if f"{actions}_compared" in parts:
+            found[actions] = compared("keep_spot", changes)
+        for seed in range(DIRECT_SEEDS):
+            if f"{actions}_{seed}" in parts:
+                found[f"{actions}_seed_{seed}"] = trained(plan_of("keep_spot", changes, seed=seed), TRIALS)
     if CURVES in parts:
         known = found if len(parts) > 1 else json.loads(REPORT.read_text("utf-8"))["results"]
         save_picture(lambda: draw(known), IMAGE)
@@ -115,11 +131,11 @@ def trained(plan: Plan, trials: int) -> dict[str, Any]:
     }
 
 
-def compared(task: str) -> dict[str, Any]:
+def compared(task: str, overrides: tuple[str, ...] = ()) -> dict[str, Any]:
     """Return how hovering and the baseline do in the same episodes, and the part that ends near the goal."""
-    found, view = {}, view_of(Functional.of(task))
+    found, view = {}, view_of(Functional.of(task, overrides))
     for name, changes in ((HOVER, []), ("baseline", []), *((("pictures", PICTURES),) if task == SEARCH else ())):
-        batch = batch_of(task, TRIALS, changes, view)
+        batch = batch_of(task, TRIALS, [*overrides, *changes], view)
         play = batch.functional.play
         total, alive = fly(batch, flown_by("baseline" if changes else name, play))
         found[name] = summary(total, alive)
