@@ -26,7 +26,7 @@ def test_a_rollout_flies_as_an_environment_does(tmp_path) -> None:
     assert view.observed[view.kept[0]] == "velocity_north"
     draw = np.random.default_rng(5)
     layers = tuple(
-        (draw.normal(0.0, 0.5, shape).astype(np.float32), draw.normal(0.0, 0.2, shape[1]).astype(np.float32))
+        (draw.normal(0.0, 0.5, shape).astype(np.float32), draw.normal(0.0, 0.6, shape[1]).astype(np.float32))
         for shape in ((view.inputs, 4), (4, len(view.flown)))
     )
     scaling = Scaling(np.zeros(view.inputs, np.float32), np.ones(view.inputs, np.float32))
@@ -63,5 +63,5 @@ def test_a_decision_divides_the_episode() -> None:
     functional = Batch("keep_spot", 2, SHORT).functional
     assert view_of(functional).seconds == 0.1
     # 51 ticks are no multiple of five or four, but of three.
-    longer = dataclasses.replace(functional, play=qrsim.core.tree.replace(functional.play, steps=51))
+    longer = dataclasses.replace(functional, play=qrsim.core.tree.replace(functional.play, length=np.int32(51)))
     assert view_of(longer).seconds == 0.06
