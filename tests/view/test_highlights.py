@@ -139,6 +139,31 @@ def test_a_loss_of_gnss_is_told_until_it_is_back(recording: Recording):
     ]
 
 
+def test_gnss_is_lost_where_no_receiver_is_left_and_the_loss_with_a_reaction_is_told():
+    columns = [f"{own}.{name}" for own in ("gnss", "rtk") for name in ("position_ned.x", "satellites")]
+
+    def of(vehicle: str, *changes: tuple[float, str, str]) -> list[Event]:
+        return [Event(at, 0, vehicle, kind, name, 2.0, f"{vehicle}: {name}") for at, kind, name in changes]
+
+    class Log(dict[str, Any]):
+        vehicles = NAMES
+        events: ClassVar[list[Event]] = [
+            *of("a", (1.0, "fix_lost", "rtk.satellites"), (2.0, "fix_found", "rtk.satellites")),
+            *of("b", (1.0, "fix_lost", "gnss.satellites"), (2.0, "fix_lost", "rtk.satellites")),
+            *of("b", (3.0, "fix_found", "gnss.satellites"), (4.0, "fix_found", "rtk.satellites")),
+            *of("c", (1.0, "fix_lost", "gnss.satellites"), (1.0, "fix_lost", "rtk.satellites")),
+            *of("c", (1.5, "fix_found", "gnss.satellites"), (4.0, "fix_lost", "gnss.satellites")),
+            Event(4.1, 0, "c", "failsafe", "fix", 3.0, "c: failsafe: fix lost, land, at 4.10 s"),
+        ]
+
+    streams = {"measurements": SimpleNamespace(columns=lambda: columns), "events": None}
+    found = losses(Log(streams), np.full(3, np.inf))  # type: ignore[arg-type]
+    assert [(loss.vehicle, loss.time, loss.then) for loss in found] == [
+        (1, 2.0, [("GNSS back", 3.0)]),
+        (2, 4.0, [("fix lost, land", 4.1)]),
+    ]
+
+
 def test_three_vehicles_that_lost_gnss_have_lines(plots: Plots, monkeypatch: pytest.MonkeyPatch):
     every = [Loss(vehicle, float(vehicle)) for vehicle in (0, 1, 2, 0, 1)]
     monkeypatch.setattr(highlights, "losses", lambda run, ends: every)

@@ -70,7 +70,12 @@ def _axes(axes: Iterable[Axis]) -> str:
             code(axis.name),
             "" if axis.unit == "1" else axis.unit,
             *("" if abs(end) == float("inf") else number(float(end)) for end in (axis.low, axis.high)),
+            "" if axis.neutral is None else number(float(axis.neutral)),
         )
         for axis in axes
     ]
-    return table(("number", "unit", "low", "high"), rows)
+    # Only some actions have a neutral value.
+    titles = (
+        ("number", "unit", "low", "high", "0 is") if any(row[-1] for row in rows) else ("number", "unit", "low", "high")
+    )
+    return table(titles, [row[: len(titles)] for row in rows])

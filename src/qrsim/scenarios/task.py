@@ -15,6 +15,7 @@ from qrsim.scenarios.timing import is_multiple
 from qrsim.tasks.direct import DIRECT, GYROSCOPES, accepts
 from qrsim.tasks.formation import BEACON
 from qrsim.tasks.perceived import SEEING
+from qrsim.tasks.simple import Commanded
 
 # Sensors by the field of a task that names one.
 SENSORS = {"camera": ("camera", "ideal_camera"), "sensor": ("concentration", "ideal_concentration")}
@@ -52,7 +53,8 @@ def task_problems(scenario: ScenarioSpec) -> Iterator[str]:
             yield from _setpoint_problems(scenario, name, built.asks(name))
         else:
             yield f"task.fleets: no fleet is called '{name}'{did_you_mean(name, scenario.fleets)}"
-    yield from _action_problems(task, scenario.fleets[task.fleet])
+    if isinstance(built, Commanded):
+        yield from _action_problems(task, scenario.fleets[task.fleet])
     yield from _fleet_problems(scenario, scenario.fleets[task.fleet])
 
 
@@ -73,15 +75,15 @@ def _formation_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 def _action_problems(task: Any, fleet: FleetSpec) -> Iterator[str]:
     """Yield errors of actions below attitude: vehicles that do not accept them, or that measure no body rates."""
-    actions = vars(task).get("actions")
-    if is_outside("task", task.type) or actions not in DIRECT:
+    actions = task.actions
+    if actions not in DIRECT:
         return
     vehicle = fleet.vehicle.type
     if not accepts(known.VEHICLES[vehicle]):
         allowed = ", ".join(sorted(name for name, cls in known.VEHICLES.items() if accepts(cls)))
         yield (
             f"task.actions: {actions}; only vehicles of type {allowed} accept them, and fleet '{task.fleet}' has type "
-            f"'{vehicle}', which accepts command, velocity"
+            f"'{vehicle}'"
         )
     if not any(issubclass(known.SENSORS[sensor.type], GYROSCOPES) for sensor in fleet.sensors.values()):
         types = ", ".join(name for name, cls in known.SENSORS.items() if issubclass(cls, GYROSCOPES))

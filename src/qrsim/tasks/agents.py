@@ -80,9 +80,9 @@ def action_period(seconds: float) -> float:
 
 
 def duration_of(steps: Array, period: float, like: Array) -> Array:
-    """Return the duration () [s] of ``steps`` () periods [s], of the type of ``like``, correctly rounded.
+    """Return the duration () [s] of ``steps`` () periods [s], of the type of ``like``.
 
-    A period such as 0.02 s is the ratio 1/50 s. Both integers are exact in single precision, and the period is not.
+    A period such as 0.02 s is taken as the ratio 1/50 s, because integers are exact in single precision, and it is not.
     """
     if like.dtype == jnp.float64:
         return steps * jnp.asarray(period, like.dtype)

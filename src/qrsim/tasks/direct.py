@@ -47,14 +47,18 @@ def direct_axes(axes: Sequence[Axis], vehicle: Multirotor) -> tuple[Axis, ...]:
     """Return the axes of rates or motors: rates within ``FASTEST_RATES``; 0 of throttle and rotors is a hover."""
     rotors = rotor_fractions(vehicle, vehicle.mass * vehicle.gravity, (0.0, 0.0, 0.0))
     hover = {f"rotor_{number}": fraction for number, fraction in enumerate(rotors)}
-    hover["throttle"] = hover_throttle(vehicle)
+    hover["throttle"] = own_hover(vehicle)
     found = []
     for axis in axes:
         limit, neutral = FASTEST_RATES.get(axis.name), hover.get(axis.name)
         low, high = (axis.low, axis.high) if limit is None else (-limit, limit)
-        # Of a fleet of different vehicles it is the first that hovers.
         found.append(Axis(axis.name, axis.unit, low, high, None if neutral is None else neutral.reshape(-1)[0]))
     return tuple(found)
+
+
+def own_hover(vehicle: Multirotor) -> Array:
+    """Return the throttle () of a hover; in a fleet of different masses, that of the first vehicle."""
+    return hover_throttle(vehicle).reshape(-1)[0]
 
 
 def hover_throttle(vehicle: Multirotor) -> Array:

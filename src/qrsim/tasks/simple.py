@@ -37,7 +37,16 @@ from qrsim.tasks.agents import (
     velocity_axes,
 )
 from qrsim.tasks.contracts import Task
-from qrsim.tasks.direct import DIRECT, OBSERVED_RATES, command_kind, direct_axes, flown, measured_rates
+from qrsim.tasks.direct import (
+    DIRECT,
+    OBSERVED_RATES,
+    accepts,
+    command_kind,
+    direct_axes,
+    flown,
+    measured_rates,
+    own_hover,
+)
 from qrsim.tasks.perceived import sensed, sensed_axes, senses
 from qrsim.world.state import Action, Fleet, FleetState, State, World
 
@@ -169,7 +178,9 @@ class Commanded(Task):
         if self.actions in DIRECT:
             vehicle: Any = world.fleets[number_of(world, self.fleet)].vehicle
             return direct_axes(axes_of(self.action_type(world)), vehicle)
-        return axes_of(self.command_type(world), self.effort.hover_throttle)
+        vehicle = world.fleets[number_of(world, self.fleet)].vehicle
+        hover = own_hover(vehicle) if accepts(type(vehicle)) else self.effort.hover_throttle
+        return axes_of(self.command_type(world), hover)
 
     def action_type(self, world: World) -> type:
         """Return the record type of commands that an action gives."""

@@ -71,7 +71,7 @@ def _beyond(read: Read) -> Floats:
 
 
 def in_sigmas(error: Floats, std: Floats) -> Floats:
-    """Return errors (..., 3) on their worst axis, in standard deviations ``std`` (..., 3); NaN for none above 0."""
+    """Return errors (..., 3) on their worst axis, in standard deviations ``std`` (..., 3); NaN if one is 0."""
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(np.where(std > 0.0, np.abs(error) / std, np.nan).max(axis=-1))
 

@@ -22,23 +22,74 @@ WORD = "gnss"
 
 @dataclass
 class Loss:
-    """The first loss of GNSS of a vehicle.
+    """A loss of GNSS of a vehicle.
 
     Attributes:
         vehicle: its number in the run.
         time: of the loss [s], by the clock of the run.
         then: (text, time [s]) of what followed until GNSS was back.
-        over: whether it was back.
+        counts: whether no receiver was left, or a failsafe reacted.
+        reacted: whether a failsafe reacted.
     """
 
     vehicle: int
     time: float
     then: list[tuple[str, float]] = field(default_factory=list)
-    over: bool = False
+    counts: bool = False
+    reacted: bool = False
+
+
+class _Receivers:
+    """The receivers of a vehicle, by its events in order of time.
+
+    Args:
+        vehicle: its number in the run.
+        names: of all receivers.
+    """
+
+    def __init__(self, vehicle: int, names: set[str]):
+        self._vehicle, self._names = vehicle, names
+        self._lost: set[str] = set()
+        self._now: Loss | None = None
+        self._all: list[Loss] = []
+
+    def hear(self, event: Event) -> None:
+        """Take an event of the vehicle."""
+        name = (event.field or "").removesuffix(".satellites")
+        # Other faults leave a fix, which may be wrong.
+        off = event.kind in FAULTS and f": {name} off," in event.message
+        if event.kind == FAILSAFE and event.field in POSITION:
+            loss = self._loss(event.time)
+            loss.counts = loss.reacted = True
+            loss.then.append((mode_of(event).removeprefix("failsafe: ") or f"{event.field} lost", event.time))
+        elif name in self._names and ((off and event.kind == BEGINS) or event.kind == "fix_lost"):
+            self._lost.add(name)
+            loss = self._loss(event.time)
+            if self._lost == self._names and not loss.counts:
+                loss.counts, loss.time = True, event.time
+        elif name in self._lost and ((off and event.kind == BACK) or event.kind == "fix_found"):
+            self._lost.remove(name)
+            if self._now is not None and (self._now.counts or not self._lost):
+                self._now.then.append(("GNSS back", event.time))
+                self._now = None
+
+    def _loss(self, time: float) -> Loss:
+        """Return the present loss, which begins now if there is none."""
+        if self._now is None:
+            self._now = Loss(self._vehicle, time)
+            self._all.append(self._now)
+        return self._now
+
+    def told(self) -> Loss | None:
+        """Return the first loss that a failsafe reacted to, else the first one; None if no loss counts."""
+        losses = [loss for loss in self._all if loss.counts]
+        return next((loss for loss in losses if loss.reacted), losses[0] if losses else None)
 
 
 def losses(run: Run, ends: Floats) -> list[Loss]:
-    """Return the first loss of GNSS of each vehicle that lost it in flight, the earliest first.
+    """Return one loss of GNSS of each vehicle that lost it in flight, the earliest first.
+
+    It is the first one that a failsafe reacted to, else the first one in which no receiver was left.
 
     Args:
         run: whose events are read.
@@ -47,26 +98,13 @@ def losses(run: Run, ends: Floats) -> list[Loss]:
     Raises:
         QrsimError: the events are damaged.
     """
-    sensors, numbers = _receivers(run), {name: i for i, name in enumerate(run.vehicles)}
-    found: dict[int, Loss] = {}
+    names = _receivers(run)
+    found = {name: _Receivers(number, names) for number, name in enumerate(run.vehicles)}
+    order = {name: number for number, name in enumerate(run.vehicles)}
     for event in sorted(run.events if EVENTS in run else [], key=lambda event: event.time):
-        vehicle = numbers.get(event.vehicle or "")
-        if vehicle is None or event.time >= ends[vehicle]:
-            continue
-        reacts = event.kind == FAILSAFE and event.field in POSITION
-        # Other faults leave a fix, which may be wrong.
-        off = event.field in sensors and f": {event.field} off," in event.message
-        if reacts or (off and event.kind == BEGINS) or event.kind == "fix_lost":
-            found.setdefault(vehicle, Loss(vehicle, event.time))
-        loss = found.get(vehicle)
-        if loss is None or loss.over:
-            continue
-        if reacts:
-            loss.then.append((mode_of(event).removeprefix("failsafe: ") or f"{event.field} lost", event.time))
-        elif event.kind == "fix_found" or (off and event.kind == BACK):
-            loss.then.append(("GNSS back", event.time))
-            loss.over = True
-    return sorted(found.values(), key=lambda loss: loss.time)
+        if event.vehicle in found and event.time < ends[order[event.vehicle]]:
+            found[event.vehicle].hear(event)
+    return sorted((loss for each in found.values() if (loss := each.told())), key=lambda loss: loss.time)
 
 
 def _receivers(run: Run) -> set[str]:
