@@ -78,7 +78,9 @@ def test_actions_have_limits_and_are_neutral_in_a_hover() -> None:
     assert [(axis.name, axis.low, axis.high) for axis in motors.play.axes] == [
         (f"rotor_{number}", 0.0, 1.0) for number in range(4)
     ]
-    for play, expected in ((rates.play, [0.0, 0.0, 0.0, HOVER]), (motors.play, [HOVER] * 4)):
+    # By its command too, a multirotor hovers at its own throttle.
+    commanded = ((Functional.of("keep_spot", X500).play, [0.0, 0.0, HOVER, 0.0]),)
+    for play, expected in (*commanded, (rates.play, [0.0, 0.0, 0.0, HOVER]), (motors.play, [HOVER] * 4)):
         np.testing.assert_array_equal(Hover(play).act(None), np.zeros((1, 4)))
         np.testing.assert_allclose(play.scaled(np.zeros((1, 4))), [expected], atol=1e-5)
 
