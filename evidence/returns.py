@@ -51,7 +51,7 @@ def pilots(name: str) -> dict[str, Any]:
 def fly(flown: Batch, command: Any, seed: int = 0) -> tuple[Values, Values]:
     """Return the mean returns (B,) of the agents, of the seeds from one on, and who flew to the end."""
     flown.reset(seed + np.arange(flown.size))
-    shape = (flown.size, len(flown.functional.agents), len(flown.functional.play.task.axes))
+    shape = (flown.size, len(flown.functional.agents), flown.functional.play.width)
     total, alive = np.zeros(flown.size), np.ones(flown.size, bool)
     for step in range(flown.functional.play.steps):
         asked = command(step, flown.seen) if callable(command) else command
