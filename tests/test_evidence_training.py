@@ -125,17 +125,14 @@ def test_every_learner_rises_above_hovering_and_the_controller(full: dict[str, A
 
 
 def test_stable_baselines_has_learned_to_keep_a_spot_without_a_crash(full: dict[str, Any]) -> None:
-    """With its defaults, on the registered environment, two seeds of three; hovering leaves the area in most cases."""
+    """With its defaults, on the registered environment, five seeds of five; hovering leaves the area in most cases."""
     learned = full["keep_spot"]
-    assert (learned["learners"], learned["most"], learned["tries"], learned["trials"]) == (3, 1_000_000, 100, 200)
+    assert (learned["learners"], learned["most"], learned["tries"], learned["trials"]) == (5, 1_000_000, 100, 200)
     assert learned["scale"] == 1.0
     assert learned["hover"]["flown_to_the_end"] < 0.5
-    learners = [learned[f"learner_{seed}"] for seed in range(3)]
-    # Up to a rollout more than asked, in which all 100 episodes of the last try are flown to the end.
-    whole = [each for each in learners if list(each["curve"].values())[-1]["flown_to_the_end"] == 1.0]
-    assert len(whole) >= 2
-    for each in whole:
-        assert each["steps"] <= 1_000_000 + 2048
-        assert each["flown_to_the_end"] >= 0.99
-        assert each["low"] > -40.0 > learned["hover"]["high"]
-    assert max(each["flown_to_the_end"] for each in learners) == 1.0
+    for seed in range(5):
+        each = learned[f"learner_{seed}"]
+        # All 100 episodes of the last try are flown to the end, and so are 200 others.
+        assert list(each["curve"].values())[-1]["flown_to_the_end"] == each["flown_to_the_end"] == 1.0
+        assert each["steps"] <= 301_056
+        assert each["low"] > -100.0 > learned["hover"]["high"]
