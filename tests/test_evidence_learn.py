@@ -47,6 +47,15 @@ def test_velocities_and_landings_are_learned_better_than_the_baselines_fly() -> 
     assert worse == [seed for seed in range(10) if landed[seed]["flown_to_the_end"] < 1.0] == [3, 5]
 
 
+def test_rates_and_motors_are_learned_as_well_as_the_baseline_flies() -> None:
+    found = json.loads(REPORT.read_text("utf-8"))["results"]
+    for actions in ("rates", "motors"):
+        learned = [found[f"{actions}_seed_{seed}"] for seed in range(3)]
+        assert all(each["flown_to_the_end"] == each["near"] == 1.0 for each in learned)
+        assert all(each["mean"] > found[actions]["baseline"]["low"] for each in learned)
+        assert found[actions]["hover"]["flown_to_the_end"] < 0.3
+
+
 def test_cats_come_nearer_than_the_baseline_and_seldom_collide() -> None:
     found = json.loads(REPORT.read_text("utf-8"))["results"]
     baseline = found["cats_and_mouse_1A"]["baseline"]

@@ -124,6 +124,14 @@ def test_every_learner_rises_above_hovering_and_the_controller(full: dict[str, A
         assert learner["flown_to_the_end"] == 1.0
 
 
+def test_the_form_for_learners_is_learned_at_the_first_try(full: dict[str, Any]) -> None:
+    learned = full["keep_spot_learner"]
+    learners = [learned[f"learner_{seed}"] for seed in range(5)]
+    assert [each["steps"] for each in learners] == [51200] * 5
+    assert all(each["flown_to_the_end"] == 1.0 for each in learners)
+    assert sum(each["mean"] > learned["baseline"]["mean"] for each in learners) == 2
+
+
 def test_stable_baselines_has_learned_to_keep_a_spot_without_a_crash(full: dict[str, Any]) -> None:
     """With its defaults, on the registered environment, five seeds of five; hovering leaves the area in most cases."""
     learned = full["keep_spot"]
