@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import math
 import sys
 import threading
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from qrsim.apps import OPTIONAL_SECONDS, progress_bar
+from qrsim.core.garbage import uncollected
 from qrsim.errors import RunError, UsageError, os_error_as
 from qrsim.files.interruptions import calling
 
@@ -260,7 +260,7 @@ class View:
         server = start_server(self.port, host=self.host)
         clock = Clock(playing=False, speeds=SPEEDS[:-1])
         try:
-            with _uncollected():
+            with uncollected():
                 if recording is None:
                     names = ", ".join(folder.resolve().name for folder in self.run_folders)
                     show_loading(server, names)
@@ -293,15 +293,3 @@ class View:
         with server.atomic():
             page = Page(server, recording.cast, recording.world, recording.heading, clock, recording.imagery)
             return Replay(recording, page, clock, self.at or 0.0, self.colour)
-
-
-@contextmanager
-def _uncollected() -> Iterator[None]:
-    """Collect no garbage in the context: imports leave none, and hundreds of searches take a tenth of a start."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()

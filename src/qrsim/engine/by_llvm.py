@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from qrsim.core.arrays import DType, NumpyArray
+from qrsim.core.garbage import uncollected
 from qrsim.engine.cache import GENERATOR, Known, identity, keep, kept, look_up
 from qrsim.engine.functions import Extent, Function
 from qrsim.engine.layout import Buffers, Packer, Shared, aligned, aligned_copy
@@ -31,7 +32,7 @@ from qrsim.engine.llvm import (
 )
 from qrsim.engine.llvm.compiler import vector_bytes
 from qrsim.engine.llvm.refusal import refusing
-from qrsim.engine.programs import compiled, discard_unused, uncollected
+from qrsim.engine.programs import compiled, discard_unused
 from qrsim.engine.settings import available_cores, threads, tier
 
 # What was traced last, because how large a state is, is asked before its start is compiled.

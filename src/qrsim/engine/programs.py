@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import gc
 import logging
 import warnings
-from collections.abc import Callable, Hashable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Hashable
 from typing import Any, TypeVar
 
+from qrsim.core.garbage import uncollected
 from qrsim.core.sameness import is_gone
 from qrsim.engine.llvm.refusal import UnsupportedError
 from qrsim.errors import CompilerWarning
@@ -70,22 +69,6 @@ def discard_unused(made: dict[K, T]) -> None:
 def _code_bytes(program: object) -> int:
     """Return the size [bytes] of a program's machine code, 0 if unknown."""
     return getattr(program, "code_bytes", 0)
-
-
-@contextmanager
-def uncollected() -> Iterator[None]:
-    """Context manager that pauses the cyclic garbage collector while many objects are made.
-
-    Tracing and compiling make many objects that live until the program is done. The collector would walk through all
-    of them, and all of JAX, again and again, which takes a third of the time.
-    """
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 def _tell(program: object, why: UnsupportedError) -> None:
