@@ -9,10 +9,9 @@ from qrsim.envs.batch import Batch
 from qrsim.envs.functional import Functional
 from qrsim.errors import UsageError
 from qrsim.tasks.agents import still
-from qrsim.tasks.direct import DIRECT
 from qrsim.tasks.learned import View, observed_names
 from qrsim.tasks.search import Search
-from qrsim.tasks.simple import Commanded
+from qrsim.tasks.simple import is_direct
 from qrsim.tasks.teams import side_of_fleet
 
 # Wanted time between two decisions [s], and between those of rates and motors, which no vehicle stabilises. A task with
@@ -94,11 +93,6 @@ def view_of(functional: Functional, integral: bool = False, fleet: str | None = 
         turned=(flown.index(acts.index(LEVEL[0])), flown.index(acts.index(LEVEL[1]))) if chases else None,
         summed=summed,
     )
-
-
-def is_direct(task: object) -> bool:
-    """Return whether the actions of a task are body rates or rotor speeds, which no vehicle stabilises."""
-    return isinstance(task, Commanded) and task.actions in DIRECT
 
 
 def _reach(act: str, direct: bool) -> float:

@@ -12,10 +12,10 @@ from qrsim.scenarios.build import build_task
 from qrsim.scenarios.registry import is_outside
 from qrsim.scenarios.schema import FleetSpec, ScenarioSpec
 from qrsim.scenarios.timing import is_multiple
-from qrsim.tasks.direct import DIRECT, GYROSCOPES, accepts
+from qrsim.tasks.direct import GYROSCOPES, accepts
 from qrsim.tasks.formation import BEACON
 from qrsim.tasks.perceived import SEEING
-from qrsim.tasks.simple import Commanded
+from qrsim.tasks.simple import is_direct
 
 # Sensors by the field of a task that names one.
 SENSORS = {"camera": ("camera", "ideal_camera"), "sensor": ("concentration", "ideal_concentration")}
@@ -53,7 +53,7 @@ def task_problems(scenario: ScenarioSpec) -> Iterator[str]:
             yield from _setpoint_problems(scenario, name, built.asks(name))
         else:
             yield f"task.fleets: no fleet is called '{name}'{did_you_mean(name, scenario.fleets)}"
-    if isinstance(built, Commanded):
+    if is_direct(built):
         yield from _action_problems(task, scenario.fleets[task.fleet])
     yield from _fleet_problems(scenario, scenario.fleets[task.fleet])
 
@@ -75,10 +75,7 @@ def _formation_problems(scenario: ScenarioSpec) -> Iterator[str]:
 
 def _action_problems(task: Any, fleet: FleetSpec) -> Iterator[str]:
     """Yield errors of actions below attitude: vehicles that do not accept them, or that measure no body rates."""
-    actions = task.actions
-    if actions not in DIRECT:
-        return
-    vehicle = fleet.vehicle.type
+    actions, vehicle = task.actions, fleet.vehicle.type
     if not accepts(known.VEHICLES[vehicle]):
         allowed = ", ".join(sorted(name for name, cls in known.VEHICLES.items() if accepts(cls)))
         yield (

@@ -57,8 +57,14 @@ class Axis:
 
 def still(axes: tuple[Axis, ...]) -> tuple[float, ...]:
     """Return the action in [-1, 1] that asks for nothing: hover throttle, full battery, else 0 in units."""
-    values = [(axis.high if axis.name == "battery" else 0.0) if axis.neutral is None else None for axis in axes]
-    return tuple(0.0 if value is None else float(axis.action(value)) for axis, value in zip(axes, values, strict=True))
+
+    def number(axis: Axis) -> float:
+        """Return the number of one axis."""
+        if axis.neutral is not None:
+            return 0.0
+        return float(axis.action(axis.high if axis.name == "battery" else 0.0))
+
+    return tuple(map(number, axes))
 
 
 def penalty() -> Array:

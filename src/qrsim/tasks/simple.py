@@ -61,10 +61,9 @@ SHORTEST_REACH = 1.0
 def axes_of(kind: type, hover: Any = None) -> tuple[Axis, ...]:
     """Describe the fields of a command record as numbers of an action; 0 of a throttle means ``hover`` ()."""
     limits = limits_of(kind)
+    neutral = {"throttle": hover}
     return tuple(
-        Axis(name, field_info(field).unit, *limits[name], hover if name == "throttle" else None)
-        for field in fields(kind)
-        for name in (field.name,)
+        Axis(field.name, field_info(field).unit, *limits[field.name], neutral.get(field.name)) for field in fields(kind)
     )
 
 
@@ -175,21 +174,24 @@ class Commanded(Task):
         """Describe an action, a command of the fleet's vehicles or a velocity, by name, unit and range."""
         if self.actions == "velocity":
             return velocity_axes(FASTEST, "ned")
-        if self.actions in DIRECT:
-            vehicle: Any = world.fleets[number_of(world, self.fleet)].vehicle
+        vehicle = self._vehicle(world)
+        if is_direct(self):
             return direct_axes(axes_of(self.action_type(world)), vehicle)
-        vehicle = world.fleets[number_of(world, self.fleet)].vehicle
         hover = own_hover(vehicle) if accepts(type(vehicle)) else self.effort.hover_throttle
         return axes_of(self.command_type(world), hover)
 
+    def _vehicle(self, world: World) -> Any:
+        """Return the model of the fleet's vehicles."""
+        return world.fleets[number_of(world, self.fleet)].vehicle
+
     def action_type(self, world: World) -> type:
         """Return the record type of commands that an action gives."""
-        vehicle: Any = world.fleets[number_of(world, self.fleet)].vehicle
-        return command_kind(self.actions, vehicle) if self.actions in DIRECT else vehicle.command_type
+        return command_kind(self.actions, self._vehicle(world)) if is_direct(self) else self.command_type(world)
 
     def command_type(self, world: World) -> type:
         """Return the record type of commands to the fleet's vehicles."""
-        return world.fleets[number_of(world, self.fleet)].vehicle.command_type
+        found: type = self._vehicle(world).command_type
+        return found
 
     def commands(self, memory: SimpleMemory, world: World, action: Array) -> tuple[Action, ...]:
         """Convert actions (n, A), in physical units, to commands, or to velocity set-points heading north."""
@@ -204,7 +206,7 @@ class Commanded(Task):
 
     def cost_rate(self, model: Fleet, fleet: FleetState) -> Array:
         """Return the cost per second (n,) of each vehicle's present command; of rates and motors, of its motion."""
-        return self.effort.rate(flown(self.actions, model, fleet) if self.actions in DIRECT else fleet.command)
+        return self.effort.rate(flown(self.actions, model, fleet) if is_direct(self) else fleet.command)
 
     def distance_squared(self, memory: SimpleMemory, world: World, state: State) -> Array:
         """Return each vehicle's extra cost (n,) if the episode ended in this state; 0 here."""
@@ -244,18 +246,23 @@ class Commanded(Task):
 
     def with_sensed(self, world: World, state: State, *parts: Array) -> Array:
         """Return parts (n, ...) of an observation, with body rates if actions need them, and readings of ``senses``."""
-        rates = [measured_rates(fleet_of(world, state, self.fleet)[1])] if self.actions in DIRECT else []
+        rates = [measured_rates(fleet_of(world, state, self.fleet)[1])] if is_direct(self) else []
         more = [sensed(world, state, self.fleet, self.senses)] if self.senses else []
         return jnp.concatenate([*parts, *rates, *more], axis=-1)
 
     def further_axes(self, world: World) -> tuple[Axis, ...]:
         """Describe the numbers that ``with_sensed`` appends, by name, unit and range."""
-        rates = OBSERVED_RATES if self.actions in DIRECT else ()
+        rates = OBSERVED_RATES if is_direct(self) else ()
         return (*rates, *sensed_axes(world, self.fleet, self.senses))
 
     def highest_cost(self, memory: SimpleMemory, world: World, duration: Array) -> Array:
         """Return an upper bound of each vehicle's cost (n,) in ``duration`` [s] without a crash."""
         return jnp.broadcast_to(self.effort.highest_rate(self.command_type(world)) * duration, memory.owed.shape)
+
+
+def is_direct(task: object) -> bool:
+    """Return whether the actions of a task are body rates or rotor speeds, which no vehicle stabilises."""
+    return isinstance(task, Commanded) and task.actions in DIRECT
 
 
 @record

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any
 
 from qrsim.envs.functional import Functional
-from qrsim.envs.viewing import is_direct
 from qrsim.studies.learn.ppo import Settings
 from qrsim.studies.learn.starting import BASELINE
 from qrsim.studies.learn.training import Plan
@@ -14,6 +13,7 @@ from qrsim.tasks.formation import KeepFormation
 from qrsim.tasks.landing import Land
 from qrsim.tasks.pursuit import Pursuit
 from qrsim.tasks.search import Search
+from qrsim.tasks.simple import is_direct
 
 # Decisions of 1 s, whose consequences are fewer; noise that cats a few metres from each other survive.
 PURSUIT = Settings(discount=0.97, epochs=4, minibatches=8, spread=0.3, averaged=0.9)

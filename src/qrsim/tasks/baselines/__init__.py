@@ -27,14 +27,13 @@ from qrsim.tasks.baselines.searching import Searching
 from qrsim.tasks.baselines.spotting import Spotting
 from qrsim.tasks.baselines.touring import Touring
 from qrsim.tasks.contracts import Answering
-from qrsim.tasks.direct import DIRECT
 from qrsim.tasks.formation import KeepFormation
 from qrsim.tasks.landing import Land
 from qrsim.tasks.play import TASK, Play
 from qrsim.tasks.plume_mapping import PlumeMapping
 from qrsim.tasks.pursuit import Pursuit
 from qrsim.tasks.search import Search
-from qrsim.tasks.simple import KeepSpot, KeepVelocity, ReachWaypoint
+from qrsim.tasks.simple import KeepSpot, KeepVelocity, ReachWaypoint, is_direct
 from qrsim.tasks.speaking import ACT, SAY
 from qrsim.tasks.teams import apart, by_fleet, together
 from qrsim.world.state import State
@@ -81,8 +80,7 @@ def baseline(play: Play, seed: int = 0) -> Baseline:
     kind: Any = KINDS.get(type(play.task), play.task.baseline)
     if kind is None:
         raise UsageError("policy baseline: this task has none; a task of your own names a class as its 'baseline'")
-    direct = kind is Holding and play.task.actions in DIRECT  # type: ignore[attr-defined]
-    if kind is Holding and not direct and tuple(axis.name for axis in play.axes) != FLOWN:
+    if kind is Holding and not is_direct(play.task) and tuple(axis.name for axis in play.axes) != FLOWN:
         found = ", ".join(axis.name for axis in play.axes)
         raise UsageError(f"policy baseline: it gives {', '.join(FLOWN)}; these vehicles take {found}")
     if isinstance(play.task, Pursuit) and play.task.senses:

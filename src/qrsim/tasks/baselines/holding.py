@@ -8,10 +8,9 @@ import numpy as np
 
 from qrsim.core.arrays import Floats
 from qrsim.tasks.baselines.inner import Inner
-from qrsim.tasks.direct import DIRECT
 from qrsim.tasks.landing import Land
 from qrsim.tasks.play import Play
-from qrsim.tasks.simple import KeepVelocity
+from qrsim.tasks.simple import KeepVelocity, is_direct
 
 # What the controller takes an action for, as the names of its numbers.
 FLOWN = ("pitch", "roll", "throttle", "yaw_rate", "battery")
@@ -32,7 +31,7 @@ class Holding:
     """
 
     def __init__(self, play: Play, seed: int = 0):
-        self._inner = Inner(play) if play.task.actions in DIRECT else None  # type: ignore[attr-defined]
+        self._inner = Inner(play) if is_direct(play.task) else None
         self._axes, self._period = play.axes, play.task.period
         self._by_velocity, self._lands = isinstance(play.task, KeepVelocity), isinstance(play.task, Land)
         task: Any = play.task
