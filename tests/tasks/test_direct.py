@@ -93,6 +93,8 @@ def test_a_learner_decides_at_every_step_and_turns_with_the_heading() -> None:
     assert [view.observed[i] for i in view.kept if view.observed[i].startswith(("position", "yaw"))] == []
     assert (view.yaw, view.pairs[1:], view.flown) == (8, ((3, 4), (9, 10)), (0, 1, 2, 3))
     assert view_of(Functional.of("keep_spot", X500)).seconds == 0.1
+    # A rate of 0.9 rad/s, of 0.15 rad/s about yaw, and a tenth of the speed from a hover to the largest.
+    assert (view_of(Functional.of("keep_spot", RATES)).reach, view.reach) == ((0.3, 0.3, 0.1, 0.2), (0.1,) * 4)
 
 
 def test_trainings_have_settings_for_short_decisions() -> None:
