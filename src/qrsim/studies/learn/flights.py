@@ -64,9 +64,9 @@ class Flights:
         found: Floats = self.batch.seen.reshape(self.rows, -1)
         return found
 
-    def features(self) -> Floats:
-        """Return the network's inputs (N, F), not yet scaled, for the agents' next decisions."""
-        found: Floats = self.view.features(self.seen, self.last)
+    def features(self, rows: Any = slice(None)) -> Floats:
+        """Return the network's inputs (N, F), not yet scaled, for the next decisions of the agents ``rows``."""
+        found: Floats = self.view.features(self.seen[rows], self.last[rows])
         return found
 
     def decide(self, outputs: Floats, action: Floats) -> Decided:

@@ -20,6 +20,8 @@ from qrsim.tasks.learned import LIMIT, Scaling, View
 
 # Mean and standard deviation of the inputs, (F,) each.
 Pair = tuple[Any, Any]
+# Names of the weights that a decision needs.
+DECIDING = ("policy", "log_spread")
 
 
 @dataclass(frozen=True)
@@ -199,9 +201,8 @@ class Algorithm:
         samples = samples._replace(inputs=_scaled(scaling, samples.inputs))
         settings, rows = self.settings, _rows_of(learner.weights, samples, self.settings)
 
-        def minibatch(learner: Learner, chosen: Array) -> tuple[Learner, Array]:
-            """Update the learner by one gradient step on the samples with the indices ``chosen`` (M,)."""
-            part = jax.tree.map(lambda leaf: leaf[chosen], rows)
+        def minibatch(learner: Learner, part: Rows) -> tuple[Learner, Array]:
+            """Update the learner by one gradient step on some samples (M,)."""
             slope, divergence = jax.grad(partial(_loss, settings), has_aux=True)(learner.weights, part)
             slope = {name: each if name in of else jax.tree.map(jnp.zeros_like, each) for name, each in slope.items()}
             with usual_promotion():
@@ -210,8 +211,14 @@ class Algorithm:
                     change = jax.tree.map(lambda each: share * each, change)
                 return Learner(self._apply(learner.weights, change), optimiser), divergence
 
-        learner, divergence = jax.lax.scan(minibatch, learner, orders.reshape(-1, orders.shape[-1]))
-        return learner, jnp.mean(divergence[-settings.minibatches :])
+        def epoch(learner: Learner, order: Array) -> tuple[Learner, Array]:
+            """Update the learner by one pass over the samples, in minibatches of the indices ``order``."""
+            # All at once: to pick those of each minibatch takes a quarter of the whole.
+            shuffled = jax.tree.map(lambda leaf: leaf[order], rows)
+            return jax.lax.scan(minibatch, learner, shuffled)
+
+        learner, divergence = jax.lax.scan(epoch, learner, orders)
+        return learner, jnp.mean(divergence[-1])
 
 
 @contextmanager

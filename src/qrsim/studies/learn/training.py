@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -26,7 +27,7 @@ from qrsim.errors import RunError, UsageError
 from qrsim.studies.learn.flights import Flights
 from qrsim.studies.learn.imitating import imitate
 from qrsim.studies.learn.moments import Moments
-from qrsim.studies.learn.ppo import Algorithm, Learner, Pair, Samples, Settings
+from qrsim.studies.learn.ppo import DECIDING, Algorithm, Learner, Pair, Samples, Settings
 from qrsim.studies.learn.starting import BASELINE, read_start
 from qrsim.tasks.learned import PolicyFile, forward, read_policy
 
@@ -196,15 +197,15 @@ class Training:
             if self.plan.start is not None and not self.cycle:
                 self._start(rng, first + APART // 2)
             self.flights.begin(first + np.arange(self.plan.envs))
-            rewards, divergences = [], []
-            for _ in range(self.iterations):
-                samples = self._fly(rng)
-                orders = self.algorithm.orders(rng, samples.reward.size)
-                self.learner, divergence = self._improved(samples, orders)
-                self._average()
-                rewards.append(float(samples.reward.mean()))
+            rewards, divergences, ahead = [], [], self._drawn(rng)
+            for number in range(1, self.iterations + 1):
+                reward, divergence = self._iterate(*ahead)
+                rewards.append(float(reward.mean()))
+                if number < self.iterations:
+                    ahead = self._drawn(rng)
                 divergences.append(self._finite(float(divergence)))
-                self.steps += samples.reward.size
+                self._average()
+                self.steps += reward.size
                 told(self.steps)
                 if self.steps >= self.plan.steps or time.monotonic() - begun > limit:
                     break
@@ -287,32 +288,73 @@ class Training:
         self.best = self._policy(), Tried(0, self.steps, 0.0, unknown, 0.0, unknown, unknown)
         return True
 
-    def _fly(self, rng: np.random.Generator) -> Samples:
-        """Fly an iteration and return its samples; sets ``scaling`` for them, and adds them to ``moments``."""
-        flights, weights = self.flights, self.learner.weights
-        self.scaling = self.moments.scaling()
-        noise = rng.standard_normal((self.horizon, flights.rows, len(self.view.flown)), np.float32)
-        found = []
-        for normals in noise:
-            decision = self.algorithm.decide(weights, self._pair, flights.seen, flights.last, normals)
-            features, outputs, density, action = map(np.asarray, decision)
-            reward, terminated, ended = flights.decide(outputs, action)
-            beyond = np.zeros_like(reward)
-            cut = ended & ~terminated
-            if cut.any():
-                last = np.asarray(self.algorithm.value(weights, self._pair, flights.features()))
-                beyond = np.where(cut, last, beyond)
-            found.append((features, outputs, density, reward, ended, beyond))
-            flights.follow(ended)
-        inputs, *others = zip(*found, strict=True)
-        rows = np.stack([*inputs, flights.features()])
+    def _drawn(self, rng: np.random.Generator) -> tuple[Floats, NumpyArray]:
+        """Draw the normals (T, N, K) of an iteration's decisions, and the orders of its samples."""
+        rows = self.flights.rows
+        noise = rng.standard_normal((self.horizon, rows, len(self.view.flown)), np.float32)
+        return noise, self.algorithm.orders(rng, self.horizon * rows)
+
+    def _iterate(self, noise: Floats, orders: NumpyArray) -> tuple[Floats, Any]:
+        """Fly an iteration and start to improve the policy, which JAX does while this thread prepares the next one.
+
+        Args:
+            noise: (T, N, K) normals of the decisions.
+            orders: of the samples.
+
+        Returns:
+            The rewards (T, N), valid until the next iteration, and the divergence (), perhaps still being computed.
+        """
         first = not self.moments.count
-        if self.plan.start is None:
-            self.moments.add(rows[:-1:THINNED].reshape(-1, rows.shape[-1]))
+        samples = self._fly(noise)
+        inputs = samples.inputs[:-1:THINNED].reshape(-1, self.view.inputs)
         if first:
             # Nothing was known yet; the new policy returns zeros by any scaling.
+            self.moments.add(inputs)
             self.scaling = self.moments.scaling()
-        return Samples(rows, *map(np.stack, others))
+        self.learner, divergence = self._improved(samples, orders)
+        if self.plan.start is None and not first:
+            self.moments.add(inputs)
+        return samples.reward, divergence
+
+    def _fly(self, noise: Floats) -> Samples:
+        """Fly an iteration with normals (T, N, K); return its samples, valid until the next; sets ``scaling``."""
+        flights, found, weights = self.flights, self._samples, self.learner.weights
+        self.scaling = self.moments.scaling()
+        # What is handed over at each decision costs a few microseconds apiece.
+        pair, flown = jax.tree.map(jnp.asarray, self._pair), {name: weights[name] for name in DECIDING}
+        cut, last = np.zeros(found.ended.shape, bool), []
+        for number, normals in enumerate(noise):
+            decision = self.algorithm.decide(flown, pair, flights.seen, flights.last, normals)
+            *kept, action = map(np.asarray, decision)
+            for room, part in zip(found, kept, strict=False):
+                room[number] = part
+            reward, terminated, ended = flights.decide(found.outputs[number], action)
+            cut[number] = ended & ~terminated
+            if cut[number].any():
+                last.append(flights.features(cut[number]))
+            found.reward[number], found.ended[number] = reward, ended
+            flights.follow(ended)
+        found.inputs[-1] = flights.features()
+        found.beyond[:] = 0.0
+        found.beyond[cut] = self._values(pair, np.concatenate(last)) if last else 0.0
+        return found
+
+    def _values(self, pair: Pair, features: Floats) -> Floats:
+        """Return the value network's outputs (M,) for inputs (M, F), by the program for all rows of the flights."""
+        count, rows = len(features), self.flights.rows
+        room = np.zeros((-(-count // rows) * rows, self.view.inputs), np.float32)
+        room[:count] = features
+        parts = [self.algorithm.value(self.learner.weights, pair, part) for part in np.split(room, len(room) // rows)]
+        return np.concatenate([np.asarray(part) for part in parts])[:count]
+
+    @cached_property
+    def _samples(self) -> Samples:
+        """Memory of an iteration's samples, which each iteration writes anew."""
+        shape = (self.horizon, self.flights.rows)
+        inputs = np.empty((shape[0] + 1, shape[1], self.view.inputs), np.float32)
+        outputs = np.empty((*shape, len(self.view.flown)), np.float32)
+        density, reward, beyond = (np.empty(shape, np.float32) for _ in range(3))
+        return Samples(inputs, outputs, density, reward, np.empty(shape, bool), beyond)
 
     @property
     def _pair(self) -> Pair:
