@@ -110,7 +110,8 @@ def run(full: bool, parts: tuple[str, ...] = PARTS) -> dict[str, Any]:
             if f"{actions}_{seed}" in parts:
                 found[f"{actions}_seed_{seed}"] = trained(plan_of("keep_spot", changes, seed=seed), TRIALS)
     if "loop" in parts:
-        found["loop"] = dict(zip(LOOP, printed("training"), strict=True))
+        rows = [{key: row[key] for key in row if key != "what"} for row in printed("training")]
+        found["loop"] = dict(zip(LOOP, rows, strict=True))
     if CURVES in parts:
         known = found if len(parts) > 1 else json.loads(REPORT.read_text("utf-8"))["results"]
         save_picture(lambda: draw(known), IMAGE)
