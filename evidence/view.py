@@ -47,7 +47,7 @@ FULL_EXPORT, SMALL_EXPORT = ((5, 50), 7200.0, 60.0), ((2,), 4.0, 2.0)
 # of a long live flight, with its speed.
 FULL_BROWSER, SMALL_BROWSER = (
     ((50, 600.0), 3, 200, (1000, 20.0), (5, 3600.0, 50.0)),
-    ((2, 2.0), 1, 5, (20, 3.0), (2, 60.0, 10.0)),
+    ((2, 2.0), 1, 5, (20, 3.0), (2, 600.0, 50.0)),
 )
 EXPORT = """
 import resource, sys
