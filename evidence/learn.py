@@ -50,7 +50,7 @@ STEPS = {
 }
 SEEDS = 10
 # A mouse that is an agent: decisions, and seeds.
-BOTH, MOUSE_STEPS, MOUSE_SEEDS = "task.mouse=agent", 320_000, 3
+BOTH, MOUSE_STEPS, MOUSE_SEEDS = "task.mouse=agent", 320_000, 10
 NEAR = 3.0
 # An X500 that keeps its spot by body rates and by rotor speeds, and seeds of each.
 X500 = (
