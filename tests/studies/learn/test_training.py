@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -69,12 +70,18 @@ def test_same_seed_same_bits_and_so_after_a_checkpoint(tmp_path: Path) -> None:
     features, cut = whole.flights.features, []
     whole.flights.features = lambda *rows: cut.append(features(*rows)) or cut[-1]  # type: ignore[method-assign]
     samples = whole._fly(whole._drawn(np.random.default_rng(0))[0])
-    layers = [tuple(map(np.asarray, layer)) for layer in whole.learner.weights["value"]]
+    weights = jax.tree.map(np.asarray, whole.learner.weights)
     # The last inputs are those of the next decision. Episodes of 20 decisions end six times in 128.
-    expected = forward(layers, whole.scaling.scaled(np.concatenate(cut[:-1])))[:, 0]
+    expected = forward(weights["value"], whole.scaling.scaled(np.concatenate(cut[:-1])))[:, 0]
     assert len(expected) > 5 * 16
     np.testing.assert_allclose(samples.beyond[samples.beyond != 0.0], expected, rtol=1e-4, atol=1e-5)
     assert (samples.ended | (samples.beyond == 0.0)).all()
+    # Densities are those of Gaussians around the outputs of the network, up to a constant.
+    inputs = whole.scaling.scaled(samples.inputs[:-1].reshape(-1, whole.view.inputs))
+    away = samples.outputs - forward(weights["policy"], inputs).reshape(samples.outputs.shape)
+    spread = np.exp(weights["log_spread"])
+    density = -np.sum(0.5 * np.square(away / spread) + np.log(spread), axis=-1)
+    np.testing.assert_allclose(samples.log_density, density, atol=2e-4)
 
     # Of another seed it is another training.
     other = Training(dataclasses.replace(SMALL, seed=4))

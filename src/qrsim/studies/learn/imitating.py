@@ -159,7 +159,8 @@ class Fit:
                 change, state = self._adam.update(slope, state)
                 return (self._apply(layers, jax.tree.map(lambda each: -rate * each, change)), state), None
 
-        return jax.lax.scan(step, carry, (inputs, outputs, rates))[0]
+        # A column is a row of the data, as ``network`` has it.
+        return jax.lax.scan(step, carry, (inputs.swapaxes(1, 2), outputs.swapaxes(1, 2), rates))[0]
 
 
 def imitate(flights: Flights, layers: Any, moments: Moments, seed: int, rng: np.random.Generator) -> Imitated:

@@ -93,18 +93,16 @@ class Decision(NamedTuple):
     Attributes:
         features: (N, F) unscaled inputs.
         outputs: (N, K) of the network.
-        log_density: (N,) of the outputs, up to a constant.
         action: (N, A).
     """
 
     features: Any
     outputs: Any
-    log_density: Any
     action: Any
 
 
 class Rows(NamedTuple):
-    """Decisions (M,) of a step of the gradient; inputs (M, F), outputs (M, K)."""
+    """Decisions (M,) to learn from; inputs (M, F), outputs (M, K), transposed in a step of the gradient."""
 
     inputs: Any
     outputs: Any
@@ -124,10 +122,13 @@ def _layers(key: Array, sizes: tuple[int, ...], last: float) -> list[tuple[Array
 
 
 def network(layers: Any, inputs: Array) -> Array:
-    """Return the outputs (N, K) of a network of ``layers`` with tanh between them, for inputs (N, F)."""
+    """Return the outputs (K, N) of a network of ``layers`` with tanh between them, for inputs (F, N).
+
+    A column is a decision: XLA computes its gradient in two thirds of the time that it takes in rows.
+    """
     for weights, offset in layers[:-1]:
-        inputs = jnp.tanh(inputs @ weights + offset[None])
-    found: Array = inputs @ layers[-1][0] + layers[-1][1][None]
+        inputs = jnp.tanh(weights.T @ inputs + offset[:, None])
+    found: Array = layers[-1][0].T @ inputs + layers[-1][1][:, None]
     return found
 
 
@@ -174,10 +175,9 @@ class Algorithm:
     def _decide(self, weights: Any, scaling: Pair, seen: Array, last: Array, noise: Array) -> Decision:
         """Draw outputs and actions for observations (N, O), remembered values (N, K) and normals (N, outputs)."""
         features = self.view.features(seen, last)
-        mean = network(weights["policy"], _scaled(scaling, features))
+        mean = network(weights["policy"], _scaled(scaling, features).T).T
         outputs = mean + jnp.exp(weights["log_spread"])[None] * noise
-        density = _log_density(weights, mean, outputs)
-        return Decision(features, outputs, density, self.view.action(outputs.clip(-LIMIT, LIMIT), seen))
+        return Decision(features, outputs, self.view.action(outputs.clip(-LIMIT, LIMIT), seen))
 
     def _improve(
         self,
@@ -202,7 +202,7 @@ class Algorithm:
         settings, rows = self.settings, _rows_of(learner.weights, samples, self.settings)
 
         def minibatch(learner: Learner, part: Rows) -> tuple[Learner, Array]:
-            """Update the learner by one gradient step on some samples (M,)."""
+            """Update the learner by one gradient step on some samples (M,), with inputs (F, M) and outputs (K, M)."""
             slope, divergence = jax.grad(partial(_loss, settings), has_aux=True)(learner.weights, part)
             slope = {name: each if name in of else jax.tree.map(jnp.zeros_like, each) for name, each in slope.items()}
             with usual_promotion():
@@ -214,8 +214,9 @@ class Algorithm:
         def epoch(learner: Learner, order: Array) -> tuple[Learner, Array]:
             """Update the learner by one pass over the samples, in minibatches of the indices ``order``."""
             # All at once: to pick those of each minibatch takes a quarter of the whole.
-            shuffled = jax.tree.map(lambda leaf: leaf[order], rows)
-            return jax.lax.scan(minibatch, learner, shuffled)
+            shuffled = Rows(*(leaf[order] for leaf in rows))
+            inputs, outputs = (part.swapaxes(1, 2) for part in (shuffled.inputs, shuffled.outputs))
+            return jax.lax.scan(minibatch, learner, shuffled._replace(inputs=inputs, outputs=outputs))
 
         learner, divergence = jax.lax.scan(epoch, learner, orders)
         return learner, jnp.mean(divergence[-1])
@@ -236,7 +237,7 @@ def _scaled(scaling: Pair, features: Array) -> Array:
 
 def _value(weights: Any, inputs: Array) -> Array:
     """Return the expected discounted returns (...) that the value network gives for inputs (..., F)."""
-    return network(weights["value"], inputs.reshape(-1, inputs.shape[-1])).reshape(inputs.shape[:-1])
+    return network(weights["value"], inputs.reshape(-1, inputs.shape[-1]).T).reshape(inputs.shape[:-1])
 
 
 def _rows_of(weights: Any, samples: Samples, settings: Settings) -> Rows:
@@ -246,12 +247,6 @@ def _rows_of(weights: Any, samples: Samples, settings: Settings) -> Rows:
     advantage = _advantages(samples.reward, value[:-1], after, samples.ended, settings)
     whole = (samples.inputs[:-1], samples.outputs, samples.log_density, advantage, advantage + value[:-1])
     return Rows(*(leaf.reshape(-1, *leaf.shape[2:]) for leaf in whole))
-
-
-def _log_density(weights: Any, mean: Array, outputs: Array) -> Array:
-    """Return the log density (N,) of outputs (N, K) of a Gaussian policy around ``mean``, up to a constant."""
-    away = (outputs - mean) * jnp.exp(-weights["log_spread"])[None]
-    return -jnp.sum(0.5 * away * away + weights["log_spread"][None], axis=-1)
 
 
 def _advantages(reward: Array, value: Array, after: Array, ended: Array, settings: Settings) -> Array:
@@ -268,13 +263,13 @@ def _advantages(reward: Array, value: Array, after: Array, ended: Array, setting
 
 
 def _loss(settings: Settings, weights: Any, rows: Rows) -> tuple[Array, Array]:
-    """Return the PPO loss of a minibatch, and the divergence from the old policy."""
+    """Return the PPO loss of a minibatch, inputs (F, M) and outputs (K, M), and the divergence from the old policy."""
     advantage = (rows.advantage - jnp.mean(rows.advantage)) / (jnp.std(rows.advantage) + 1e-8)
-    mean = network(weights["policy"], rows.inputs)
-    change = _log_density(weights, mean, rows.outputs) - rows.log_density
+    away = (rows.outputs - network(weights["policy"], rows.inputs)) * jnp.exp(-weights["log_spread"])[:, None]
+    change = -jnp.sum(0.5 * away * away + weights["log_spread"][:, None], axis=0) - rows.log_density
     ratio = jnp.exp(change)
     gain = jnp.minimum(ratio * advantage, jnp.clip(ratio, 1.0 - settings.clip, 1.0 + settings.clip) * advantage)
-    wrong = network(weights["value"], rows.inputs)[..., 0] - rows.target
+    wrong = network(weights["value"], rows.inputs)[0] - rows.target
     entropy = jnp.sum(weights["log_spread"])
     loss = settings.value_weight * jnp.mean(wrong * wrong) - jnp.mean(gain) - settings.entropy_weight * entropy
     return loss, jnp.mean(ratio - 1.0 - change)

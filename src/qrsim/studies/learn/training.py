@@ -322,6 +322,8 @@ class Training:
         self.scaling = self.moments.scaling()
         # What is handed over at each decision costs a few microseconds apiece.
         pair, flown = jax.tree.map(jnp.asarray, self._pair), {name: weights[name] for name in DECIDING}
+        # Of a Gaussian: the normals are how many deviations the outputs are from the mean.
+        found.log_density[:] = -0.5 * np.square(noise).sum(axis=-1) - np.asarray(weights["log_spread"]).sum()
         cut, last = np.zeros(found.ended.shape, bool), []
         for number, normals in enumerate(noise):
             decision = self.algorithm.decide(flown, pair, flights.seen, flights.last, normals)
