@@ -1,8 +1,8 @@
 """How fast ``qrsim train`` decides and improves, relative to the bare environments: keep_spot with 1024 episodes.
 
 The bare environments are those of ``gymnasium.make_vec`` with the same time between two actions, in a hover or with
-random actions. A training is measured over whole cycles, without the episodes that policies are tried in after each.
-The three take turns.
+random actions; fewer than 1 % of their steps only begin an episode, and are counted too. A training is measured over
+whole cycles, without the episodes in which policies are tried after each. The three take turns.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ import numpy as np
 import _common
 
 TASK, ENVS = "keep_spot", 1024
-# Turns, seconds of each, and cycles before the first and in each.
+# Number of turns, seconds that the bare environments step in a turn, cycles of the training before the first turn, and
+# cycles in a turn.
 FULL, QUICK = (15, 1.5, 4, 2), (1, 0.1, 1, 1)
 # Pitch, roll, throttle, yaw rate and battery of a hover, in [-1, 1].
 HOVER = (0.0, 0.0, 0.0, 0.0, 1.0)
@@ -25,7 +26,7 @@ HEADINGS = {
     "num_envs": "num_envs",
     "per_wall_second": "decisions per wall s",
     "per_cpu_second": "per CPU s",
-    "loop_over_it": "training over it",
+    "loop_over_it": "rate of the training / this rate",
 }
 
 
@@ -66,10 +67,10 @@ def rows(envs: int, turns: int, seconds: float, before: int, count: int) -> list
 
     Args:
         envs: episodes side by side.
-        turns: how many.
-        seconds: of the bare environments in a turn.
-        before: cycles before the first turn.
-        count: cycles in a turn.
+        turns: number of turns.
+        seconds: time that the bare environments step in a turn [s].
+        before: cycles of the training before the first turn.
+        count: cycles of the training in a turn.
     """
     from qrsim.envs.vector import VectorTask
     from qrsim.studies.learn.suited import plan_of

@@ -69,6 +69,6 @@ def test_a_browser_opens_scrubs_and_looks_for_long() -> None:
     assert 2.0 < many["draw_calls_a_frame"] < 30.0
     assert 20 * 100 < many["triangles_a_frame"] < 20 * 2000
     assert many["frames_per_second"] > 0.0
-    # Paths, which have a largest length, are whole after a sixth of ten minutes; nothing else is left of the flight.
+    # Paths have a largest length, which they reach after 100 s. Nothing else is kept.
     assert hour["heap_at_end_megabytes"] - hour["heap_after_a_sixth_megabytes"] < 3.0
     assert (scrubbing["errors"], many["errors"], hour["errors"]) == (0, 0, 0)

@@ -159,7 +159,7 @@ class Fit:
                 change, state = self._adam.update(slope, state)
                 return (self._apply(layers, jax.tree.map(lambda each: -rate * each, change)), state), None
 
-        # A column is a row of the data, as ``network`` has it.
+        # ``network`` takes a state in each column.
         return jax.lax.scan(step, carry, (inputs.swapaxes(1, 2), outputs.swapaxes(1, 2), rates))[0]
 
 

@@ -213,7 +213,7 @@ class Algorithm:
 
         def epoch(learner: Learner, order: Array) -> tuple[Learner, Array]:
             """Update the learner by one pass over the samples, in minibatches of the indices ``order``."""
-            # All at once: to pick those of each minibatch takes a quarter of the whole.
+            # Shuffled once, because picking the rows of each minibatch is slow.
             shuffled = Rows(*(leaf[order] for leaf in rows))
             inputs, outputs = (part.swapaxes(1, 2) for part in (shuffled.inputs, shuffled.outputs))
             return jax.lax.scan(minibatch, learner, shuffled._replace(inputs=inputs, outputs=outputs))

@@ -203,6 +203,7 @@ class Training:
                 rewards.append(float(reward.mean()))
                 if number < self.iterations:
                     ahead = self._drawn(rng)
+                # Waits until JAX has read the samples, which the next iteration overwrites.
                 divergences.append(self._finite(float(divergence)))
                 self._average()
                 self.steps += reward.size
@@ -295,7 +296,7 @@ class Training:
         return noise, self.algorithm.orders(rng, self.horizon * rows)
 
     def _iterate(self, noise: Floats, orders: NumpyArray) -> tuple[Floats, Any]:
-        """Fly an iteration and start to improve the policy, which JAX does while this thread prepares the next one.
+        """Fly an iteration and start to improve the policy; JAX goes on with that in a thread of its own.
 
         Args:
             noise: (T, N, K) normals of the decisions.
@@ -320,9 +321,9 @@ class Training:
         """Fly an iteration with normals (T, N, K); return its samples, valid until the next; sets ``scaling``."""
         flights, found, weights = self.flights, self._samples, self.learner.weights
         self.scaling = self.moments.scaling()
-        # What is handed over at each decision costs a few microseconds apiece.
+        # Each array passed to a compiled function costs a few microseconds, so only what a decision needs is passed.
         pair, flown = jax.tree.map(jnp.asarray, self._pair), {name: weights[name] for name in DECIDING}
-        # Of a Gaussian: the normals are how many deviations the outputs are from the mean.
+        # The log density of a Gaussian: a normal says how many deviations an output is from the mean.
         found.log_density[:] = -0.5 * np.square(noise).sum(axis=-1) - np.asarray(weights["log_spread"]).sum()
         cut, last = np.zeros(found.ended.shape, bool), []
         for number, normals in enumerate(noise):
@@ -351,7 +352,7 @@ class Training:
 
     @cached_property
     def _samples(self) -> Samples:
-        """Memory of an iteration's samples, which each iteration writes anew."""
+        """Memory of an iteration's samples, which the next iteration overwrites."""
         shape = (self.horizon, self.flights.rows)
         inputs = np.empty((shape[0] + 1, shape[1], self.view.inputs), np.float32)
         outputs = np.empty((*shape, len(self.view.flown)), np.float32)
