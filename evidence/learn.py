@@ -41,7 +41,7 @@ PICTURES = ["task.observes=picture"]
 # Decisions that each seed learns from, and how many seeds.
 STEPS = {
     "keep_spot": 600_000,
-    "goto_waypoint": 2_000_000,
+    "goto_waypoint": 3_000_000,
     "keep_velocity": 1_200_000,
     "land_on_pad": 2_000_000,
     PURSUIT: 2_400_000,
