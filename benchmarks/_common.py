@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 HEIGHTS = (20.0, 30.0, 40.0, 50.0, 60.0)
 SPACING = 80.0
 SIDE = 40.0
+# An action of keep_spot that hovers, in [-1, 1]: pitch, roll, throttle, yaw rate and battery.
+HOVER = (0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 def options(description: str, arguments: Sequence[str] | None = None, **more: str) -> argparse.Namespace:

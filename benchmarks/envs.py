@@ -20,8 +20,6 @@ ENVIRONMENTS = {
     "search_and_rescue/2B": "qrsim/search_and_rescue_2B-v0",
     "CartPole": "CartPole-v1",
 }
-# Pitch, roll, throttle, yaw rate and battery of a hover, in [-1, 1].
-HOVER = (0.0, 0.0, 0.0, 0.0, 1.0)
 HEADINGS = {
     "environment": "environment",
     "num_envs": "num_envs",
@@ -39,7 +37,7 @@ def actions_of(name: str, size: int) -> Any:
     if name == "CartPole":
         return np.arange(size) % 2
     if name == "keep_spot":
-        return np.tile(np.float32(HOVER), (size, 1))
+        return np.tile(np.float32(_common.HOVER), (size, 1))
     return np.zeros((size, 3), np.float32)
 
 

@@ -19,8 +19,6 @@ TASK, ENVS = "keep_spot", 1024
 # Number of turns, seconds that the bare environments step in a turn, cycles of the training before the first turn, and
 # cycles in a turn.
 FULL, QUICK = (15, 1.5, 4, 2), (1, 0.1, 1, 1)
-# Pitch, roll, throttle, yaw rate and battery of a hover, in [-1, 1].
-HOVER = (0.0, 0.0, 0.0, 0.0, 1.0)
 HEADINGS = {
     "what": "what",
     "num_envs": "num_envs",
@@ -81,8 +79,8 @@ def rows(envs: int, turns: int, seconds: float, before: int, count: int) -> list
     training._outcome = lambda policy: (0.0, 0.0)  # type: ignore[method-assign]
     vector = VectorTask(TASK, envs, [f"task.period={training.view.seconds}"])
     vector.reset(seed=0)
-    hover = np.tile(np.float32(HOVER), (1, envs, 1))
-    drawn = np.random.default_rng(0).uniform(-1.0, 1.0, (8, envs, len(HOVER))).astype(np.float32)
+    hover = np.tile(np.float32(_common.HOVER), (1, envs, 1))
+    drawn = np.random.default_rng(0).uniform(-1.0, 1.0, (8, envs, len(_common.HOVER))).astype(np.float32)
     cycles = training.cycles()
     loop(training, cycles, before)()
     acts = {

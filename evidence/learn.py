@@ -4,8 +4,8 @@ Each policy then flies 200 episodes that nothing was learned from and that no po
 the baseline. A vehicle within ``NEAR`` of the waypoint at the end has reached it, on the pad it must stand too, and a
 cat must be as near to where it catches the mouse. Cats learn in short episodes and are tried in whole ones. Mice learn
 against the baseline's cats, and their return is compared with that of mice that flee by the script. Times are of one
-process with one thread, programs loaded; the processor's time does not depend on what else the machine does. ``loop``
-is printed by benchmarks/training.py: how many decisions a training makes per second.
+process with one thread, programs loaded; the processor's time does not depend on what else the machine does. The part
+``loop`` has what benchmarks/training.py prints: decisions per second of a training and of the bare environments.
 """
 
 from __future__ import annotations

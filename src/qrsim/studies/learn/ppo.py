@@ -124,7 +124,7 @@ def _layers(key: Array, sizes: tuple[int, ...], last: float) -> list[tuple[Array
 def network(layers: Any, inputs: Array) -> Array:
     """Return the outputs (K, N) of a network of ``layers`` with tanh between them, for inputs (F, N).
 
-    A column is a decision: XLA computes its gradient in two thirds of the time that it takes in rows.
+    Each column is a decision. XLA computes a gradient by columns in two thirds of the time that it takes by rows.
     """
     for weights, offset in layers[:-1]:
         inputs = jnp.tanh(weights.T @ inputs + offset[:, None])

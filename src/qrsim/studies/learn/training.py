@@ -296,7 +296,7 @@ class Training:
         return noise, self.algorithm.orders(rng, self.horizon * rows)
 
     def _iterate(self, noise: Floats, orders: NumpyArray) -> tuple[Floats, Any]:
-        """Fly an iteration and start to improve the policy; JAX goes on with that in a thread of its own.
+        """Fly an iteration, and have JAX improve the policy in another thread.
 
         Args:
             noise: (T, N, K) normals of the decisions.
@@ -322,12 +322,12 @@ class Training:
         flights, found, weights = self.flights, self._samples, self.learner.weights
         self.scaling = self.moments.scaling()
         # Each array passed to a compiled function costs a few microseconds, so only what a decision needs is passed.
-        pair, flown = jax.tree.map(jnp.asarray, self._pair), {name: weights[name] for name in DECIDING}
+        pair, deciding = jax.tree.map(jnp.asarray, self._pair), {name: weights[name] for name in DECIDING}
         # The log density of a Gaussian: a normal says how many deviations an output is from the mean.
         found.log_density[:] = -0.5 * np.square(noise).sum(axis=-1) - np.asarray(weights["log_spread"]).sum()
         cut, last = np.zeros(found.ended.shape, bool), []
         for number, normals in enumerate(noise):
-            decision = self.algorithm.decide(flown, pair, flights.seen, flights.last, normals)
+            decision = self.algorithm.decide(deciding, pair, flights.seen, flights.last, normals)
             *kept, action = map(np.asarray, decision)
             for room, part in zip(found, kept, strict=False):
                 room[number] = part
@@ -339,7 +339,8 @@ class Training:
             flights.follow(ended)
         found.inputs[-1] = flights.features()
         found.beyond[:] = 0.0
-        found.beyond[cut] = self._values(pair, np.concatenate(last)) if last else 0.0
+        if last:
+            found.beyond[cut] = self._values(pair, np.concatenate(last))
         return found
 
     def _values(self, pair: Pair, features: Floats) -> Floats:
