@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from qrsim.envs.objective import Scaled, _velocity_ned
+from qrsim.envs.objective import Scaled, _length, _summed, _velocity_ned
 from qrsim.studies.learn.moments import Moments
 from qrsim.studies.learn.ppo import Algorithm, Rows, Samples, Settings, _advantages, _loss, _rows_of
 from qrsim.tasks.learned import View
@@ -34,6 +34,19 @@ def test_a_ratio_beyond_the_clip_gains_nothing() -> None:
     part = Rows(flat[None], flat[None], flat - 1.0, jnp.asarray([1.0, -1.0], jnp.float32), flat)
     loss, _ = jax.jit(partial(_loss, Settings()))(weights, part)
     assert float(loss) == pytest.approx(-(1.2 - np.e) / 2.0, rel=1e-5)
+
+
+def test_the_loss_of_two_decisions_by_hand() -> None:
+    identity = [(jnp.eye(1, dtype=jnp.float32), jnp.zeros(1, jnp.float32))]
+    weights = {"policy": identity, "value": identity, "log_spread": jnp.full(1, np.log(0.5), jnp.float32)}
+    # Two deviations of 0.5 from the mean, and none; densities have grown by exp(0.1) and fallen by as much.
+    before = jnp.asarray([-2.0 + np.log(2.0) - 0.1, np.log(2.0) + 0.1], jnp.float32)
+    advantage, target = jnp.asarray([1.0, -1.0], jnp.float32), jnp.asarray([0.0, 5.0], jnp.float32)
+    part = Rows(jnp.asarray([[1.0, 2.0]]), jnp.asarray([[2.0, 2.0]]), before, advantage, target)
+    loss, divergence = jax.jit(partial(_loss, Settings(entropy_weight=0.1)))(weights, part)
+    # Half of the mean square of 1 and -3, less the mean gain sinh(0.1), less a tenth of log 0.5.
+    assert float(loss) == pytest.approx(2.5 - 0.10016675 + 0.06931472, rel=1e-5)
+    assert float(divergence) == pytest.approx(0.00500417, rel=1e-3)
 
 
 def test_values_beyond_a_time_limit_count_and_those_beyond_a_crash_do_not() -> None:
@@ -88,6 +101,12 @@ def test_rewards_are_scaled_by_the_deviation_of_their_sums() -> None:
         again.reward(batch, np.array([[1.0], [2.0]]), going, found),
         scaled.reward(batch, np.array([[1.0], [2.0]]), going, found),
     )
+
+
+def test_lengths_and_short_sums_have_every_part() -> None:
+    np.testing.assert_allclose(_length(np.array([[[3.0, 4.0, 12.0]], [[2.0, 3.0, 6.0]]])), [13.0, 7.0])
+    np.testing.assert_allclose(_summed(np.array([[1.0, 20.0, 300.0, 4000.0], [5.0, 0.0, 0.0, 1.0]])), [4321.0, 6.0])
+    np.testing.assert_allclose(_summed(np.array([[7.0]])), [7.0])
 
 
 def test_velocities_in_body_axes_are_turned_into_those_over_ground() -> None:
